@@ -1,4 +1,5 @@
-"""Writes track_range/run/option_types.py, the types of the keyword arguments of `Run` and `Pipeline`.
+"""Writes track_range/run/option_types.py, the types of the keyword arguments of `Run` and
+`Pipeline`.
 
 python .ci/run_options.py [--check]
 """
@@ -58,15 +59,28 @@ ALSO = {
 
 def main() -> None:
     """Write the file, or exit with an error if it differs."""
-    types = {keyword: _type(name) for keyword, name in RunSettings.keywords().items() if name not in ("mono", "stereo")}
-    lines = {keyword: f"    {keyword}: {kind}\n" for keyword, kind in {**types, "progress": "bool | Console"}.items()}
-    shared = [keyword for keyword in PipelineOptions.keywords() if keyword not in ("align", "detections")]
+    types = {
+        keyword: _type(name)
+        for keyword, name in RunSettings.keywords().items()
+        if name not in ("mono", "stereo")
+    }
+    lines = {
+        keyword: f"    {keyword}: {kind}\n"
+        for keyword, kind in {**types, "progress": "bool | Console"}.items()
+    }
+    shared = [
+        keyword for keyword in PipelineOptions.keywords() if keyword not in ("align", "detections")
+    ]
     of_run = [keyword for keyword in lines if keyword not in shared]
-    text = "".join([HEAD, *(lines[name] for name in shared), RUN_HEAD, *(lines[name] for name in of_run)])
+    text = "".join(
+        [HEAD, *(lines[name] for name in shared), RUN_HEAD, *(lines[name] for name in of_run)]
+    )
     if "--check" not in sys.argv:
         FILE.write_text(text, encoding="utf-8")
     elif text != FILE.read_text(encoding="utf-8"):
-        raise SystemExit(f"{FILE}: differs from the options of RunSettings; run `python .ci/run_options.py`.")
+        raise SystemExit(
+            f"{FILE}: differs from the options of RunSettings; run `python .ci/run_options.py`."
+        )
 
 
 def _type(name: str) -> str:

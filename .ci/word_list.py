@@ -1,7 +1,8 @@
 """Words and names that the project's language rules exclude (CONVENTIONS.md, section Language).
 
-`python .ci/word_list.py [PATH ...]` prints every use as `path:line: word: text` and exits with 1 if there is one that
-`.ci/word_list_exceptions.txt` does not justify. Without paths it checks the product code, the README and the docs.
+`python .ci/word_list.py [PATH ...]` prints every use as `path:line: word: text` and exits with 1 if
+there is one that `.ci/word_list_exceptions.txt` does not justify. Without paths it checks the
+product code, the README and the docs.
 """
 
 from __future__ import annotations
@@ -76,16 +77,38 @@ WORDS = [
     r"none if they are too few",
     r"with it(?=[.;] ?(?:[A-Z\"'`]|$))(?<!agree with it)",
 ]
-"""Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are used instead."""
+"""Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are
+used instead."""
 
 NAME_PARTS = {
-    *("told", "tells", "wanted", "looks", "eye", "eyes", "mine", "theirs", "strangers", "said", "says"),
+    *(
+        "told",
+        "tells",
+        "wanted",
+        "looks",
+        "eye",
+        "eyes",
+        "mine",
+        "theirs",
+        "strangers",
+        "said",
+        "says",
+    ),
     *("share", "shares", "nearness", "way", "ways"),
 }
-"""Words that no identifier contains; the last ones: a fraction, an inverse depth, a path or a distance travelled."""
+"""Words that no identifier contains; the last ones: a fraction, an inverse depth, a path or a
+distance travelled."""
 
 CONTRACT_NAMES = {
-    *("visible_share", "share", "rough_share", "noise_share", "noise_shares", "certain_share", "min_valid_share"),
+    *(
+        "visible_share",
+        "share",
+        "rough_share",
+        "noise_share",
+        "noise_shares",
+        "certain_share",
+        "min_valid_share",
+    ),
     *("shape_share", "last_share", "average_share"),
 }
 """Names of columns, keys of files and of the Python API, which users' files and programs have."""
@@ -94,7 +117,8 @@ NAMES = {
     *("this", "those", "these", "each", "found", "here", "there", "taken", "such", "ours", "keep"),
     *("of_class", "of_classes", "of_run", "of_image", "of_track"),
 }
-"""Identifiers that name nothing; a noun takes their place. (Settings are called `settings`, a mask `is_...`.)"""
+"""Identifiers that name nothing; a noun takes their place. (Settings are called `settings`, a mask
+`is_...`.)"""
 
 _PATTERN = re.compile(r"\b(?:" + "|".join(WORDS) + r")\b", re.IGNORECASE)
 
@@ -107,7 +131,9 @@ def uses_in_text(lines: list[str]) -> Iterator[tuple[int, str]]:
 
 
 def uses_in_names(source: str) -> Iterator[tuple[int, str]]:
-    """Line numbers from 1 and names of variables, parameters, attributes, functions and classes that are excluded."""
+    """Line numbers from 1 and names of variables, parameters, attributes, functions and classes
+    that are excluded.
+    """
     for node in ast.walk(ast.parse(source)):
         names: list[tuple[int, str]] = []
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -120,7 +146,9 @@ def uses_in_names(source: str) -> Iterator[tuple[int, str]]:
             names = [(node.lineno, node.name)]
         for line, name in names:
             bare = name.strip("_")
-            if bare not in CONTRACT_NAMES and (bare in NAMES or NAME_PARTS & set(bare.lower().split("_"))):
+            if bare not in CONTRACT_NAMES and (
+                bare in NAMES or NAME_PARTS & set(bare.lower().split("_"))
+            ):
                 yield line, f"name {name}"
 
 
@@ -132,7 +160,9 @@ def files_under(paths: list[Path]) -> Iterator[Path]:
             continue
         for folder, folders, names in os.walk(path):
             folders[:] = sorted(name for name in folders if not name.startswith((".", "__")))
-            yield from (Path(folder, name) for name in sorted(names) if Path(name).suffix in SUFFIXES)
+            yield from (
+                Path(folder, name) for name in sorted(names) if Path(name).suffix in SUFFIXES
+            )
 
 
 def exceptions() -> list[tuple[str, str]]:
@@ -145,7 +175,9 @@ def exceptions() -> list[tuple[str, str]]:
 
 def main(arguments: list[str]) -> int:
     """Print the uses that nothing justifies; 0 if there are none."""
-    paths = [Path(argument).resolve() for argument in arguments] or [ROOT / name for name in CHECKED]
+    paths = [Path(argument).resolve() for argument in arguments] or [
+        ROOT / name for name in CHECKED
+    ]
     justified, used = exceptions(), set()
     n_uses = 0
     for path in files_under([path for path in paths if path.exists()]):
@@ -155,7 +187,9 @@ def main(arguments: list[str]) -> int:
         uses = [*uses_in_text(lines), *(uses_in_names(source) if path.suffix == ".py" else ())]
         for number, word in sorted(set(uses)):
             line = lines[number - 1].strip()
-            reason = next((entry for entry in justified if entry[0] == name and entry[1] in line), None)
+            reason = next(
+                (entry for entry in justified if entry[0] == name and entry[1] in line), None
+            )
             if reason is not None:
                 used.add(reason)
                 continue
@@ -165,7 +199,10 @@ def main(arguments: list[str]) -> int:
     for entry in stale:
         print(f"{EXCEPTIONS.name}: no longer needed: {entry[0]}: {entry[1]}")
     if len(justified) > MAX_EXCEPTIONS:
-        print(f"{EXCEPTIONS.name}: {len(justified)} justified uses, at most {MAX_EXCEPTIONS} are allowed")
+        print(
+            f"{EXCEPTIONS.name}: {len(justified)} justified uses, at most {MAX_EXCEPTIONS} are "
+            "allowed"
+        )
     if n_uses:
         print(f"{n_uses} uses of excluded words; use the field's terms (CONVENTIONS.md, Language).")
     return int(bool(n_uses or stale or len(justified) > MAX_EXCEPTIONS))

@@ -1,4 +1,5 @@
-"""`python -m benchmarks WORKLOAD [OPTIONS]`: run one workload, print its tables, and write its figures as JSON.
+"""`python -m benchmarks WORKLOAD [OPTIONS]`: run one workload, print its tables, and write its
+figures as JSON.
 
 python -m benchmarks WORKLOAD --help lists the options of a workload.
 """
@@ -11,40 +12,94 @@ import sys
 from benchmarks.harness import Workload
 
 WORKLOADS = {
-    "ablation": ("accuracy.detection.ablation", "improvements of the monocular paper on the same training budget"),
-    "alignment": ("accuracy.ranging.rig_alignment", "alignment from drives against known disparity errors"),
-    "anonymization": ("accuracy.detection.anonymization", "covered fraction of heads and plates in simulated drives"),
-    "appearance": ("accuracy.tracking.appearance", "effect of appearance and camera motion on online tracking"),
+    "ablation": (
+        "accuracy.detection.ablation",
+        "improvements of the monocular paper on the same training budget",
+    ),
+    "alignment": (
+        "accuracy.ranging.rig_alignment",
+        "alignment from drives against known disparity errors",
+    ),
+    "anonymization": (
+        "accuracy.detection.anonymization",
+        "covered fraction of heads and plates in simulated drives",
+    ),
+    "appearance": (
+        "accuracy.tracking.appearance",
+        "effect of appearance and camera motion on online tracking",
+    ),
     "baseline": ("gate", "record the fast workloads as baselines"),
-    "box_errors": ("accuracy.warnings.box_errors", "errors of boxes and tracks on rendered drives and without images"),
+    "box_errors": (
+        "accuracy.warnings.box_errors",
+        "errors of boxes and tracks on rendered drives and without images",
+    ),
     "compare": ("gate", "ratios of the figures of two recordings"),
-    "detection": ("speed.stages", "time of each detector: preprocessing, inference, postprocessing"),
+    "detection": (
+        "speed.stages",
+        "time of each detector: preprocessing, inference, postprocessing",
+    ),
     "doubt": ("accuracy.ranging.doubt", "what runs say about wrong inputs, and their errors"),
-    "fleet": ("fleet.throughput", "throughput, overhead and memory of workers, and the cost of 1,000 hours"),
+    "fleet": (
+        "fleet.throughput",
+        "throughput, overhead and memory of workers, and the cost of 1,000 hours",
+    ),
     "fleet_faults": ("fleet.faults", "killed workers, a corrupt clip and a killed driver"),
-    "focal_length": ("accuracy.ranging.focal_length", "focal lengths of cameras without a calibration"),
+    "focal_length": (
+        "accuracy.ranging.focal_length",
+        "focal lengths of cameras without a calibration",
+    ),
     "formats": ("accuracy.detection.formats", "round trips through the label formats"),
-    "fusion": ("accuracy.ranging.simulated_runs", "fusion while the right camera is black or noise"),
+    "fusion": (
+        "accuracy.ranging.simulated_runs",
+        "fusion while the right camera is black or noise",
+    ),
     "history": ("accuracy.tracking.history", "median label prediction by length, form and gates"),
-    "horizon": ("accuracy.ranging.horizon", "ranging from box bottoms with and without a known camera height"),
+    "horizon": (
+        "accuracy.ranging.horizon",
+        "ranging from box bottoms with and without a known camera height",
+    ),
     "lanes": ("accuracy.detection.lanes", "lane detectors: time, accuracy, agreement"),
     "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
     "occlusion": ("accuracy.ranging.occlusion", "stereo matchers for road users behind obstacles"),
     "odometry": ("accuracy.ranging.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
-    "processor_time": ("speed.processor_time", "processor time of each step of a run, and waits of its threads"),
+    "processor_time": (
+        "speed.processor_time",
+        "processor time of each step of a run, and waits of its threads",
+    ),
     "ranging": ("speed.stages", "time of the box-only ranging methods, fusion and filters"),
     "recall": ("accuracy.detection.recall", "recall of detectors on simulated cars"),
-    "recordings": ("accuracy.ranging.recordings", "kinds of recordings and calibrations against a drive in plain form"),
+    "recordings": (
+        "accuracy.ranging.recordings",
+        "kinds of recordings and calibrations against a drive in plain form",
+    ),
     "reference": ("reference", "results of every main command, recorded and compared"),
-    "rig_health": ("accuracy.ranging.rig_alignment", "true rig files and rig files with errors on the same drives"),
+    "rig_health": (
+        "accuracy.ranging.rig_alignment",
+        "true rig files and rig files with errors on the same drives",
+    ),
     "startup": ("speed.runs", "start-up time of the command line and of the import"),
-    "roads": ("accuracy.ranging.roads", "error and sigma of one camera by data set, on boxes and on recordings"),
-    "stereo": ("accuracy.ranging.stereo", "time and accuracy of the patch matcher and of dense matching"),
-    "surface_choice": ("accuracy.ranging.occlusion", "fit of the probabilities of a box's surfaces"),
-    "tracking": ("accuracy.tracking.tracking", "trackers against each other on KITTI and MOTChallenge"),
+    "roads": (
+        "accuracy.ranging.roads",
+        "error and sigma of one camera by data set, on boxes and on recordings",
+    ),
+    "stereo": (
+        "accuracy.ranging.stereo",
+        "time and accuracy of the patch matcher and of dense matching",
+    ),
+    "surface_choice": (
+        "accuracy.ranging.occlusion",
+        "fit of the probabilities of a box's surfaces",
+    ),
+    "tracking": (
+        "accuracy.tracking.tracking",
+        "trackers against each other on KITTI and MOTChallenge",
+    ),
     "warnings": ("accuracy.warnings.warnings", "lead times and false alarms of collision warnings"),
-    "wide_lenses": ("accuracy.ranging.simulated_runs", "a fisheye against a pinhole of the same resolution"),
+    "wide_lenses": (
+        "accuracy.ranging.simulated_runs",
+        "a fisheye against a pinhole of the same resolution",
+    ),
     "writers": ("speed.stages", "cost of the result formats"),
 }
 """Module, which has a function of the same name, and description of each workload."""
@@ -62,7 +117,9 @@ def main() -> None:
         print(__doc__)
         for known, (_, description) in WORKLOADS.items():
             print(f"  {known:<16}{description}")
-        raise SystemExit(0 if name in ("-h", "--help") else f"{name}: expected one of these workloads")
+        raise SystemExit(
+            0 if name in ("-h", "--help") else f"{name}: expected one of these workloads"
+        )
     find(name).run(name, arguments)
 
 

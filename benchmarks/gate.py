@@ -34,7 +34,9 @@ FAST = {
     option("--folder", default=BASELINES, metavar="DIR", help="folder of the recordings"),
 )
 def baseline(options: Namespace) -> Figures:
-    """Record the fast workloads, each in a new process, one file each: the baselines, or what to compare with."""
+    """Record the fast workloads, each in a new process, one file each: the baselines, or what to
+    compare with.
+    """
     options.folder.mkdir(parents=True, exist_ok=True)
     failed = []
     for name in options.only:
@@ -47,12 +49,26 @@ def baseline(options: Namespace) -> Figures:
 
 @workload(
     option("first", type=Path, metavar="A", help="JSON file, or folder of JSON files"),
-    option("second", type=Path, nargs="?", metavar="B", help="to compare with A; default: A with the baselines"),
-    option("--tolerance", default=0.1, metavar="FRACTION", help="largest deviation of a ratio from 1 without a mark"),
-    option("--all", default=False, help="show all figures, not only those outside of the tolerance"),
+    option(
+        "second",
+        type=Path,
+        nargs="?",
+        metavar="B",
+        help="to compare with A; default: A with the baselines",
+    ),
+    option(
+        "--tolerance",
+        default=0.1,
+        metavar="FRACTION",
+        help="largest deviation of a ratio from 1 without a mark",
+    ),
+    option(
+        "--all", default=False, help="show all figures, not only those outside of the tolerance"
+    ),
 )
 def compare(options: Namespace) -> Figures:
-    """Ratios B / A of all figures that both recordings have; the exit status does not depend on them.
+    """Ratios B / A of all figures that both recordings have; the exit status does not depend on
+    them.
 
     With one recording, A is the committed baselines and B this recording.
     """
@@ -65,9 +81,17 @@ def compare(options: Namespace) -> Figures:
         is_outside = not abs(ratio - 1) <= options.tolerance
         if is_outside or options.all:
             shown[name] = {"A": a, "B": b, "B/A": ratio, "outside": "*" if is_outside else ""}
-    n_common, n_outside = len(before.keys() & after.keys()), sum(row["outside"] == "*" for row in shown.values())
+    n_common, n_outside = (
+        len(before.keys() & after.keys()),
+        sum(row["outside"] == "*" for row in shown.values()),
+    )
     counts = {"figures in both": n_common, "outside of the tolerance": n_outside}
-    return {**counts, "only in A": len(before) - n_common, "only in B": len(after) - n_common, "figures": shown}
+    return {
+        **counts,
+        "only in A": len(before) - n_common,
+        "only in B": len(after) - n_common,
+        "figures": shown,
+    }
 
 
 def recorded(path: Path) -> dict[str, float]:
@@ -77,9 +101,13 @@ def recorded(path: Path) -> dict[str, float]:
     for file in files:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
-            figures |= dict(numbers({name: value for name, value in content.items() if name != "about"}))
+            figures |= dict(
+                numbers({name: value for name, value in content.items() if name != "about"})
+            )
         except (OSError, ValueError, AttributeError) as error:
-            raise SystemExit(f"{file}: expected a JSON file of `python -m benchmarks`: {error}") from None
+            raise SystemExit(
+                f"{file}: expected a JSON file of `python -m benchmarks`: {error}"
+            ) from None
     if not figures:
         raise SystemExit(f"{path}: expected figures of `python -m benchmarks WORKLOAD --json FILE`")
     return figures

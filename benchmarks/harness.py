@@ -1,4 +1,6 @@
-"""One harness for all workloads: their options, their results as JSON, and tables printed from these."""
+"""One harness for all workloads: their options, their results as JSON, and tables printed from
+these.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ Option = Callable[[argparse.ArgumentParser], object]
 
 
 def option(*flags: str, default: Any = None, help: str, **keywords: Any) -> Option:
-    """An option of a workload; the default gives its type: a tuple takes several values, False is a switch.
+    """An option of a workload; the default gives its type: a tuple takes several values, False is a
+    switch.
 
     `keywords` are those of argparse.
     """
@@ -66,7 +69,9 @@ class Workload:
             formatter_class=argparse.RawDescriptionHelpFormatter,
             conflict_handler="resolve",  # a workload may have another --out
         )
-        parser.add_argument("--json", "--out", type=Path, metavar="FILE", help="JSON file for the figures")
+        parser.add_argument(
+            "--json", "--out", type=Path, metavar="FILE", help="JSON file for the figures"
+        )
         for each in self.options:
             each(parser)
         return parser.parse_args(arguments)
@@ -80,8 +85,12 @@ class Workload:
         figures = self.measure(options)
         print_figures(name, figures)
         if options.json:
-            given = zip(["", *arguments], arguments, strict=False)  # without the file, whose path is of this machine
-            about = {"options": [now for last, now in given if not {"--json", "--out"} & {last, now}], **machine()}
+            # without the file, whose path is of this machine
+            given = zip(["", *arguments], arguments, strict=False)
+            about = {
+                "options": [now for last, now in given if not {"--json", "--out"} & {last, now}],
+                **machine(),
+            }
             text = json.dumps({name: figures, "about": about}, indent=1, default=json_value)
             options.json.write_text(text + "\n", encoding="utf-8")
 
@@ -95,8 +104,16 @@ def machine() -> dict[str, str]:
     names = ["unknown"]
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")] or names
-    git = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
+        names = [
+            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+        ] or names
+    git = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return {
         "date": datetime.now(UTC).date().isoformat(),
         "cpu": f"{len(names)} x {names[0]} ({platform.machine()})",
@@ -135,12 +152,17 @@ def _text(value: Any) -> str:
 
 
 def tables(title: str, figures: Any) -> Iterator[tuple[str, dict[str, dict[str, str]]]]:
-    """Titles and tables, text by row and column, of nested figures: the innermost names are columns."""
+    """Titles and tables, text by row and column, of nested figures: the innermost names are
+    columns.
+    """
     named = _named(figures)
     if single := {key: {"": _text(value)} for key, value in named.items() if _is_leaf(value)}:
         yield title, single
     parts = {key: _named(value) for key, value in named.items() if not _is_leaf(value)}
-    rows = {key: {name: _text(v) for name, v in part.items() if _is_leaf(v)} for key, part in parts.items()}
+    rows = {
+        key: {name: _text(v) for name, v in part.items() if _is_leaf(v)}
+        for key, part in parts.items()
+    }
     if rows := {key: row for key, row in rows.items() if row}:
         yield title, rows
     for key, part in parts.items():
@@ -153,7 +175,10 @@ def print_figures(title: str, figures: Any) -> None:
     for heading, rows in tables(title, figures):
         columns = list(dict.fromkeys(name for row in rows.values() for name in row))
         if len(columns) > 9 and len(columns) > len(rows):
-            rows = {column: {name: row.get(column, "-") for name, row in rows.items()} for column in columns}
+            rows = {
+                column: {name: row.get(column, "-") for name, row in rows.items()}
+                for column in columns
+            }
             columns = list(next(iter(rows.values())))
         first = max(map(len, rows))
         widths = [max([len(c), *(len(row.get(c, "-")) for row in rows.values())]) for c in columns]
@@ -165,7 +190,9 @@ def print_figures(title: str, figures: Any) -> None:
 
 
 def numbers(figures: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Names, joined by dots, and values of all numbers of figures, without lists of numbers and single rounds."""
+    """Names, joined by dots, and values of all numbers of figures, without lists of numbers and
+    single rounds.
+    """
     for key, value in _named(figures).items():
         name = f"{path}.{key}" if path else key
         if isinstance(value, int | float) and not isinstance(value, bool):
@@ -216,9 +243,11 @@ class StoredResults:
     def mapped(
         self, label: str, function: Callable[[Any], Figures], cases: Sequence[Any], n_jobs: int
     ) -> Iterator[Figures]:
-        """Yield the result of the function for each case, in order, as JSON values; prints the progress.
+        """Yield the result of the function for each case, in order, as JSON values; prints the
+        progress.
 
-        The label and the case identify a result. With several jobs, the function is called in other processes.
+        The label and the case identify a result. With several jobs, the function is called in other
+        processes.
         """
         keys = [f"{label} {case}" for case in cases]
         missing = [case for case, key in zip(cases, keys, strict=True) if key not in self._results]
@@ -233,12 +262,16 @@ class StoredResults:
                     now_s = time.monotonic()
                     if now_s - last_s > PROGRESS_S or n_done == len(missing):
                         last_s, left_s = now_s, (now_s - start_s) / n_done * (len(missing) - n_done)
-                        progress = f"{label}: {n_done} of {len(missing)}, {left_s / 60:.1f} min left"
+                        progress = (
+                            f"{label}: {n_done} of {len(missing)}, {left_s / 60:.1f} min left"
+                        )
                         print(progress, file=sys.stderr, flush=True)
                 yield self._results[key]
 
     def _add(self, key: str, result: Figures) -> None:
-        line = json.dumps({"version": source_version(), "case": key, "result": result}, default=json_value)
+        line = json.dumps(
+            {"version": source_version(), "case": key, "result": result}, default=json_value
+        )
         self._results[key] = json.loads(line)["result"]
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -249,7 +282,8 @@ class StoredResults:
 @cache
 def source_version() -> str:
     digest = hashlib.sha256()
-    for folder in ("track_range", "detection", "stereo", "tracking", "ranging"):  # links are not followed
+    # links are not followed
+    for folder in ("track_range", "detection", "stereo", "tracking", "ranging"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

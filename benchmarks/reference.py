@@ -1,9 +1,11 @@
-"""Results of every main command on real and simulated input: recorded once, and compared after a change of the code.
+"""Results of every main command on real and simulated input: recorded once, and compared after a
+change of the code.
 
 python -m benchmarks reference --out before --data DATA      records
 python -m benchmarks reference --out after --data DATA --against before
 
-Everything but times is expected to be equal to the last byte; of tables, each column that differs is printed.
+Everything but times is expected to be equal to the last byte; of tables, each column that differs
+is printed.
 """
 
 from __future__ import annotations
@@ -24,13 +26,31 @@ from benchmarks.harness import PROGRAM, Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 
 _TIMES = {
-    *("wall_s", "frames_per_s", "stages_ms", "latency_ms", "seconds", "ms", "look_s", "started_s", "heartbeat_s"),
+    *(
+        "wall_s",
+        "frames_per_s",
+        "stages_ms",
+        "latency_ms",
+        "seconds",
+        "ms",
+        "look_s",
+        "started_s",
+        "heartbeat_s",
+    ),
     *("versions", "memory_mb", "settings_hash", "pid"),
 }
 """Keys of JSON files that differ from run to run."""
 
 _MACHINE = {
-    *("processed_s", "wall_s", "overhead_s", "alignment_look_s", "started_utc", "finished_utc", "frames_per_s"),
+    *(
+        "processed_s",
+        "wall_s",
+        "overhead_s",
+        "alignment_look_s",
+        "started_utc",
+        "finished_utc",
+        "frames_per_s",
+    ),
     *("peak_memory_mb", "memory_mb", "node", "worker", "left", "right", "inputs"),
 }
 """Columns of the table of clips that differ from run to run, or have the path of the results."""
@@ -61,42 +81,85 @@ def reference(options: Namespace) -> Figures:
 
 
 def commands(data: Path) -> Iterator[tuple[str, list[str]]]:
-    """Name and arguments of each command, run in the order given in one folder; outputs carry the name."""
+    """Name and arguments of each command, run in the order given in one folder; outputs carry the
+    name.
+    """
     n = data / "models" / "yolov5n_coco_640.onnx"
     yield "drive", "simulate --out drive --seconds 3 --seed 5".split()
     yield "demo", "demo --out demo".split()
     for drive in ("0003", "0005"):
         folder = data / "kitti_stereo" / drive
-        pair = ["--stereo", f"{folder}/left.mp4", f"{folder}/right.mp4", "--rig", f"{folder}/calib.txt"]
+        pair = [
+            "--stereo",
+            f"{folder}/left.mp4",
+            f"{folder}/right.mp4",
+            "--rig",
+            f"{folder}/calib.txt",
+        ]
         truth = ["--truth", f"{folder}/label.txt", "--no-overlay"]
         yield f"{drive}-road", [*pair, *truth, "--out", f"{drive}-road"]
         yield f"{drive}-v5n", [*pair, *truth, "--detector", f"{n}", "--out", f"{drive}-v5n"]
         mono = ["--mono", f"{folder}/left.mp4", "--rig", f"{folder}/calib.txt", *truth]
         yield f"{drive}-mono", [*mono, "--out", f"{drive}-mono"]
-        yield f"{drive}-uncalibrated", [*pair[:3], "--no-overlay", "--no-sgbm", "--out", f"{drive}-uncalibrated"]
+        yield (
+            f"{drive}-uncalibrated",
+            [*pair[:3], "--no-overlay", "--no-sgbm", "--out", f"{drive}-uncalibrated"],
+        )
     grey = data / "kitti_odometry" / "gray51"
     pair = ["--stereo", f"{grey}/left.mp4", f"{grey}/right.mp4", "--rig", f"{grey}/calib.txt"]
     yield "gray51", [*pair, "--no-overlay", "--out", "gray51"]
-    mono = ["--mono", f"{grey}/left.mp4", "--rig", f"{grey}/calib.txt", "--camera-height-m", "1.65", "--no-overlay"]
+    mono = [
+        "--mono",
+        f"{grey}/left.mp4",
+        "--rig",
+        f"{grey}/calib.txt",
+        "--camera-height-m",
+        "1.65",
+        "--no-overlay",
+    ]
     yield "gray51-mono", [*mono, "--out", "gray51-mono"]
     yield "gray51-speed", [*mono, "--ego-speed", "30", "--out", "gray51-speed"]
     pair = "--stereo drive/left.mp4 drive/right.mp4 --rig drive/rig.yaml --no-overlay --truth drive/truth.csv".split()
     yield "simulated", [*pair, "--write", "csv,mot,parquet,kitti,recorded", "--out", "simulated"]
     for clip in ("highway_two_cars", "solid_white_right"):
-        mono = ["--mono", f"{data}/dashcam/{clip}.mp4", "--focal-px", "1150", "--camera-height-m", "1.4"]
-        yield clip, [*mono, "--no-overlay", "--write", "csv,mot,parquet,kitti,recorded", "--out", clip]
+        mono = [
+            "--mono",
+            f"{data}/dashcam/{clip}.mp4",
+            "--focal-px",
+            "1150",
+            "--camera-height-m",
+            "1.4",
+        ]
+        yield (
+            clip,
+            [*mono, "--no-overlay", "--write", "csv,mot,parquet,kitti,recorded", "--out", clip],
+        )
     for folder in sorted(data.glob("mot/*/*/det/det.txt")):
         name = f"track-{folder.parents[1].name}"
         yield name, ["track", f"{folder}", "--out", name]
         yield f"{name}-online", ["track", f"{folder}", "--online", "--out", f"{name}-online"]
     for kind in ("Car", "Pedestrian"):
-        yield f"track-rrc-{kind}", ["track", f"{data}/kitti_labels/rrc/{kind}", "--out", f"track-rrc-{kind}"]
-        evaluated = ["--results", f"track-rrc-{kind}", "--class", kind.lower().replace("pedestrian", "person")]
-        yield f"evaluate-{kind}", ["evaluate", "tracks", "--truth", f"{data}/kitti_labels/label_02", *evaluated]
+        yield (
+            f"track-rrc-{kind}",
+            ["track", f"{data}/kitti_labels/rrc/{kind}", "--out", f"track-rrc-{kind}"],
+        )
+        evaluated = [
+            "--results",
+            f"track-rrc-{kind}",
+            "--class",
+            kind.lower().replace("pedestrian", "person"),
+        ]
+        yield (
+            f"evaluate-{kind}",
+            ["evaluate", "tracks", "--truth", f"{data}/kitti_labels/label_02", *evaluated],
+        )
     labels = ["--labels", f"{data}/kitti_labels/label_02", "--calib", f"{data}/kitti_labels/calib"]
     yield "evaluate-ranges", ["evaluate", "ranges", *labels, "--noise-px", "2"]
     yield "evaluate-stereo", ["evaluate", "stereo", "--pairs", f"{data}/kitti2015"]
-    yield "evaluate-events", ["evaluate", "events", "--events", "simulated", "--truth", "drive/contacts.csv"]
+    yield (
+        "evaluate-events",
+        ["evaluate", "events", "--events", "simulated", "--truth", "drive/contacts.csv"],
+    )
     for to, name in _EXPORTS.items():
         yield f"export-{to}", ["export", "0003-road", "--to", to, "--out", f"export-{to}/{name}"]
     rows = "clip,left,right,rig\n" + "".join(
@@ -121,7 +184,9 @@ def record(out: Path, data: Path, only: str) -> None:
                 (out / argument).parent.mkdir(exist_ok=True)
         command = [*PROGRAM, *arguments]
         done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
-        (out / f"{name}.out").write_text(f"status {done.returncode}\n{done.stdout}", encoding="utf-8")
+        (out / f"{name}.out").write_text(
+            f"status {done.returncode}\n{done.stdout}", encoding="utf-8"
+        )
         if done.returncode:
             print(f"{name}: status {done.returncode}: {done.stderr[-400:]}")
 
@@ -165,7 +230,8 @@ def _difference(old: Path, new: Path) -> str:
     if old.suffix == ".out" and not old.name.startswith("evaluate"):
         texts = [text.splitlines()[0] for text in texts]  # tables of runs have times
     elif old.name == "evaluate-stereo.out":
-        texts = [re.sub(r" +[0-9.]+ *$", "", text, flags=re.MULTILINE) for text in texts]  # the last column is a time
+        # the last column is a time
+        texts = [re.sub(r" +[0-9.]+ *$", "", text, flags=re.MULTILINE) for text in texts]
     pairs = zip(*(text.splitlines() for text in texts), strict=False)
     lines = [f"{a[:100]!r} -> {b[:100]!r}" for a, b in pairs if a != b]
     return f"{len(lines)} lines: " + "; ".join(lines[:4]) if lines else ""
@@ -187,7 +253,9 @@ def _csv_columns(path: Path) -> dict[str, list[Any]]:
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     names = rows[0] if rows else []
-    return {name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)}
+    return {
+        name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)
+    }
 
 
 def _parquet_columns(path: Path) -> dict[str, list[Any]]:

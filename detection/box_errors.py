@@ -1,9 +1,11 @@
 """BoxErrors: systematic errors of the sizes of a detector's boxes, by road class.
 
-    log(size of the box / size of the object in the image) ~ N(mean, sigma) over the objects of a class
+    log(size of the box / size of the object in the image) ~ N(mean, sigma) over the objects of a
+    class
 
-How tight boxes are depends on the labels that a detector was trained with, on its input size and on the object. The
-error of an object hardly changes while it is in view, so that it does not average out over its frames.
+How tight boxes are depends on the labels that a detector was trained with, on its input size and on
+the object. The error of an object hardly changes while it is in view, so that it does not average
+out over its frames.
 """
 
 from collections.abc import Mapping
@@ -22,34 +24,41 @@ class BoxError(NamedTuple):
     log_width_sigma: float
 
 
-BoxErrors = Mapping[str, BoxError]  # by road class; classes that it lacks have the errors of an unknown detector
+# by road class; classes that it lacks have the errors of an unknown detector
+BoxErrors = Mapping[str, BoxError]
 
 UNKNOWN_DETECTOR: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.05, 0.0, 0.05))
-"""Errors of an unknown detector: means differ by 0.03 between detectors, and by 0.04 between drives with one
-detector."""
+"""Errors of an unknown detector: means differ by 0.03 between detectors, and by 0.04 between drives
+with one detector."""
 
-NO_ERRORS: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.0, 0.0, 0.0))  # as of projected 3-D boxes
+# as of projected 3-D boxes
+NO_ERRORS: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.0, 0.0, 0.0))
 COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
     "YOLOv5": {"car": BoxError(-0.035, 0.045, 0.0, 0.045)},
     "YOLOX": {"car": BoxError(0.02, 0.045, 0.0, 0.045)},
     "NanoDet": {"car": BoxError(0.0, 0.045, 0.0, 0.045)},
     "PicoDet": {"car": BoxError(-0.02, 0.045, 0.01, 0.045)},
 }
-"""Errors by family, measured with small networks trained with COCO (YOLOv5n, YOLOX-nano, NanoDet-m, PicoDet-s) on
-5 road drives; see docs/how-to/detectors.md."""
+"""Errors by family, measured with small networks trained with COCO (YOLOv5n, YOLOX-nano, NanoDet-m,
+PicoDet-s) on 5 road drives; see docs/how-to/detectors.md."""
 
 
 _EXPECTED = (
-    "expected [log_height, log_height_sigma, log_width, log_width_sigma] by road class, means from -0.5 to 0.5 and "
-    "sigmas from 0 to 1"
+    "expected [log_height, log_height_sigma, log_width, log_width_sigma] by road class, means from "
+    "-0.5 to 0.5 and sigmas from 0 to 1"
 )
 
 
 def box_errors_of(value: Any) -> BoxErrors:
-    """Errors from a mapping of road classes to the four numbers of `BoxError`, as in MODEL.yaml. Raises ValueError."""
+    """Errors from a mapping of road classes to the four numbers of `BoxError`, as in MODEL.yaml.
+    Raises ValueError.
+    """
     try:
         # The index raises a ValueError for other names.
-        errors = {ROAD_CLASSES[ROAD_CLASSES.index(name)]: BoxError(*map(float, value[name])) for name in value}
+        errors = {
+            ROAD_CLASSES[ROAD_CLASSES.index(name)]: BoxError(*map(float, value[name]))
+            for name in value
+        }
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{_EXPECTED}, got {quoted(value)}") from error
     for name, (height, height_sigma, width, width_sigma) in errors.items():

@@ -1,4 +1,6 @@
-"""Boxes as (N, 4) arrays: conversion of layouts, areas, IoU and vectorised non-maximum suppression."""
+"""Boxes as (N, 4) arrays: conversion of layouts, areas, IoU and vectorised non-maximum
+suppression.
+"""
 
 from collections.abc import Iterable
 
@@ -6,8 +8,11 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-_MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)  # smallest divisor of an IoU, so that two empty boxes have an IoU of 0
-_NMS_BLOCK = 128  # boxes per block of `nms`, by measurement: larger ones compare too many pairs, smaller ones add calls
+# smallest divisor of an IoU, so that two empty boxes have an IoU of 0
+_MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)
+# boxes per block of `nms`, by measurement: larger ones compare too many pairs, smaller ones add
+# calls
+_NMS_BLOCK = 128
 
 
 def xyxy_from_cxcywh(cxcywh: FloatArray) -> FloatArray:
@@ -28,17 +33,26 @@ def intersection_px2(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray
 
 
 def iou(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
-    """(N, M) IoU |A n B| / (|A| + |B| - |A n B|) of boxes `a` (N, 4), `b` (M, 4); 0 if both are empty or one is NaN."""
+    """(N, M) IoU |A n B| / (|A| + |B| - |A n B|) of boxes `a` (N, 4), `b` (M, 4); 0 if both are
+    empty or one is NaN.
+    """
     return iou_of_edges(a_xyxy_px.T.copy()[:, :, None], b_xyxy_px.T.copy()[:, None])
 
 
 def iou_of_edges(a: FloatArray, b: FloatArray) -> FloatArray:
-    """`iou` of boxes given by their left, top, right and bottom edges (4, ...) in px; other axes are broadcast."""
+    """`iou` of boxes given by their left, top, right and bottom edges (4, ...) in px; other axes
+    are broadcast.
+    """
     edges, other_edges = tuple(a), tuple(b)
     intersection = _intersection_px2(edges, other_edges)
     # No limit of negative sizes to 0: the intersection with these boxes is 0 anyway.
-    (left, top, right, bottom), (other_left, other_top, other_right, other_bottom) = edges, other_edges
-    union = (right - left) * (bottom - top) + (other_right - other_left) * (other_bottom - other_top)
+    (left, top, right, bottom), (other_left, other_top, other_right, other_bottom) = (
+        edges,
+        other_edges,
+    )
+    union = (right - left) * (bottom - top) + (other_right - other_left) * (
+        other_bottom - other_top
+    )
     union -= intersection
     intersection /= np.fmax(union, _MIN_AREA_PX2, out=union)
     return intersection
@@ -59,7 +73,9 @@ def _intersection_px2(a: Iterable[FloatArray], b: Iterable[FloatArray]) -> Float
 
 
 def fraction_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
-    """(N, M) intersection over the area of the first box, |A n B| / |A|, in [0, 1]; 0 if A is empty."""
+    """(N, M) intersection over the area of the first box, |A n B| / |A|, in [0, 1]; 0 if A is
+    empty.
+    """
     intersection = intersection_px2(a_xyxy_px, b_xyxy_px)
     area = area_px2(a_xyxy_px)[:, None]
     return np.divide(intersection, area, out=np.zeros_like(intersection), where=area > 0)
@@ -74,19 +90,28 @@ def are_valid_boxes(xyxy_px: FloatArray) -> BoolArray:
 
 
 def nms(
-    xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float, max_boxes: int | None = None
+    xyxy_px: FloatArray,
+    score: FloatArray,
+    class_id: IntArray,
+    *,
+    max_iou: float,
+    max_boxes: int | None = None,
 ) -> IntArray:
-    """(K,) indices of the boxes that remain after greedy non-maximum suppression, highest score first.
+    """(K,) indices of the boxes that remain after greedy non-maximum suppression, highest score
+    first.
 
-    Boxes of different classes do not suppress each other; boxes with equal scores keep the order of the input. Boxes
-    are processed in blocks of decreasing score until `max_boxes` (None = all) have been selected. A box (N, 4) is
-    suppressed if its IoU with a higher-scoring box of its class exceeds `max_iou`.
+    Boxes of different classes do not suppress each other; boxes with equal scores keep the order of
+    the input. Boxes are processed in blocks of decreasing score until `max_boxes` (None = all) have
+    been selected. A box (N, 4) is suppressed if its IoU with a higher-scoring box of its class
+    exceeds `max_iou`.
     """
     order = np.argsort(-score, kind="stable")
     left, top, right, bottom = xyxy_px.T
     # Shifted in x by class, so that boxes of two classes cannot overlap.
     shift_px = class_id * (float(np.ptp(xyxy_px)) + 1.0 if len(xyxy_px) else 0.0)
-    columns = np.stack([left + shift_px, top, right + shift_px, bottom, area_px2(xyxy_px)])[:, order]
+    columns = np.stack([left + shift_px, top, right + shift_px, bottom, area_px2(xyxy_px)])[
+        :, order
+    ]
     limit = len(order) if max_boxes is None else max_boxes
     kept = np.zeros(0, np.int64)
     for start in range(0, len(order), _NMS_BLOCK):
@@ -95,14 +120,17 @@ def nms(
         block = columns[:, start : start + _NMS_BLOCK]
         rest = np.flatnonzero(~_overlap(columns[:, kept], block, max_iou=max_iou).any(axis=0))
         block = block[:, rest]
-        kept = np.concatenate([kept, start + rest[survivors(_overlap(block, block, max_iou=max_iou))]])
+        kept = np.concatenate(
+            [kept, start + rest[survivors(_overlap(block, block, max_iou=max_iou))]]
+        )
     return np.asarray(order[kept[:limit]])
 
 
 def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
     """(N, M) whether the IoU of boxes of `a` (5, N) with boxes of `b` (5, M) exceeds `max_iou`.
 
-    IoU > t is tested as |A n B| > t / (1 + t) * (|A| + |B|), without a division, in a third of the time of `iou`.
+    IoU > t is tested as |A n B| > t / (1 + t) * (|A| + |B|), without a division, in a third of the
+    time of `iou`.
     """
     width = np.minimum(a[2][:, None], b[2])
     width -= np.maximum(a[0][:, None], b[0])
@@ -114,10 +142,12 @@ def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
 
 
 def survivors(overlaps: BoolArray) -> BoolArray:
-    """(N,) mask of the boxes that survive greedy suppression, from their overlaps (N, N) in order of decreasing score.
+    """(N,) mask of the boxes that survive greedy suppression, from their overlaps (N, N) in order
+    of decreasing score.
 
-    A box survives if no surviving box with a higher score overlaps it. Starting with all boxes, this rule is applied
-    until nothing changes: after k rounds the first k boxes are final, and in practice a few rounds suffice.
+    A box survives if no surviving box with a higher score overlaps it. Starting with all boxes,
+    this rule is applied until nothing changes: after k rounds the first k boxes are final, and in
+    practice a few rounds suffice.
     """
     better_overlaps = np.triu(overlaps, 1)
     survives: BoolArray = np.ones(len(overlaps), np.bool_)

@@ -9,7 +9,16 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.errors import UserError
 
-ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
+ROAD_CLASSES = (
+    "person",
+    "bicycle",
+    "car",
+    "motorcycle",
+    "bus",
+    "truck",
+    "traffic light",
+    "traffic sign",
+)
 """Names of the road classes; the index in this tuple is the `class_id` of detections and tracks."""
 STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 
@@ -37,18 +46,25 @@ _KINDS = {
 # fmt: on
 ROAD_CLASS_OF: Mapping[str, str] = {
     **{name: name for name in ROAD_CLASSES},
-    **{name: road for table in (_SYNONYMS, _KINDS) for road, names in table.items() for name in names},
+    **{
+        name: road
+        for table in (_SYNONYMS, _KINDS)
+        for road, names in table.items()
+        for name in names
+    },
 }
-"""Road class by the names of COCO, VOC, KITTI, BDD100K, Cityscapes, VisDrone, UA-DETRAC, Open Images, nuScenes and
-Waymo, as `class_key` writes them; other names are not road classes. The names in `_KINDS` cover only a part of their
-class.
+"""Road class by the names of COCO, VOC, KITTI, BDD100K, Cityscapes, VisDrone, UA-DETRAC, Open
+Images, nuScenes and Waymo, as `class_key` writes them; other names are not road classes. The names
+in `_KINDS` cover only a part of their class.
 
-Used for detectors, label files and boxes of other libraries. `KITTI_IGNORED` excludes some names in KITTI's ground
-truth.
+Used for detectors, label files and boxes of other libraries. `KITTI_IGNORED` excludes some names in
+KITTI's ground truth.
 """
 
-SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])  # by class_id: detectors confuse those of a group
-KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")  # neither true nor false positives
+# by class_id: detectors confuse those of a group
+SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
+# neither true nor false positives
+KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")
 
 COCO_CLASSES = (  # COCO's 80 class names, in the order that networks trained on COCO use
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
@@ -61,17 +77,23 @@ COCO_CLASSES = (  # COCO's 80 class names, in the order that networks trained on
     "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier",
     "toothbrush",
 )  # fmt: skip
-_UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)  # ids that COCO's annotations do not use
-_COCO_NAME_OF_ID = dict(zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True))
-COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))  # by category id, "N/A" = unused
+# ids that COCO's annotations do not use
+_UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
+_COCO_NAME_OF_ID = dict(
+    zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True)
+)
+# by category id, "N/A" = unused
+COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))
 
-VOC_CLASSES = (  # Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them
+# Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them
+VOC_CLASSES = (
     "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
     "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
 )  # fmt: skip
 
 
-ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))  # for messages
+# for messages
+ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))
 
 
 class ClassNameError(UserError, ValueError):
@@ -79,7 +101,9 @@ class ClassNameError(UserError, ValueError):
 
 
 def class_key(name: str) -> str:
-    """A class name in the form of `ROAD_CLASS_OF`: lower case, spaces for hyphens and underscores, without TYPE_."""
+    """A class name in the form of `ROAD_CLASS_OF`: lower case, spaces for hyphens and underscores,
+    without TYPE_.
+    """
     key = str(name).strip().lower().replace("--", ".")  # Mapillary writes object--vehicle--car
     return " ".join(re.sub(r"[_\-\s]+", " ", key).split()).removeprefix("type ")
 
@@ -90,7 +114,10 @@ def road_class_of(name: str) -> str | None:
     In a name with dots, such as nuScenes' vehicle.bus.rigid, the last known part decides.
     """
     key = class_key(name)
-    return next((ROAD_CLASS_OF[part] for part in (key, *reversed(key.split("."))) if part in ROAD_CLASS_OF), None)
+    return next(
+        (ROAD_CLASS_OF[part] for part in (key, *reversed(key.split("."))) if part in ROAD_CLASS_OF),
+        None,
+    )
 
 
 def road_class_id(name: str) -> int:
@@ -119,14 +146,21 @@ def road_class_ids(names: Iterable[str]) -> IntArray:
 
 
 def map_to_road_classes(names: Sequence[str]) -> IntArray:
-    """(len(names),) road class id of each name of another class list; -1 for names that are not road classes."""
+    """(len(names),) road class id of each name of another class list; -1 for names that are not
+    road classes.
+    """
     road = {name: road_class_of(name) for name in set(names)}  # files repeat few names
-    ids = {name: -1 if road_class is None else ROAD_CLASSES.index(road_class) for name, road_class in road.items()}
+    ids = {
+        name: -1 if road_class is None else ROAD_CLASSES.index(road_class)
+        for name, road_class in road.items()
+    }
     return np.array([ids[name] for name in names], np.int64)
 
 
 def fully_known(names: Sequence[str]) -> BoolArray:
-    """(8,) road classes that a list of class names covers as a whole; stop signs are only a part of their class."""
+    """(8,) road classes that a list of class names covers as a whole; stop signs are only a part of
+    their class.
+    """
     kinds = {kind for names_of_class in _KINDS.values() for kind in names_of_class}
     road = map_to_road_classes([name for name in names if class_key(name) not in kinds])
     return np.isin(np.arange(len(ROAD_CLASSES)), road)
@@ -139,4 +173,5 @@ def class_counts(class_ids: IntArray) -> str:
 
 
 ROAD_OF_COCO = {80: map_to_road_classes(COCO_CLASSES), 91: map_to_road_classes(COCO_CATEGORIES)}
-"""(80,) and (91,) road class of each of COCO's class numbers and category ids; -1 = not a road class."""
+"""(80,) and (91,) road class of each of COCO's class numbers and category ids; -1 = not a road
+class."""

@@ -1,7 +1,7 @@
 """Detections: the boxes of one image as parallel arrays, without identities.
 
-Boxes are in pixels of the detector's input image, x right, y down, with pixel centres at integers (OpenCV's
-convention): a box that covers the pixel columns 3 to 5 has x1 = 2.5 and x2 = 5.5.
+Boxes are in pixels of the detector's input image, x right, y down, with pixel centres at integers
+(OpenCV's convention): a box that covers the pixel columns 3 to 5 has x1 = 2.5 and x2 = 5.5.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from track_range.foundation.arrays import FloatArray, IntArray, Rows, check_shap
 
 Descriptors = npt.NDArray[np.float32]  # (N, D) appearance embeddings
 
-_CLASS_LIMITS, _SCORE_LIMITS = (np.array(0), np.array(len(ROAD_CLASSES))), (np.array(0.0), np.array(1.0))
+_CLASS_LIMITS, _SCORE_LIMITS = (
+    (np.array(0), np.array(len(ROAD_CLASSES))),
+    (np.array(0.0), np.array(1.0)),
+)
 """Limits as arrays, since comparisons with numbers take twice the time."""
 
 
@@ -33,13 +36,14 @@ class Detections:
         >>> boxes, boxes.select(boxes.score > 0.5).xyxy_px.tolist()
         (Detections(1 person, 1 car), [[100.0, 50.0, 180.0, 110.0]])
 
-    `class_id`: (N,) int64, index into `ROAD_CLASSES`. COCO's ids differ: its id of a truck, 7, is a traffic sign here,
-    which no check can detect. `from_coco` converts them.
+    `class_id`: (N,) int64, index into `ROAD_CLASSES`. COCO's ids differ: its id of a truck, 7, is a
+    traffic sign here, which no check can detect. `from_coco` converts them.
 
     Raises ValueError: lengths differ, or a box, score or class id is not as described.
     """
 
-    xyxy_px: FloatArray  # (N, 4) float64, left, top, right, bottom edge; finite, left <= right and top <= bottom
+    # (N, 4) float64, left, top, right, bottom edge; finite, left <= right and top <= bottom
+    xyxy_px: FloatArray
     score: FloatArray  # (N,) float64 confidence in [0, 1]
     class_id: IntArray
     descriptor: Descriptors  # (N, D) float32 appearance embeddings; D = 0 if there are none
@@ -56,7 +60,9 @@ class Detections:
     def _check_values(self) -> None:
         boxes, score, class_id = self.xyxy_px, self.score, self.class_id
         if class_id.dtype.kind not in "iu":
-            raise ValueError(f"class_id: expected whole numbers, {ROAD_CLASS_TABLE}, got {class_id.dtype}")
+            raise ValueError(
+                f"class_id: expected whole numbers, {ROAD_CLASS_TABLE}, got {class_id.dtype}"
+            )
         is_valid = (
             class_id >= _CLASS_LIMITS[0],
             class_id < _CLASS_LIMITS[1],
@@ -65,14 +71,23 @@ class Detections:
             boxes[:, 0] <= boxes[:, 2],
             boxes[:, 1] <= boxes[:, 3],
         )
-        # The search in bytes and the sum of squares take less than half the time of all() and isfinite().
+        # The search in bytes and the sum of squares take less than half the time of all() and
+        # isfinite().
         if 0 not in b"".join(map(np.ndarray.tobytes, is_valid)) and np.vdot(boxes, boxes) < np.inf:
             return
         is_finite = np.isfinite(boxes).all(axis=1)
         for expected, values, rows in (
-            (f"class_id: expected {ROAD_CLASS_TABLE} (COCO: Detections.from_coco)", class_id, is_valid[:2]),
+            (
+                f"class_id: expected {ROAD_CLASS_TABLE} (COCO: Detections.from_coco)",
+                class_id,
+                is_valid[:2],
+            ),
             ("score: expected a confidence from 0 to 1", score, is_valid[2:4]),
-            ("xyxy_px: expected finite left <= right and top <= bottom", boxes, (*is_valid[4:], is_finite)),
+            (
+                "xyxy_px: expected finite left <= right and top <= bottom",
+                boxes,
+                (*is_valid[4:], is_finite),
+            ),
         ):
             if len(faults := np.flatnonzero(~np.all(rows, axis=0))):
                 raise ValueError(f"{expected}, got {values[faults[0]].tolist()} in row {faults[0]}")
@@ -84,11 +99,17 @@ class Detections:
         return f"Detections({class_counts(self.class_id)})"
 
     @classmethod
-    def of(cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike) -> Detections:
-        """Detections without embeddings, from boxes (N, 4), scores (N,) and class ids (N,) as arrays or lists."""
+    def of(
+        cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike
+    ) -> Detections:
+        """Detections without embeddings, from boxes (N, 4), scores (N,) and class ids (N,) as
+        arrays or lists.
+        """
         boxes = np.asarray(xyxy_px, np.float64)
         if boxes.size and (not boxes.ndim or boxes.shape[-1] % 4):
-            raise ValueError(f"xyxy_px: expected shape (N, 4), left, top, right, bottom edge, got {boxes.shape}")
+            raise ValueError(
+                f"xyxy_px: expected shape (N, 4), left, top, right, bottom edge, got {boxes.shape}"
+            )
         boxes = boxes.reshape(-1, 4)
         return cls(
             boxes,
@@ -104,7 +125,12 @@ class Detections:
 
     @classmethod
     def from_coco(
-        cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, coco_class_id: npt.ArrayLike, *, n_ids: Literal[80, 91] = 80
+        cls,
+        xyxy_px: npt.ArrayLike,
+        score: npt.ArrayLike,
+        coco_class_id: npt.ArrayLike,
+        *,
+        n_ids: Literal[80, 91] = 80,
     ) -> Detections:
         """The detections of road classes from a network that was trained on COCO.
 
@@ -116,9 +142,10 @@ class Detections:
         Args:
             xyxy_px: (N, 4) boxes, see `Detections`.
             score: (N,) confidences.
-            coco_class_id: (N,) COCO's class numbers: 0 person, 1 bicycle, 2 car, 3 motorcycle, 5 bus, 7 truck,
-                9 traffic light, 11 stop sign; boxes of other classes are left out.
-            n_ids: 91 = category ids as in COCO's annotations, which torchvision's and DETR's networks use: 1 person.
+            coco_class_id: (N,) COCO's class numbers: 0 person, 1 bicycle, 2 car, 3 motorcycle, 5
+                bus, 7 truck, 9 traffic light, 11 stop sign; boxes of other classes are left out.
+            n_ids: 91 = category ids as in COCO's annotations, which torchvision's and DETR's
+                networks use: 1 person.
 
         Raises ValueError: a class number does not exist, or see `Detections`.
         """
@@ -126,24 +153,31 @@ class Detections:
             raise ValueError(f"n_ids: expected {' or '.join(map(str, ROAD_OF_COCO))}, got {n_ids}")
         numbers, road = _whole_numbers("coco_class_id", coco_class_id), ROAD_OF_COCO[n_ids]
         if len(unknown := numbers[(numbers < 0) | (numbers >= n_ids)]):
-            raise ValueError(f"coco_class_id: expected COCO's numbers from 0 to {n_ids - 1}, got {unknown[0]}")
+            raise ValueError(
+                f"coco_class_id: expected COCO's numbers from 0 to {n_ids - 1}, got {unknown[0]}"
+            )
         class_id = road[numbers]
         return cls.of(xyxy_px, score, np.maximum(class_id, 0)).select(class_id >= 0)
 
     @classmethod
     def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Detections:
-        """Detections from supervision's `Detections`, or any object with its attributes `xyxy, confidence, class_id`.
+        """Detections from supervision's `Detections`, or any object with its attributes `xyxy,
+        confidence, class_id`.
 
-        Boxes of classes that are not road classes are left out; see `formats.supervision.read_supervision`.
+        Boxes of classes that are not road classes are left out; see
+        `formats.supervision.read_supervision`.
         """
         return cls.of(*read_supervision(boxes, class_names)[:3])
 
     def to_supervision(self) -> Any:
-        """The boxes as supervision's `Detections` if it is installed, else as an object with the same attributes."""
+        """The boxes as supervision's `Detections` if it is installed, else as an object with the
+        same attributes.
+        """
         return supervision_boxes(self.xyxy_px, self.score, self.class_id)
 
     def select(self, index: Rows) -> Detections:
-        """The detections that a mask (N,), an array or list of indices or a slice selects, in the order of the indices.
+        """The detections that a mask (N,), an array or list of indices or a slice selects, in the
+        order of the indices.
 
         Raises IndexError: the mask has another length, or an index does not exist.
         """
@@ -160,7 +194,9 @@ def _whole_numbers(name: str, values: npt.ArrayLike) -> IntArray:
     """(N,) numbers, if they are whole; networks give class numbers as floats."""
     numbers = np.asarray(values).reshape(-1)
     if numbers.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected whole numbers, got {numbers[0]!r}; see tr.class_id(NAME)")
+        raise ValueError(
+            f"{name}: expected whole numbers, got {numbers[0]!r}; see tr.class_id(NAME)"
+        )
     whole = numbers.astype(np.int64)
     if len(wrong := numbers[whole != numbers]):
         raise ValueError(f"{name}: expected whole numbers, got {wrong[0]}")

@@ -27,8 +27,8 @@ class ObjectDetector(Protocol):
 def checked_detections(detector: ObjectDetector, image: Image, frame_index: int) -> Detections:
     """The detections of a detector of another package in the image of a frame.
 
-    DetectorError: the detector does not return `Detections`, or raises an exception, as `Detections` does for invalid
-    values.
+    DetectorError: the detector does not return `Detections`, or raises an exception, as
+    `Detections` does for invalid values.
     """
     where = f"{type(detector).__module__}:{type(detector).__qualname__}, frame {frame_index}"
     with named_errors(type(detector).__module__, where, DetectorError):
@@ -36,28 +36,34 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
     if not isinstance(result, Detections):
         returned = f"{type(result).__name__} {getattr(result, 'shape', '')}".rstrip()
         raise DetectorError(
-            f"{where}: expected detect() to return Detections, such as Detections.of(boxes, scores, class_ids) with "
-            f"arrays of shapes (N, 4), (N,) and (N,), got {returned}."
+            f"{where}: expected detect() to return Detections, such as Detections.of(boxes, "
+            f"scores, class_ids) with arrays of shapes (N, 4), (N,) and (N,), got {returned}."
         )
     if result.xyxy_px.min(initial=0.0) >= 0 < result.xyxy_px.max(initial=0.0) <= 1:
         example, (height, width) = result.xyxy_px[0].tolist(), image.shape[:2]
         raise DetectorError(
-            f"{where}: expected boxes in pixels of the image ({width}x{height}), got fractions of its size, such as "
-            f"{example}; multiply them by width and height."
+            f"{where}: expected boxes in pixels of the image ({width}x{height}), got fractions of "
+            f"its size, such as {example}; multiply them by width and height."
         )
     return without_confused(result)
 
 
 def without_confused(detections: Detections, max_iou: float = MAX_IOU) -> Detections:
-    """The detections without boxes that overlap a higher-scoring box of another class in the same group.
+    """The detections without boxes that overlap a higher-scoring box of another class in the same
+    group.
 
     A group has classes that detectors confuse: a car and a truck on one vehicle are one object.
-    Boxes of one class do not suppress each other: their source decides which of them are one object.
+    Boxes of one class do not suppress each other: their source decides which of them are one
+    object.
     """
     group = SAME_OBJECT_GROUP[detections.class_id]
     if len(np.unique(group)) == len(np.unique(detections.class_id)):
         return detections
     best = np.argsort(-detections.score, kind="stable")
     xyxy_px, class_id, group = detections.xyxy_px[best], detections.class_id[best], group[best]
-    is_same = (iou(xyxy_px, xyxy_px) > max_iou) & (group[:, None] == group) & (class_id[:, None] != class_id)
+    is_same = (
+        (iou(xyxy_px, xyxy_px) > max_iou)
+        & (group[:, None] == group)
+        & (class_id[:, None] != class_id)
+    )
     return detections.select(np.sort(best[survivors(is_same)]))

@@ -1,6 +1,7 @@
 """Extension of Griffe, which reads the docstrings for the pages of the API.
 
-`Example:` is the section `Examples:`, and the comment beside or above a field of a class is its docstring.
+`Example:` is the section `Examples:`, and the comment beside or above a field of a class is its
+docstring.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ class ExampleSections(griffe.Extension):
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Rename the section in the object's docstring."""
         if obj.docstring is not None:
-            obj.docstring.value = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)
+            obj.docstring.value = re.sub(
+                r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE
+            )
 
 
 class FieldComments(griffe.Extension):
@@ -25,7 +28,11 @@ class FieldComments(griffe.Extension):
 
     def on_attribute(self, *, attr: griffe.Attribute, **_: Any) -> None:
         """Set the docstring of a field without one to its comment."""
-        if attr.docstring is not None or attr.lineno is None or not (attr.parent and attr.parent.is_class):
+        if (
+            attr.docstring is not None
+            or attr.lineno is None
+            or not (attr.parent and attr.parent.is_class)
+        ):
             return
         lines = attr.lines_collection[attr.filepath]  # type: ignore[index]
         comment, number = re.findall(r"#\s+(.*)$", lines[attr.lineno - 1]), attr.lineno - 2

@@ -33,11 +33,15 @@ CLI = "reference/cli"
 """Folder of the pages of commands."""
 
 _EQUATION = re.compile(
-    r'<(?P<tag>span|div) class="arithmatex">\s*\\(?P<open>[(\[])(?P<tex>.*?)\\[)\]]\s*</(?P=tag)>', re.DOTALL
+    r'<(?P<tag>span|div) class="arithmatex">\s*\\(?P<open>[(\[])(?P<tex>.*?)\\[)\]]\s*</(?P=tag)>',
+    re.DOTALL,
 )
-"""An equation as the extension pymdownx.arithmatex leaves it: in a span in running text, in a div on its own."""
+"""An equation as the extension pymdownx.arithmatex leaves it: in a span in running text, in a div
+on its own."""
 
-_REMOTE = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*(?:src|href)=\"?(?:https?:)?//[^\"> ]+")
+_REMOTE = re.compile(
+    r"<(?:script|link|img|iframe|source|video)\b[^>]*(?:src|href)=\"?(?:https?:)?//[^\"> ]+"
+)
 """A tag that loads something from another address."""
 
 GLOSSARY = "concepts/glossary.md"
@@ -59,13 +63,16 @@ _markdown: dict[str, tuple[str, str]] = {}
 """Title and text of each page by its path, for the copies in Markdown."""
 
 
-# -- pages of commands ------------------------------------------------------------------------------------------------
+# -- pages of commands
+# ------------------------------------------------------------------------------------------------
 
 
 def on_config(config: Any) -> None:
     """Add the pages of commands to the navigation."""
     listed = [{" ".join(words): _cli_path(words)} for words, _ in commands()]
-    (reference,) = (entries for group in config["nav"] for name, entries in group.items() if name == "Reference")
+    (reference,) = (
+        entries for group in config["nav"] for name, entries in group.items() if name == "Reference"
+    )
     reference.append({"Command line": [f"{CLI}/index.md", *listed]})
 
 
@@ -78,7 +85,9 @@ def on_files(files: Any, config: Any) -> None:
     for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
         text = notebook_page(json.loads(Path(file.abs_src_path).read_text(encoding="utf-8")))
         files.remove(file)
-        files.append(File.generated(config, file.src_uri.removesuffix(".ipynb") + ".md", content=text))
+        files.append(
+            File.generated(config, file.src_uri.removesuffix(".ipynb") + ".md", content=text)
+        )
 
 
 def commands() -> Iterator[tuple[list[str], Any]]:
@@ -97,11 +106,22 @@ def commands() -> Iterator[tuple[list[str], Any]]:
 
 def command_page(words: list[str], command: Any) -> str:
     """Page of a command: what it does, its arguments and options by panel, and its examples."""
-    visible = [parameter for parameter in command.params if not parameter.hidden and parameter.opts != ["--help"]]
+    visible = [
+        parameter
+        for parameter in command.params
+        if not parameter.hidden and parameter.opts != ["--help"]
+    ]
     arguments = [parameter for parameter in visible if parameter.param_type_name == "argument"]
     usage = " ".join([PROGRAM, *words, "[OPTIONS]", *map(lazy._argument_name, arguments)])
-    parts = [f"# {' '.join(words)}", command.help or "", getattr(command, "description", ""), f"```text\n{usage}\n```"]
-    tables = {"Arguments": [(lazy._argument_name(parameter), parameter.help) for parameter in arguments]}
+    parts = [
+        f"# {' '.join(words)}",
+        command.help or "",
+        getattr(command, "description", ""),
+        f"```text\n{usage}\n```",
+    ]
+    tables = {
+        "Arguments": [(lazy._argument_name(parameter), parameter.help) for parameter in arguments]
+    }
     for parameter in visible:
         if parameter not in arguments:
             panel = parameter.rich_help_panel or "Options"
@@ -116,12 +136,16 @@ def command_page(words: list[str], command: Any) -> str:
 
 
 def _index_page() -> str:
-    rows = [f"| [`{' '.join(words)}`]({'-'.join(words)}.md) | {_cell(command.help)} |" for words, command in commands()]
+    rows = [
+        f"| [`{' '.join(words)}`]({'-'.join(words)}.md) | {_cell(command.help)} |"
+        for words, command in commands()
+    ]
     return (
-        f"# Command line\n\nEach page is made from the options that the program has; `{PROGRAM} COMMAND --help` prints "
-        "the same. The word `run` may be omitted. Exit status: 0 = success, 1 = an unusable input or output, or a run "
-        "that the user stopped, 2 = wrong usage, 3 = some clips of a fleet failed.\n\n"
-        "| command | what it does |\n|---|---|\n" + "\n".join(rows) + "\n"
+        f"# Command line\n\nEach page is made from the options that the program has; `{PROGRAM} "
+        "COMMAND --help` prints the same. The word `run` may be omitted. Exit status: 0 = success, "
+        "1 = an unusable input or output, or a run that the user stopped, 2 = wrong usage, 3 = "
+        "some clips of a fleet failed.\n\n| command | what it does "
+        "|\n|---|---|\n" + "\n".join(rows) + "\n"
     )
 
 
@@ -134,11 +158,14 @@ def _cell(text: str) -> str:
     return re.sub(r"([*_<>{}|])", r"\\\1", text)
 
 
-# -- notebooks --------------------------------------------------------------------------------------------------------
+# -- notebooks
+# --------------------------------------------------------------------------------------------------------
 
 
 def notebook_page(notebook: dict[str, Any]) -> str:
-    """Page of a notebook: its text, its code, and the stored outputs, of which pictures are part of the page."""
+    """Page of a notebook: its text, its code, and the stored outputs, of which pictures are part of
+    the page.
+    """
     parts = []
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
@@ -146,13 +173,17 @@ def notebook_page(notebook: dict[str, Any]) -> str:
         for output in cell.get("outputs", []):
             data = output.get("data", {"text/plain": output.get("text", "")})
             if "image/png" in data:
-                parts.append(f"![Output of the cell above](data:image/png;base64,{''.join(data['image/png']).strip()})")
+                parts.append(
+                    "![Output of the cell "
+                    f"above](data:image/png;base64,{''.join(data['image/png']).strip()})"
+                )
             elif text := "".join(data["text/plain"]).rstrip():
                 parts.append(f"```text\n{text}\n```")
     return "\n\n".join(parts) + "\n"
 
 
-# -- pages ------------------------------------------------------------------------------------------------------------
+# -- pages
+# ------------------------------------------------------------------------------------------------------------
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> None:
@@ -171,29 +202,42 @@ def _api_text(reference: re.Match[str]) -> str:
         signature = str(inspect.signature(value)) if callable(value) else f" = {value!r}"
     except ValueError:
         signature = ""
-    return f"## {name}\n\n```python\n{name}{signature}\n```\n\n{inspect.getdoc(value) if callable(value) else ''}\n\n"
+    return (
+        "## "
+        f"{name}\n\n```python\n{name}{signature}\n```\n\n{inspect.getdoc(value) if callable(value) else ''}\n\n"
+    )
 
 
 def on_page_content(page_html: str, *, page: Any, config: Any, **_: Any) -> str:
-    """The page with its equations in MathML and links to the glossary; terms of the glossary get anchors."""
+    """The page with its equations in MathML and links to the glossary; terms of the glossary get
+    anchors.
+    """
     page_html = _EQUATION.sub(_mathml, page_html)
     if page.file.src_uri == GLOSSARY:
-        return re.sub(r"<dt>(.*?)</dt>", lambda term: f'<dt id="{_anchor(term[1])}">{term[1]}</dt>', page_html)
+        return re.sub(
+            r"<dt>(.*?)</dt>", lambda term: f'<dt id="{_anchor(term[1])}">{term[1]}</dt>', page_html
+        )
     if page.file.src_uri == "project/architecture.md":  # its rooms have the names of methods
         return page_html
     text = (Path(config["docs_dir"]) / GLOSSARY).read_text(encoding="utf-8")
     folder = posixpath.dirname(page.file.dest_uri)
-    return link_terms(page_html, text, posixpath.relpath(GLOSSARY.replace(".md", ".html"), folder or "."))
+    return link_terms(
+        page_html, text, posixpath.relpath(GLOSSARY.replace(".md", ".html"), folder or ".")
+    )
 
 
 def link_terms(page_html: str, glossary: str, address: str) -> str:
-    """The page with a link to the definition at the first use of each term: as code, or as a word of the text."""
+    """The page with a link to the definition at the first use of each term: as code, or as a word
+    of the text.
+    """
     words, codes = {}, {}
     for term, definition in _TERM.findall(glossary):
         plain = term.strip("`").removesuffix(" (TTC)")
         if plain in _AMBIGUOUS:
             continue
-        tip = html.escape(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(definition.split())).replace("`", ""))
+        tip = html.escape(
+            re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(definition.split())).replace("`", "")
+        )
         link = f'<a class="term" href="{address}#{_anchor(term)}" title="{tip}">', plain
         codes[plain] = link
         if plain not in _ORDINARY and re.fullmatch(r"[\w -]{3,}", plain):
@@ -214,7 +258,11 @@ def link_terms(page_html: str, glossary: str, address: str) -> str:
     for i in range(0, len(parts), 3):  # text, element, name of the element
         parts[i] = pattern.sub(linked, parts[i])
         element = parts[i + 1] if i + 1 < len(parts) else ""
-        if (code := re.fullmatch(r"<code>([^<]+)</code>", element)) and code[1] in codes and code[1] not in used:
+        if (
+            (code := re.fullmatch(r"<code>([^<]+)</code>", element))
+            and code[1] in codes
+            and code[1] not in used
+        ):
             used.add(code[1])
             parts[i + 1] = f"{codes[code[1]][0]}{element}</a>"
     return "".join(part for i, part in enumerate(parts) if i % 3 < 2)
@@ -233,7 +281,8 @@ def _mathml(equation: re.Match[str]) -> str:
 
 
 def on_post_build(*, config: Any, **_: Any) -> None:
-    """Write the copies in Markdown and llms.txt, and check that no page loads anything from the network.
+    """Write the copies in Markdown and llms.txt, and check that no page loads anything from the
+    network.
 
     Raises:
         PluginError: a page does.
@@ -248,7 +297,9 @@ def on_post_build(*, config: Any, **_: Any) -> None:
 
 
 def _llms_text(config: Any) -> str:
-    """Contents of the documentation for language models (llmstxt.org): each page as a relative link to its Markdown."""
+    """Contents of the documentation for language models (llmstxt.org): each page as a relative link
+    to its Markdown.
+    """
     lines = [f"# {config['site_name']}", "", f"> {config['site_description']}"]
 
     def add(entries: list[Any]) -> None:

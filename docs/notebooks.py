@@ -1,7 +1,8 @@
-"""Runs the notebooks of the documentation and stores their outputs: `python docs/notebooks.py FOLDER`.
+"""Runs the notebooks of the documentation and stores their outputs: `python docs/notebooks.py
+FOLDER`.
 
-FOLDER has the files that the notebooks name. Cells are plain Python, which Jupyter runs as it is; this program needs no
-kernel (nbclient with ipykernel would be 25 packages).
+FOLDER has the files that the notebooks name. Cells are plain Python, which Jupyter runs as it is;
+this program needs no kernel (nbclient with ipykernel would be 25 packages).
 """
 
 import ast
@@ -18,16 +19,21 @@ from matplotlib.figure import Figure
 
 
 def executed(notebook: dict[str, Any]) -> dict[str, Any]:
-    """The notebook with the outputs of its cells: what they print, and the value of their last expression.
+    """The notebook with the outputs of its cells: what they print, and the value of their last
+    expression.
 
-    A `Figure` is shown as PNG, other values as text, None not at all. The cells share their variables, and run in the
-    current folder.
+    A `Figure` is shown as PNG, other values as text, None not at all. The cells share their
+    variables, and run in the current folder.
     """
     names: dict[str, Any] = {}
     cells = []
     for number, cell in enumerate(notebook["cells"]):
         if cell["cell_type"] == "code":
-            cell = {**cell, "execution_count": number, "outputs": _outputs("".join(cell["source"]), names)}
+            cell = {
+                **cell,
+                "execution_count": number,
+                "outputs": _outputs("".join(cell["source"]), names),
+            }
         cells.append(cell)
     return {**notebook, "cells": cells}
 
@@ -41,14 +47,23 @@ def _outputs(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     outputs: list[dict[str, Any]] = []
     if printed.getvalue():
         outputs.append(
-            {"output_type": "stream", "name": "stdout", "text": printed.getvalue().splitlines(keepends=True)}
+            {
+                "output_type": "stream",
+                "name": "stdout",
+                "text": printed.getvalue().splitlines(keepends=True),
+            }
         )
     if value is not None:
         data = {"text/plain": repr(value)}
         if isinstance(value, Figure):
             value.savefig(png := io.BytesIO(), dpi=90, format="png", metadata={"Software": None})
-            data = {"text/plain": "<Figure>", "image/png": base64.b64encode(png.getvalue()).decode()}
-        outputs.append({"output_type": "execute_result", "execution_count": None, "metadata": {}, "data": data})
+            data = {
+                "text/plain": "<Figure>",
+                "image/png": base64.b64encode(png.getvalue()).decode(),
+            }
+        outputs.append(
+            {"output_type": "execute_result", "execution_count": None, "metadata": {}, "data": data}
+        )
     return outputs
 
 

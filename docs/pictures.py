@@ -1,8 +1,9 @@
-"""The pictures of the documentation, drawn again from the program: `python docs/pictures.py [NAME ...]`.
+"""The pictures of the documentation, drawn again from the program: `python docs/pictures.py [NAME
+...]`.
 
-Frames come from the simulation, curves are computed by the package, diagrams are drawn here; there are no
-photographs. `report` takes a screenshot with Chromium, where it is installed. Without names all pictures are drawn,
-which takes some ten minutes, most of them for a short run of each scenario.
+Frames come from the simulation, curves are computed by the package, diagrams are drawn here; there
+are no photographs. `report` takes a screenshot with Chromium, where it is installed. Without names
+all pictures are drawn, which takes some ten minutes, most of them for a short run of each scenario.
 """
 
 from __future__ import annotations
@@ -56,11 +57,14 @@ DEMO_FRAME = 30
 """The frame of the demo that is shown."""
 
 
-# -- diagrams and curves ----------------------------------------------------------------------------------------------
+# -- diagrams and curves
+# ----------------------------------------------------------------------------------------------
 
 
 def mono() -> None:
-    """The pinhole law in side view, and the distances that the packaged size model gives to heights of boxes."""
+    """The pinhole law in side view, and the distances that the packaged size model gives to heights
+    of boxes.
+    """
     figure = Figure((7.4, 2.7))
     scene, plot = figure.subplots(1, 2, width_ratios=(1.15, 1))
     _side_view(scene)
@@ -76,8 +80,15 @@ def mono() -> None:
     for name, class_id, aspect in (("car", 2, 1.25), ("person", 0, 0.4), ("truck", 5, 0.95)):
         distance_m, sigma_m = _by_size(height_px, class_id, aspect)
         (line,) = plot.plot(height_px, distance_m, lw=1.5, label=name)
-        plot.fill_between(height_px, distance_m - sigma_m, distance_m + sigma_m, alpha=0.2, color=line.get_color())
-    plot.set(xscale="log", yscale="log", xlabel="height of the box, px (f = 721 px)", ylabel="distance, m")
+        plot.fill_between(
+            height_px, distance_m - sigma_m, distance_m + sigma_m, alpha=0.2, color=line.get_color()
+        )
+    plot.set(
+        xscale="log",
+        yscale="log",
+        xlabel="height of the box, px (f = 721 px)",
+        ylabel="distance, m",
+    )
     plot.set_xticks([12, 25, 50, 100], ["12", "25", "50", "100"])
     plot.set_yticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
     plot.minorticks_off()
@@ -102,9 +113,18 @@ def ground() -> None:
     scene.text(0.1, -0.62, "d = f H / (y_bottom - y_horizon)", color=INK)
 
     distance_m = np.linspace(5, 100, 100)
-    for error_px, label in ((1.0, "1 px"), (FOCAL_PX * np.radians(0.2), "0.2 degrees of pitch (2.5 px)")):
+    for error_px, label in (
+        (1.0, "1 px"),
+        (FOCAL_PX * np.radians(0.2), "0.2 degrees of pitch (2.5 px)"),
+    ):
         fraction = error_px * distance_m / (FOCAL_PX * CAMERA_HEIGHT_M)
-        plot.plot(distance_m, 100 * fraction, label=label, color=COLOUR["ground"], ls="-" if error_px == 1 else "--")
+        plot.plot(
+            distance_m,
+            100 * fraction,
+            label=label,
+            color=COLOUR["ground"],
+            ls="-" if error_px == 1 else "--",
+        )
     plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 25))
     plot.legend(title="error of the row, camera at 1.65 m")
     _save(figure, "ground.svg")
@@ -121,7 +141,12 @@ def lane() -> None:
     for offset_m in (-1.75, 1.75, -5.25, 5.25):
         end = 610 + offset_m * (376 - 173) / CAMERA_HEIGHT_M
         is_own = abs(offset_m) < 2
-        scene.plot([610, end], [173, 376], color=COLOUR["lane"] if is_own else "white", lw=2.5 if is_own else 2)
+        scene.plot(
+            [610, end],
+            [173, 376],
+            color=COLOUR["lane"] if is_own else "white",
+            lw=2.5 if is_own else 2,
+        )
     y_px = 270.0
     half_px = 1.75 * (y_px - 173) / CAMERA_HEIGHT_M
     scene.add_patch(Rectangle((555, 196), 110, y_px - 196, fill=False, color=INK, lw=2))
@@ -169,7 +194,13 @@ def alignment() -> None:
     for error_px, style in ((-0.5, "-"), (-0.2, "--"), (0.5, ":")):
         disparity_px = FOCAL_PX * BASELINE_M / true_m + error_px
         measured_m = FOCAL_PX * BASELINE_M / disparity_px
-        plot.plot(true_m, 100 * (measured_m / true_m - 1), style, color=COLOUR["stereo"], label=f"{error_px:+.1f} px")
+        plot.plot(
+            true_m,
+            100 * (measured_m / true_m - 1),
+            style,
+            color=COLOUR["stereo"],
+            label=f"{error_px:+.1f} px",
+        )
     plot.axhline(0, color=FAINT, lw=0.8)
     plot.set(xlabel="true distance, m", ylabel="distance error, %")
     plot.legend(title="disparities read\nf = 721 px, B = 0.54 m", loc="upper left")
@@ -177,18 +208,33 @@ def alignment() -> None:
 
 
 def fused() -> None:
-    """One track of a simulated drive: the error of each method over time, with fused and its sigma."""
+    """One track of a simulated drive: the error of each method over time, with fused and its
+    sigma.
+    """
     rows, truth = _longest_track()
     figure = Figure((7.4, 2.9))
     plot = figure.subplots()
     for name in ("mono", "ground", "lane", "stereo"):
-        plot.plot(rows["time_s"], 100 * (rows[f"{name}_m"] / truth - 1), color=COLOUR[name], lw=1.1, label=name)
+        plot.plot(
+            rows["time_s"],
+            100 * (rows[f"{name}_m"] / truth - 1),
+            color=COLOUR[name],
+            lw=1.1,
+            label=name,
+        )
     error = 100 * (rows["fused_m"] / truth - 1)
     sigma = 100 * rows["fused_sigma_m"] / truth
-    plot.fill_between(rows["time_s"], error - sigma, error + sigma, color=COLOUR["fused"], alpha=0.2, lw=0)
+    plot.fill_between(
+        rows["time_s"], error - sigma, error + sigma, color=COLOUR["fused"], alpha=0.2, lw=0
+    )
     plot.plot(rows["time_s"], error, color=COLOUR["fused"], lw=2.2, label="fused, 1 sigma")
     plot.axhline(0, color=FAINT, lw=0.8)
-    plot.set(xlabel="time, s", ylabel="distance error, %", title="A car of the simulated drive", ylim=(-16, 16))
+    plot.set(
+        xlabel="time, s",
+        ylabel="distance error, %",
+        title="A car of the simulated drive",
+        ylim=(-16, 16),
+    )
     plot.legend(ncols=5, fontsize=8, loc="lower left")
     _save(figure, "fused.svg")
 
@@ -201,11 +247,15 @@ def filtered() -> None:
     plot.plot(rows["time_s"], truth, color=INK, lw=1, label="truth")
     plot.plot(rows["time_s"], rows["mono_m"], ".", color=COLOUR["mono"], ms=4, label="mono")
     plot.plot(rows["time_s"], rows["mono_kf_m"], color=COLOUR["mono"], lw=1.5, label="mono_kf")
-    plot.plot(rows["time_s"], rows["fused_kf_m"], color=COLOUR["fused"], lw=1.5, ls="--", label="fused_kf")
+    plot.plot(
+        rows["time_s"], rows["fused_kf_m"], color=COLOUR["fused"], lw=1.5, ls="--", label="fused_kf"
+    )
     plot.set(xlabel="time, s", ylabel="distance, m")
     plot.legend(fontsize=8)
     closing, sigma = rows["closing_mps"], rows["closing_sigma_mps"]
-    speed.fill_between(rows["time_s"], closing - sigma, closing + sigma, color=COLOUR["fused"], alpha=0.2, lw=0)
+    speed.fill_between(
+        rows["time_s"], closing - sigma, closing + sigma, color=COLOUR["fused"], alpha=0.2, lw=0
+    )
     speed.plot(rows["time_s"], closing, color=COLOUR["fused"], lw=1.5, label="closing_mps, 1 sigma")
     speed.plot(rows["time_s"], rows["true_closing_mps"], color=INK, lw=1, label="truth")
     speed.set(xlabel="time, s", ylabel="closing speed, m/s")
@@ -214,7 +264,9 @@ def filtered() -> None:
 
 
 def distance() -> None:
-    """What the columns of distance mean: z from the camera to the surface, and the gap from the bumper."""
+    """What the columns of distance mean: z from the camera to the surface, and the gap from the
+    bumper.
+    """
     figure = Figure((8.4, 2.5))
     scene = figure.subplots()
     scene.set(xlim=(-3.4, 17.2), ylim=(-1.95, 2.9), aspect="equal")
@@ -230,20 +282,32 @@ def distance() -> None:
     scene.plot([0, 12.0], [1.3, 0.72], color=COLOUR["fused"], lw=1.2)
     scene.plot([12.0], [0.72], "o", color=COLOUR["fused"], ms=5)
     scene.text(
-        11.7, 0.28, "first surface on the ray through the box's centre", ha="right", fontsize=8, color=COLOUR["fused"]
+        11.7,
+        0.28,
+        "first surface on the ray through the box's centre",
+        ha="right",
+        fontsize=8,
+        color=COLOUR["fused"],
     )
     scene.plot([0], [1.3], "s", color=INK, ms=6)
     scene.text(0, 2.5, "camera", ha="center")
     scene.plot([0, 0], [2.4, 1.45], color=FAINT, lw=0.8)
     for x in (0, 1.5, 12.0):
         scene.plot([x, x], [0, -1.75], color=FAINT, lw=0.8, ls="--")
-    _arrow(scene, (0, -0.62), (12.0, -0.62), "distance: z along the camera's axis (fused_m, fused_kf_m)", (6.9, -0.5))
+    _arrow(
+        scene,
+        (0, -0.62),
+        (12.0, -0.62),
+        "distance: z along the camera's axis (fused_m, fused_kf_m)",
+        (6.9, -0.5),
+    )
     _arrow(scene, (0, -1.5), (1.5, -1.5), "1.5 m", (0.75, -1.38))
     _arrow(scene, (1.5, -1.5), (12.0, -1.5), "gap: from the front bumper (gap_m)", (6.9, -1.38))
     _save(figure, "distance.svg")
 
 
-# -- frames of the simulation -----------------------------------------------------------------------------------------
+# -- frames of the simulation
+# -----------------------------------------------------------------------------------------
 
 
 def moving() -> None:
@@ -253,7 +317,15 @@ def moving() -> None:
         small = cv2.resize(read[1], None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
         frames.append(Image.fromarray(small[:, :, ::-1]))
     first, *rest = frames
-    first.save(FRAMES / "moving.webp", save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
+    first.save(
+        FRAMES / "moving.webp",
+        save_all=True,
+        append_images=rest,
+        duration=100,
+        loop=0,
+        quality=45,
+        method=6,
+    )
 
 
 def overlay() -> None:
@@ -261,7 +333,8 @@ def overlay() -> None:
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
     _save_jpeg(image, FRAMES / "overlay.jpg", quality=88)
     places = birds_eye._places((image.shape[1], image.shape[0])).round().astype(int)
-    inset = min((image[y1:y2, x1:x2] for x1, y1, x2, y2 in places), key=np.mean)  # its background is dark
+    # its background is dark
+    inset = min((image[y1:y2, x1:x2] for x1, y1, x2, y2 in places), key=np.mean)
     inset = cv2.resize(inset, None, fx=2.2, fy=2.2, interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(FRAMES / "from_above.png"), inset)
 
@@ -269,16 +342,31 @@ def overlay() -> None:
 def disparity() -> None:
     """The overlay with dense stereo's disparities below it."""
     drive, out = _demo() / "drive", _demo() / "with_disparity"
-    options = ["--overlay-disparity", "--align", "off", "--start", "2", "--duration", "1.2", "--out", str(out)]
+    options = [
+        "--overlay-disparity",
+        "--align",
+        "off",
+        "--start",
+        "2",
+        "--duration",
+        "1.2",
+        "--out",
+        str(out),
+    ]
     _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
     image = _frame(out / "overlay.mp4", 10)
-    _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), FRAMES / "disparity.jpg")
+    _save_jpeg(
+        cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA),
+        FRAMES / "disparity.jpg",
+    )
 
 
 def anonymized() -> None:
     """A frame of an overlay with `--anonymize`."""
     drive, results = _temporary() / "shared", _temporary() / "shared-results"
-    _track_range("simulate", "--out", str(drive), "--scenario", "city", "--seed", "101", "--seconds", "2.6")
+    _track_range(
+        "simulate", "--out", str(drive), "--scenario", "city", "--seed", "101", "--seconds", "2.6"
+    )
     pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
     _track_range("--stereo", *pair, "--no-sgbm", "--anonymize", "--out", str(results))
     _save_jpeg(_frame(results / "overlay.mp4", 20), FRAMES / "anonymized.jpg", quality=80)
@@ -289,34 +377,48 @@ def scenarios() -> None:
     tiles = []
     for name in SCENARIO_NAMES:
         drive = _temporary() / name
-        seed = "3" if name == "following" else "0"  # seed 0 follows a motorcycle that is too far to be detected
+        # seed 0 follows a motorcycle that is too far to be detected
+        seed = "3" if name == "following" else "0"
         options = ["--scenario", name, "--seed", seed, "--seconds", "5", "--fps", "5"]
         _track_range("simulate", "--out", str(drive), *options)
         pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
         _track_range("--stereo", *pair, "--no-sgbm", "--out", str(drive / "results"))
-        middle = _frame(drive / "results" / "overlay.mp4", 20)[16:, 317:923]  # without legend, inset and image border
+        # without legend, inset and image border
+        middle = _frame(drive / "results" / "overlay.mp4", 20)[16:, 317:923]
         tile = cv2.resize(middle, (400, 238), interpolation=cv2.INTER_AREA)
         (width_px, _), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
         cv2.rectangle(tile, (0, 0), (width_px + 14, 24), (40, 40, 40), -1)
-        cv2.putText(tile, name, (7, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA)
-        tiles.append(cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
+        cv2.putText(
+            tile, name, (7, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA
+        )
+        tiles.append(
+            cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        )
     rows = [np.hstack(tiles[i : i + 3]) for i in range(0, len(tiles), 3)]
     _save_jpeg(np.vstack(rows), FRAMES / "scenarios.jpg", quality=44)
 
 
 def failures() -> None:
-    """The six simulated images with the most objects that the packaged detector misses (red); its wrong boxes (amber).
+    """The six simulated images with the most objects that the packaged detector misses (red); its
+    wrong boxes (amber).
 
-    Objects of at least 25 px that are at least half visible, boxes with a score of at least 0.25, matched at an IoU of
-    0.5 in each class.
+    Objects of at least 25 px that are at least half visible, boxes with a score of at least 0.25,
+    matched at an IoU of 0.5 in each class.
     """
     folder = _temporary() / "failures"
-    _track_range("simulate", "--images", "120", "--frames", "4", "--seed", "7000", "--out", str(folder))
+    _track_range(
+        "simulate", "--images", "120", "--frames", "4", "--seed", "7000", "--out", str(folder)
+    )
     detector, tiles = tr.Detector("road", min_score=0.25), []
-    scored, hidden = (LabelledSource(images=folder / "images", labels=folder / name) for name in ("labels", "ignored"))
+    scored, hidden = (
+        LabelledSource(images=folder / "images", labels=folder / name)
+        for name in ("labels", "ignored")
+    )
     for (image, truth), ignored in zip(scored.open(), hidden.labelled_files(), strict=True):
         boxes = detector.detect(image)
-        boxes = boxes.select(~(iou(boxes.xyxy_px, ignored.truth_in(image).xyxy_px) >= 0.5).any(axis=1))
+        boxes = boxes.select(
+            ~(iou(boxes.xyxy_px, ignored.truth_in(image).xyxy_px) >= 0.5).any(axis=1)
+        )
         labels, class_id = truth.xyxy_px, truth.class_id
         same = (iou(boxes.xyxy_px, labels) >= 0.5) & (boxes.class_id[:, None] == class_id)
         is_missed = ~same.any(axis=0) & (labels[:, 3] - labels[:, 1] >= 25)
@@ -330,14 +432,21 @@ def failures() -> None:
                 cv2.rectangle(image, (x1, y1), (x2, y2), colour, 1, cv2.LINE_AA)
         tiles.append((int(is_missed.sum()), image))
     worst = [image for _, image in sorted(tiles, key=lambda tile: -tile[0])[:6]]
-    framed = [cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for tile in worst]
+    framed = [
+        cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        for tile in worst
+    ]
     rows = [np.hstack(framed[i : i + 2]) for i in range(0, 6, 2)]
     _save_jpeg(np.vstack(rows), FRAMES / "detector_failures.jpg", quality=80)
 
 
 def report() -> None:
     """The first screen of a report, as Chromium shows it."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    chromium = (
+        shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    )
     if chromium is None:
         print("report: Chromium is not installed; the picture stays as it is.", file=sys.stderr)  # noqa: T201
         return
@@ -354,7 +463,8 @@ def report() -> None:
     _save_jpeg(image, FRAMES / "report.jpg", quality=80)
 
 
-# -- helpers ----------------------------------------------------------------------------------------------------------
+# -- helpers
+# ----------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -374,21 +484,29 @@ def _demo() -> Path:
 def _highway() -> Path:
     """The folder of the results of a stereo drive on a highway with few road users."""
     drive = _temporary() / "highway-2"
-    _track_range("simulate", "--out", str(drive), "--scenario", "highway", "--seed", "2", "--seconds", "6")
+    _track_range(
+        "simulate", "--out", str(drive), "--scenario", "highway", "--seed", "2", "--seconds", "6"
+    )
     pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
     _track_range("--stereo", *pair, "--no-sgbm", "--out", str(drive / "results"))
     return drive / "results"
 
 
 def _track_range(*arguments: str) -> None:
-    subprocess.run([sys.executable, "-m", "track_range", *arguments], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-m", "track_range", *arguments], check=True, stdout=subprocess.DEVNULL
+    )
 
 
 @cache
 def _longest_track() -> tuple[dict[str, Any], Any]:
-    """Rows of the car with the most visible frames in a simulated drive through a town, and its true distances."""
+    """Rows of the car with the most visible frames in a simulated drive through a town, and its
+    true distances.
+    """
     drive, out = _temporary() / "town", _temporary() / "town" / "results"
-    _track_range("simulate", "--out", str(drive), "--scenario", "town", "--seconds", "8", "--seed", "4")
+    _track_range(
+        "simulate", "--out", str(drive), "--scenario", "town", "--seconds", "8", "--seed", "4"
+    )
     options = ["--no-sgbm", "--no-overlay", "--align", "off", "--out", str(out)]
     _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
     rows = pyarrow.csv.read_csv(out / "tracks.csv").to_pandas()
@@ -398,11 +516,15 @@ def _longest_track() -> tuple[dict[str, Any], Any]:
     seen = merged[(centre_px < 8) & (merged.visible_share > 0.7) & merged.distance_m.between(5, 60)]
     track = max((group for _, group in seen.groupby(["track_id", "id"])), key=_information)
     columns = {name: track[name].to_numpy() for name in rows.columns}
-    return columns | {"true_closing_mps": track["closing_mps_true"].to_numpy()}, track.distance_m.to_numpy()
+    return columns | {
+        "true_closing_mps": track["closing_mps_true"].to_numpy()
+    }, track.distance_m.to_numpy()
 
 
 def _information(track: Any) -> float:
-    """Number of frames that all methods measured, and the range of the distances: more is better to look at."""
+    """Number of frames that all methods measured, and the range of the distances: more is better to
+    look at.
+    """
     methods_m = track[["mono_m", "ground_m", "lane_m", "stereo_m"]]
     return float(np.isfinite(methods_m).all(axis=1).sum() + np.ptp(track.distance_m))
 
@@ -412,8 +534,19 @@ def _by_size(height_px: Any, class_id: int, aspect: float) -> tuple[Any, Any]:
     frame = tr.Frame(index=0, time_s=0.0, left=np.zeros((376, 1240, 3), np.uint8), right=None)
     distance_m, sigma_m = [], []
     for height in height_px:
-        box = np.array([[620 - aspect * height / 2, 173 - height / 3, 620 + aspect * height / 2, 173 + height / 1.5]])
-        tracks = tr.Tracks(np.array([1]), box, np.array([class_id]), np.ones(1), np.ones(1, np.bool_))
+        box = np.array(
+            [
+                [
+                    620 - aspect * height / 2,
+                    173 - height / 3,
+                    620 + aspect * height / 2,
+                    173 + height / 1.5,
+                ]
+            ]
+        )
+        tracks = tr.Tracks(
+            np.array([1]), box, np.array([class_id]), np.ones(1), np.ones(1, np.bool_)
+        )
         ranges = tr.SizeRanger(camera).measure(tracks, frame)
         distance_m.append(ranges.distance_m[0])
         sigma_m.append(ranges.sigma_m[0])
@@ -430,11 +563,19 @@ def _side_view(axes: Axes) -> None:
 
 
 def _car(axes: Axes, x: float, y: float) -> None:
-    axes.add_patch(Polygon([(x, y), (x, y + 1.5), (x + 1.6, y + 1.5), (x + 2, y + 0.8), (x + 2, y)], color=ROAD))
+    axes.add_patch(
+        Polygon(
+            [(x, y), (x, y + 1.5), (x + 1.6, y + 1.5), (x + 2, y + 0.8), (x + 2, y)], color=ROAD
+        )
+    )
 
 
 def _arrow(
-    axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str, at: tuple[float, float]
+    axes: Axes,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    text: str,
+    at: tuple[float, float],
 ) -> None:
     axes.annotate("", end, start, arrowprops={"arrowstyle": "<->", "color": INK, "lw": 1})
     axes.text(*at, text, ha="center", color=INK)

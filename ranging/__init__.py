@@ -1,1 +1,3 @@
-"""Distances of tracked objects from boxes, images and geometry: methods, fusion, filters, evaluation."""
+"""Distances of tracked objects from boxes, images and geometry: methods, fusion, filters,
+evaluation.
+"""

@@ -1,6 +1,7 @@
 """RangingMethod: description of one way to measure distance.
 
-A method is one file with a `Ranger` and one `RangingMethod` that describes it, registered in `ranging.registry`.
+A method is one file with a `Ranger` and one `RangingMethod` that describes it, registered in
+`ranging.registry`.
 """
 
 from __future__ import annotations
@@ -34,24 +35,40 @@ from track_range.tracking.tracks import Tracks
 if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
     from track_range.detection.models.onnx_session import Runtime
 
-SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "drive_scale", "own"]
+SourceName = Literal[
+    "size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "drive_scale", "own"
+]
 """Sources of distance errors.
 
-size: deviation of the object's size from the mean of its class; box_height: height of the box in the image;
-contact_point: row where the object touches the ground; horizon: pitch of the camera and slope of the road; baseline:
-geometry of the stereo rig; lane_width: width of the lane; drive_scale: error of all distances by size of a drive; own:
-errors that no other method shares.
+size: deviation of the object's size from the mean of its class; box_height: height of the box in
+the image; contact_point: row where the object touches the ground; horizon: pitch of the camera and
+slope of the road; baseline: geometry of the stereo rig; lane_width: width of the lane; drive_scale:
+error of all distances by size of a drive; own: errors that no other method shares.
 """
 
-Requirement = Literal["image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
+Requirement = Literal[
+    "image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"
+]
 """Inputs that a method may require.
 
-image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a row-aligned stereo pair,
-calibrated or not; dense_disparity: dense stereo is enabled; lane_lines: lane detection is enabled; camera_height: the
-height of the camera above the road is given.
+image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a
+row-aligned stereo pair, calibrated or not; dense_disparity: dense stereo is enabled; lane_lines:
+lane detection is enabled; camera_height: the height of the camera above the road is given.
 """
 
-RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", "x", "y", "truth", "scored_truth")
+RESERVED_NAMES = (
+    "fused",
+    "fuse",
+    "read",
+    "lanes",
+    "detect",
+    "track",
+    "write",
+    "x",
+    "y",
+    "truth",
+    "scored_truth",
+)
 """Names of result columns and pipeline stages, which a method cannot have."""
 
 
@@ -67,17 +84,20 @@ class Measured(NamedTuple):
 
 
 class Ranger(ABC):
-    """Measures the distance of each track of a frame; an implementation may have state per track id.
+    """Measures the distance of each track of a frame; an implementation may have state per track
+    id.
 
-    Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
-    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` and `update_motion`
-    if the images show the road and the motion of the camera, `update_lanes` if lanes were detected in the frame, and
-    `measure_at_scale`, which by default calls `measure_with`; after the last frame it calls `close`.
+    Only `measure` is required. The other members are hooks that a run calls or reads; their
+    defaults do nothing. For each frame a run calls `start` (in another thread, up to a few frames
+    ahead), `update_road` and `update_motion` if the images show the road and the motion of the
+    camera, `update_lanes` if lanes were detected in the frame, and `measure_at_scale`, which by
+    default calls `measure_with`; after the last frame it calls `close`.
 
     Attributes:
-        background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.
-        disparity: (H, W) dense disparity in px of the frame measured last, in the left image, NaN = unknown, for the
-            overlay; None = the method computes none.
+        background_s: seconds of work so far in the ranger's own threads; a run adds them to the
+            time of its stage.
+        disparity: (H, W) dense disparity in px of the frame measured last, in the left image, NaN =
+            unknown, for the overlay; None = the method computes none.
     """
 
     background_s: float = 0.0
@@ -88,32 +108,43 @@ class Ranger(ABC):
         """Distances of N tracks in the same order, NaN = not measured."""
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of N tracks, given their ranges in the same frame by the methods measured before.
+        """Distances of N tracks, given their ranges in the same frame by the methods measured
+        before.
 
-        `others` are ranges by method name, of the methods in `RangingMethod.reads` that are part of this run.
+        `others` are ranges by method name, of the methods in `RangingMethod.reads` that are part of
+        this run.
         """
         return self.measure(tracks, frame)
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure_with`; given the scale of the drive before this frame, also returns the evidence of the frame.
+        """See `measure_with`; given the scale of the drive before this frame, also returns the
+        evidence of the frame.
 
         It is for methods that measure by size or measure the scale.
         """
         return Measured(self.measure_with(tracks, frame, others))
 
     def start(self, frame: Frame) -> None:  # noqa: B027
-        """Start work on a frame in the background, before its tracks are known; `measure` of the frame follows."""
+        """Start work on a frame in the background, before its tracks are known; `measure` of the
+        frame follows.
+        """
 
     def update_lanes(self, lines: LaneLines) -> None:  # noqa: B027
-        """Store newly detected lines of the ego lane; called a few times per second, valid until the next call."""
+        """Store newly detected lines of the ego lane; called a few times per second, valid until
+        the next call.
+        """
 
     def update_road(self, road: RoadView) -> None:  # noqa: B027
-        """Store the road in the frame that is measured next, from image motion; lengths in metres."""
+        """Store the road in the frame that is measured next, from image motion; lengths in
+        metres.
+        """
 
     def update_motion(self, step: CameraStep) -> None:  # noqa: B027
-        """Store the motion of the camera to the frame that is measured next; not called where it is unknown."""
+        """Store the motion of the camera to the frame that is measured next; not called where it is
+        unknown.
+        """
 
     def close(self) -> None:  # noqa: B027
         """Stop threads and release resources; no measurement follows."""
@@ -141,12 +172,14 @@ class MethodContext:
         focal_sigma: relative sigma of the focal length, which all methods share; 0 = calibrated.
         size_model: sizes of road users; None = the packaged model.
         box_sigma_px: sigma of one box edge; None = the noise model of a detector (`BoxNoise`).
-        box_errors: systematic errors of the detector's boxes; None = unknown, or none with `box_sigma_px`.
+        box_errors: systematic errors of the detector's boxes; None = unknown, or none with
+            `box_sigma_px`.
         camera_height_m: height of the camera above the road; None = unknown.
         region: region of the recording.
         lane_width_m: distance between the centre lines of the lane markings; None = not given.
         has_images: whether frames have pixels; False if only boxes are evaluated.
-        has_visible_boxes: whether boxes end where a nearer object begins, as the boxes of a detector do.
+        has_visible_boxes: whether boxes end where a nearer object begins, as the boxes of a
+            detector do.
         has_lane_lines: whether lane lines are detected.
         has_dense_disparity: whether dense stereo runs.
         sgbm_options: parameters of dense stereo set by the user.
@@ -212,17 +245,22 @@ class RangingMethod:
         title: short noun phrase for the legend of the overlay.
         letter: one letter for the labels of the overlay.
         colour: "#rrggbb" in charts and in the overlay.
-        create: creates the method's `Ranger` for a run, or returns None if the run does not support the method.
+        create: creates the method's `Ranger` for a run, or returns None if the run does not support
+            the method.
         needs: required inputs; `create` is called only if the run has all of them.
-        reads: names of methods whose ranges this method uses if they are part of the run; they measure a frame first.
+        reads: names of methods whose ranges this method uses if they are part of the run; they
+            measure a frame first.
         error_sources: the contributions to its variance; their fractions sum to 1.
-        fallback_for: name of a method that supersedes this one: fusion uses this method only for tracks that the other
-        method has not measured, since it shares nearly all errors of the other method or is calibrated by it.
-        is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
-            the covariance, but is not estimated from differences to other methods.
-        measures_distance: False for a method that gives details or growths only; it has no error sources.
+        fallback_for: name of a method that supersedes this one: fusion uses this method only for
+            tracks that the other method has not measured, since it shares nearly all errors of the
+            other method or is calibrated by it.
+        is_scale_reference: whether fusion takes the scale of this method as correct: its systematic
+            error is part of the covariance, but is not estimated from differences to other methods.
+        measures_distance: False for a method that gives details or growths only; it has no error
+            sources.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
-        details: names of further values of each track, in `Ranges.details`; their columns are NAME_DETAIL.
+        details: names of further values of each track, in `Ranges.details`; their columns are
+            NAME_DETAIL.
     """
 
     name: str
@@ -240,29 +278,50 @@ class RangingMethod:
     details: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field_name, as_collection in (("needs", frozenset), ("reads", tuple), ("details", tuple)):
+        for field_name, as_collection in (
+            ("needs", frozenset),
+            ("reads", tuple),
+            ("details", tuple),
+        ):
             names = getattr(self, field_name)
             is_list = isinstance(names, Collection) and not isinstance(names, str)
             if not is_list or not all(isinstance(name, str) for name in names):
                 raise MethodError(
-                    f"ranging method {self.name!r}: expected {field_name} as a tuple of names, got {names!r}"
+                    f"ranging method {self.name!r}: expected {field_name} as a tuple of names, got "
+                    f"{names!r}"
                 )
             object.__setattr__(self, field_name, as_collection(names))
         sources, needs = get_args(SourceName), get_args(Requirement)
-        parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
+        parts = [
+            part
+            for source in self.error_sources
+            for part in (source.systematic, source.independent)
+        ]
         columns = [re.fullmatch(r"[a-z][a-z0-9_]*(?<!_m)", name) for name in self.details]
         is_met = {
             "expected a lower-case name for columns": re.fullmatch(r"[a-z][a-z0-9_]*", self.name),
-            "expected a name that does not end with _kf or _sigma": not self.name.endswith(("_kf", "_sigma")),
-            f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})": self.name not in RESERVED_NAMES,
-            f"expected one letter, got {self.letter!r}": len(self.letter) == 1 and self.letter.isprintable(),
-            f"expected a colour as #rrggbb, got {self.colour!r}": re.fullmatch(r"#[0-9a-f]{6}", self.colour),
+            "expected a name that does not end with _kf or _sigma": not self.name.endswith(
+                ("_kf", "_sigma")
+            ),
+            f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})": self.name
+            not in RESERVED_NAMES,
+            f"expected one letter, got {self.letter!r}": len(self.letter) == 1
+            and self.letter.isprintable(),
+            f"expected a colour as #rrggbb, got {self.colour!r}": re.fullmatch(
+                r"#[0-9a-f]{6}", self.colour
+            ),
             "expected lower-case details for columns, without the ending _m": all(columns),
-            "expected reads and fallback_for to name other methods": self.name not in (*self.reads, self.fallback_for),
-            f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}": self.needs <= set(needs),
-            f"expected error sources among {', '.join(sources)}": {s.name for s in self.error_sources} <= set(sources),
+            "expected reads and fallback_for to name other methods": self.name
+            not in (*self.reads, self.fallback_for),
+            f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}": self.needs
+            <= set(needs),
+            f"expected error sources among {', '.join(sources)}": {
+                s.name for s in self.error_sources
+            }
+            <= set(sources),
             f"expected non-negative error sources that sum to 1, got a sum of {sum(parts):.4f}": (
-                math.isclose(sum(parts), float(self.measures_distance), abs_tol=1e-6) and min(parts, default=0) >= 0
+                math.isclose(sum(parts), float(self.measures_distance), abs_tol=1e-6)
+                and min(parts, default=0) >= 0
             ),
         }
         for expected, holds in is_met.items():
@@ -271,7 +330,9 @@ class RangingMethod:
 
     @property
     def uses_size_model(self) -> bool:
-        """Whether the method has object size as an error source; `evaluate ranges` then refits its size model."""
+        """Whether the method has object size as an error source; `evaluate ranges` then refits its
+        size model.
+        """
         return any(source.name == "size" for source in self.error_sources)
 
     @property
@@ -285,15 +346,22 @@ def checked_ranges(
 ) -> Ranges:
     """Ranges of the tracks as a ranger of this method returned them, for fusion and filters.
 
-    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN, and
-    `n_invalid` by method and column rises. Raises MethodError: `ranges` is not a `Ranges`, or has other tracks.
+    A track with a distance or sigma that is not finite and positive counts as not measured: both
+    become NaN, and `n_invalid` by method and column rises. Raises MethodError: `ranges` is not a
+    `Ranges`, or has other tracks.
     """
     if not isinstance(ranges, Ranges):
-        raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(ranges).__name__}")
+        raise MethodError(
+            f"ranging method {method!r}: expected Ranges, got {type(ranges).__name__}"
+        )
     if len(ranges) != len(tracks):
-        raise MethodError(f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(ranges)}")
+        raise MethodError(
+            f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(ranges)}"
+        )
     if not np.array_equal(ranges.track_id, tracks.track_id):
-        raise MethodError(f"ranging method {method!r}: expected the track_id of the tracks in the same order")
+        raise MethodError(
+            f"ranging method {method!r}: expected the track_id of the tracks in the same order"
+        )
     distance_m, sigma_m, systematic_m = ranges.distance_m, ranges.sigma_m, ranges.sigma_systematic_m
     is_measured, is_given = (distance_m > 0) & (distance_m < np.inf), ~np.isnan(distance_m)
     is_valid = {"distance_m": is_measured, "sigma_m": (sigma_m > 0) & (sigma_m < np.inf)}
@@ -310,5 +378,7 @@ def checked_ranges(
         ranges,
         distance_m=np.where(is_measured, distance_m, np.nan),
         sigma_m=np.where(is_measured, sigma_m, np.nan),
-        sigma_systematic_m=None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),
+        sigma_systematic_m=None
+        if systematic_m is None
+        else np.where(is_measured, systematic_m, np.nan),
     )

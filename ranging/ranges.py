@@ -22,15 +22,16 @@ class Ranges:
 
     Attributes:
         track_id: (N,) int64, the tracks in the order of the frame's Tracks.
-        distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in the left camera's
-            frame; NaN = not measured.
+        distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in
+            the left camera's frame; NaN = not measured.
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
         sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
         details: (N,) further values by the names in `RangingMethod.details`; NaN = none.
-        growth: (N,) growth of the tracks in the images, for the filters of all methods; None = not measured.
+        growth: (N,) growth of the tracks in the images, for the filters of all methods; None = not
+            measured.
         is_fallback: whether fusion leaves the distances out where the other method measured
-            (`RangingMethod.fallback_for`, without which it has no effect); False = in this frame they are independent
-            of the other method, and are fused too.
+            (`RangingMethod.fallback_for`, without which it has no effect); False = in this frame
+            they are independent of the other method, and are fused too.
     """
 
     track_id: IntArray

@@ -17,7 +17,8 @@ from track_range.foundation.registry import Registry, imported
 from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
 
 _METHODS_FOLDER = "track_range.ranging.methods"
-METHODS: Registry[RangingMethod] = Registry(  # built-in ones in the order of columns, tables and stages
+# built-in ones in the order of columns, tables and stages
+METHODS: Registry[RangingMethod] = Registry(
     "track_range.ranging_methods",
     {
         "mono": f"{_METHODS_FOLDER}.size_regression:MONO",
@@ -31,7 +32,9 @@ METHODS: Registry[RangingMethod] = Registry(  # built-in ones in the order of co
 
 
 def methods() -> tuple[RangingMethod, ...]:
-    """All ranging methods: built-in, then from entry points sorted by name, then registered, in their order."""
+    """All ranging methods: built-in, then from entry points sorted by name, then registered, in
+    their order.
+    """
     return (*_installed()[0], *METHODS.registered.values())
 
 
@@ -41,44 +44,59 @@ def method_notes() -> tuple[str, ...]:
 
 
 def origins() -> dict[str, str]:
-    """Origin of each method that is not built in, by name: the entry point, or the function that creates the method."""
+    """Origin of each method that is not built in, by name: the entry point, or the function that
+    creates the method.
+    """
     created_by = {name: method.create for name, method in METHODS.registered.items()}
-    made = {name: f"{make.__module__}:{getattr(make, '__qualname__', '')}" for name, make in created_by.items()}
+    made = {
+        name: f"{make.__module__}:{getattr(make, '__qualname__', '')}"
+        for name, make in created_by.items()
+    }
     return _installed()[2] | made
 
 
 def register(method: RangingMethod) -> None:
     """Add a method for the lifetime of the process.
 
-    Raises MethodError: another method has its name or its letter, or it names a method that does not exist.
+    Raises MethodError: another method has its name or its letter, or it names a method that does
+    not exist.
     """
     _check(method, methods())
     METHODS.registered[method.name] = method
 
 
 def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
-    """The methods in a stable topological order, each after the methods that it reads; MethodError on a cycle."""
+    """The methods in a stable topological order, each after the methods that it reads; MethodError
+    on a cycle.
+    """
     pending, ordered = list(listed), list[RangingMethod]()
     while pending:
         names = {method.name for method in pending}
         ready = next((method for method in pending if names.isdisjoint(method.reads)), None)
         if ready is None:
-            raise MethodError(f"ranging methods {', '.join(sorted(names))}: their `reads` form a cycle")
+            raise MethodError(
+                f"ranging methods {', '.join(sorted(names))}: their `reads` form a cycle"
+            )
         pending.remove(ready)
         ordered.append(ready)
     return tuple(ordered)
 
 
-def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | None = None) -> dict[str, Ranger]:
-    """Rangers by name, in measuring order, of all methods (or the `listed` methods) with their requirements met.
+def create_rangers(
+    context: MethodContext, listed: Sequence[RangingMethod] | None = None
+) -> dict[str, Ranger]:
+    """Rangers by name, in measuring order, of all methods (or the `listed` methods) with their
+    requirements met.
 
-    Each factory gets the context with the rangers created before. Raises MethodError: the `reads` of the methods form a
-    cycle.
+    Each factory gets the context with the rangers created before. Raises MethodError: the `reads`
+    of the methods form a cycle.
     """
     rangers: dict[str, Ranger] = {}
     for method in in_measuring_order(methods() if listed is None else listed):
         if method.needs <= context.available:
-            with named_errors(method.create.__module__, f"ranging method {method.name!r}", MethodError):
+            with named_errors(
+                method.create.__module__, f"ranging method {method.name!r}", MethodError
+            ):
                 ranger = method.create(replace(context, rangers=MappingProxyType(rangers)))
             if not isinstance(ranger, Ranger | None):
                 given = f"expected create() to return a Ranger or None, got {type(ranger).__name__}"
@@ -90,7 +108,9 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
 
 @cache
 def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...], dict[str, str]]:
-    """Built-in methods and methods of entry points, notes on entry points, and the origins of their methods."""
+    """Built-in methods and methods of entry points, notes on entry points, and the origins of their
+    methods.
+    """
     installed = [imported(method) for method in METHODS.built_in.values()]
     notes, origins = [], dict[str, str]()
     for entry in METHODS.installed:
@@ -108,20 +128,27 @@ def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...], dict[str, 
 def _loaded(entry: EntryPoint) -> RangingMethod:
     try:
         method = entry.load()
-    except Exception as error:  # a module of another package may raise anything; the run continues without it
+    # a module of another package may raise anything; the run continues without it
+    except Exception as error:
         raise MethodError(f"{type(error).__name__}: {error}") from error
     if not isinstance(method, RangingMethod):
         raise MethodError(f"expected a RangingMethod, got {type(method).__name__}")
     return method
 
 
-def _check(method: RangingMethod, others: Sequence[RangingMethod], pending: Sequence[str] = ()) -> None:
+def _check(
+    method: RangingMethod, others: Sequence[RangingMethod], pending: Sequence[str] = ()
+) -> None:
     """MethodError: the method has another method's name or letter, or names an unknown method."""
     known = [*(other.name for other in others), *pending]
-    if unknown := [name for name in (*method.reads, method.fallback_for) if name is not None and name not in known]:
+    if unknown := [
+        name
+        for name in (*method.reads, method.fallback_for)
+        if name is not None and name not in known
+    ]:
         raise MethodError(
-            f"ranging method {method.name!r}: expected reads and fallback_for among {', '.join(known)}, which are "
-            f"registered before, got {unknown[0]!r}"
+            f"ranging method {method.name!r}: expected reads and fallback_for among "
+            f"{', '.join(known)}, which are registered before, got {unknown[0]!r}"
         )
     for other in others:
         if method.name == other.name or method.letter == other.letter:

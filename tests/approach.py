@@ -10,7 +10,8 @@ import numpy as np
 from track_range.foundation.arrays import Image
 
 SIZE_PX = (480, 260)
-ZOOMS, DISPARITIES_PX = (1.015, 1.002), (16, 4)  # magnification per frame, and disparity, of the near and the far wall
+# magnification per frame, and disparity, of the near and the far wall
+ZOOMS, DISPARITIES_PX = (1.015, 1.002), (16, 4)
 
 
 @cache
@@ -22,12 +23,15 @@ def _texture(seed: int) -> Image:
 
 @cache
 def approach(number: int, *, is_right: bool = False) -> Image:
-    """(260, 480) image of frame `number` (0 to 40): two stripes of the near wall before the far one."""
+    """(260, 480) image of frame `number` (0 to 40): two stripes of the near wall before the far
+    one."""
     walls = []
     for seed, (zoom, disparity_px) in enumerate(zip(ZOOMS, DISPARITIES_PX, strict=True)):
         scale = 0.8 * zoom**number
         x_px = 240 - scale * 450 - (disparity_px if is_right else 0)
         to_image = np.array([[scale, 0, x_px], [0, scale, 130 - scale * 250]])
-        walls.append(cv2.warpAffine(_texture(seed), to_image, SIZE_PX, borderMode=cv2.BORDER_REFLECT))
+        walls.append(
+            cv2.warpAffine(_texture(seed), to_image, SIZE_PX, borderMode=cv2.BORDER_REFLECT)
+        )
     columns = np.arange(SIZE_PX[0]) + (DISPARITIES_PX[0] if is_right else 0)
     return np.where((columns // 120 % 2 == 0)[None], walls[0], walls[1]).astype(np.uint8)

@@ -21,7 +21,8 @@ PROJECT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of real data (never part of the project); tests that need it are skipped where it is absent."""
+    """The folder of real data (never part of the project); tests that need it are skipped where it
+    is absent."""
     folder = Path(os.environ.get("TRACK_RANGE_DATA", PROJECT.parent / "shared" / "data"))
     if not folder.is_dir():
         pytest.skip(f"no folder of real data; set TRACK_RANGE_DATA (now {folder})")
@@ -30,7 +31,8 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def sigint() -> Iterator[None]:
-    """Ctrl-C interrupts tests and programs that they start, also where a shell runs the tests in the background."""
+    """Ctrl-C interrupts tests and programs that they start, also where a shell runs the tests in
+    the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -38,15 +40,21 @@ def sigint() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def cli() -> Callable[..., Finished]:
-    """The command line in this process: `cli("--mono", video, ...)` gives (status, stdout, stderr)."""
+    """The command line in this process: `cli("--mono", video, ...)` gives (status, stdout,
+    stderr)."""
     return run_command
 
 
 @pytest.fixture(scope="session")
-def render_drive(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Drive]:
-    """Renders a simulated drive or copies it from the cache: `render_drive(seed=3, seconds=1.2)`, see `DriveCache`."""
+def render_drive(
+    pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., Drive]:
+    """Renders a simulated drive or copies it from the cache: `render_drive(seed=3, seconds=1.2)`,
+    see `DriveCache`."""
     cache = getattr(pytestconfig, "cache", None)  # none with -p no:cacheprovider
-    folder = Path(cache.mkdir("drives")) if cache else tmp_path_factory.getbasetemp().parent / "drives"
+    folder = (
+        Path(cache.mkdir("drives")) if cache else tmp_path_factory.getbasetemp().parent / "drives"
+    )
     drives = DriveCache(folder)
     return lambda **options: drives.drive(tmp_path_factory.mktemp("drive") / "files", **options)
 

@@ -14,7 +14,21 @@ MAX_MESSAGE = 300
 """Largest number of characters of a message without the path."""
 
 NASTY_CELLS = (
-    *("", " ", "x", "nan", "-inf", "1e400", "-1", "0", "0.5", "1e18", "1e-320", "99999999999999999999", "2147483648"),
+    *(
+        "",
+        " ",
+        "x",
+        "nan",
+        "-inf",
+        "1e400",
+        "-1",
+        "0",
+        "0.5",
+        "1e18",
+        "1e-320",
+        "99999999999999999999",
+        "2147483648",
+    ),
     *(
         "1_0",
         "9,66",
@@ -67,7 +81,8 @@ def damaged(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def check_damaged(read: Callable[[Path], object], path: Path, content: bytes) -> UserError | None:
-    """Read a damaged file: the reader returns, or raises a UserError with one short sentence that names the file.
+    """Read a damaged file: the reader returns, or raises a UserError with one short sentence that
+    names the file.
 
     Args:
         read: the reader.
@@ -93,7 +108,9 @@ def _flip(draw: st.DrawFn, content: bytes) -> bytes:
     if not content:
         return content
     index = draw(st.integers(0, len(content) - 1))
-    return content[:index] + bytes([content[index] ^ draw(st.integers(1, 255))]) + content[index + 1 :]
+    return (
+        content[:index] + bytes([content[index] ^ draw(st.integers(1, 255))]) + content[index + 1 :]
+    )
 
 
 def _insert(draw: st.DrawFn, content: bytes) -> bytes:
@@ -113,7 +130,9 @@ def _cut_out(draw: st.DrawFn, content: bytes) -> bytes:
 def _repeat_line(draw: st.DrawFn, content: bytes) -> bytes:
     lines = content.splitlines(keepends=True) or [b""]
     index = draw(st.integers(0, len(lines) - 1))
-    return b"".join([*lines[:index], lines[index] * draw(st.sampled_from((0, 2, 3, 50))), *lines[index + 1 :]])
+    return b"".join(
+        [*lines[:index], lines[index] * draw(st.sampled_from((0, 2, 3, 50))), *lines[index + 1 :]]
+    )
 
 
 def _swap_lines(draw: st.DrawFn, content: bytes) -> bytes:
@@ -144,7 +163,9 @@ def _change_line_ends(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def _change_encoding(draw: st.DrawFn, content: bytes) -> bytes:
-    return content.decode("latin-1").encode(draw(st.sampled_from(("utf-8-sig", "utf-16", "utf-16-le", "utf-32"))))
+    return content.decode("latin-1").encode(
+        draw(st.sampled_from(("utf-8-sig", "utf-16", "utf-16-le", "utf-32")))
+    )
 
 
 _DAMAGES = (

@@ -1,4 +1,5 @@
-"""Simulated drives, rendered once for all test runs: kept on disk under a hash of the sources that render them."""
+"""Simulated drives, rendered once for all test runs: kept on disk under a hash of the sources that
+render them."""
 
 from __future__ import annotations
 
@@ -36,11 +37,13 @@ SOURCES = (
 """What decides how a drive looks."""
 
 SIZE_PX = (620, 188)
-"""Width and height of a drive unless others are asked for: half of KITTI's, a quarter of its time."""
+"""Width and height of a drive unless others are asked for: half of KITTI's, a quarter of its
+time."""
 
 
 class DriveCache:
-    """Simulated drives in a folder that outlives the test run; several processes may use it at once."""
+    """Simulated drives in a folder that outlives the test run; several processes may use it at
+    once."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -1,10 +1,11 @@
-"""Mutation testing: the fraction of small changes to the central algorithms that their tests detect.
+"""Mutation testing: the fraction of small changes to the central algorithms that their tests
+detect.
 
-A sample of mutants (a comparison, number, arithmetic or logical operator changed; operators of cosmic-ray) is drawn
-evenly over the places of the source that can be changed. Each mutant is imported instead of its module in a separate
-process, which runs the fast tests of its package until one fails. A mutant is killed if a test fails, the import
-fails, or the tests run into the time limit. Annotations and decorators are left out, since they have no effect at run
-time here.
+A sample of mutants (a comparison, number, arithmetic or logical operator changed; operators of
+cosmic-ray) is drawn evenly over the places of the source that can be changed. Each mutant is
+imported instead of its module in a separate process, which runs the fast tests of its package until
+one fails. A mutant is killed if a test fails, the import fails, or the tests run into the time
+limit. Annotations and decorators are left out, since they have no effect at run time here.
 """
 
 from __future__ import annotations
@@ -45,22 +46,40 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "ranging/fusion/*.py": ("tests/ranging/test_*fus*.py", "tests/ranging/test_filtered_ranges.py"),
     "detection/boxes.py": ("tests/detection/test_*box*.py", "tests/detection/test_yolo*.py"),
-    "detection/yolo/letterbox.py": ("tests/detection/test_letterbox*.py", "tests/detection/test_yolo*.py"),
+    "detection/yolo/letterbox.py": (
+        "tests/detection/test_letterbox*.py",
+        "tests/detection/test_yolo*.py",
+    ),
 }
-"""Modules that are changed (patterns from the repository's root) and the tests that are run for them."""
+"""Modules that are changed (patterns from the repository's root) and the tests that are run for
+them."""
 
 _ARITHMETIC = ("Add", "Sub", "Mul", "Div")
 _COMPARISONS = ("Eq", "NotEq", "Lt", "LtE", "Gt", "GtE")
 OPERATORS = (
     *(f"ReplaceBinaryOperator_{a}_{b}" for a in _ARITHMETIC for b in _ARITHMETIC if a != b),
-    *("ReplaceBinaryOperator_BitAnd_BitOr", "ReplaceBinaryOperator_BitOr_BitAnd", "ReplaceBinaryOperator_Pow_Mul"),
+    *(
+        "ReplaceBinaryOperator_BitAnd_BitOr",
+        "ReplaceBinaryOperator_BitOr_BitAnd",
+        "ReplaceBinaryOperator_Pow_Mul",
+    ),
     *(f"ReplaceComparisonOperator_{a}_{b}" for a in _COMPARISONS for b in _COMPARISONS if a != b),
     *("ReplaceComparisonOperator_Is_IsNot", "ReplaceComparisonOperator_IsNot_Is"),
     *("NumberReplacer", "AddNot", "ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceTrueWithFalse"),
-    *("ReplaceFalseWithTrue", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop"),
-    *("ReplaceUnaryOperator_USub_UAdd", "ReplaceUnaryOperator_Delete_Not", "ReplaceUnaryOperator_Delete_Invert"),
+    *(
+        "ReplaceFalseWithTrue",
+        "ReplaceBreakWithContinue",
+        "ReplaceContinueWithBreak",
+        "ZeroIterationForLoop",
+    ),
+    *(
+        "ReplaceUnaryOperator_USub_UAdd",
+        "ReplaceUnaryOperator_Delete_Not",
+        "ReplaceUnaryOperator_Delete_Invert",
+    ),
 )
-"""cosmic-ray's operators; those that give a type error for floats (`<<`, `%` of an array) are left out."""
+"""cosmic-ray's operators; those that give a type error for floats (`<<`, `%` of an array) are left
+out."""
 
 _MAX_MEMORY_BYTES = 8 << 30
 _MIN_TIME_LIMIT_S = 60.0
@@ -90,11 +109,19 @@ class Mutant:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
-    parser.add_argument("--mutants", type=int, default=360, help="size of the sample (default: 360)")
-    parser.add_argument("--seed", type=int, default=1, help="random seed for the sample (default: 1)")
+    parser.add_argument(
+        "--mutants", type=int, default=360, help="size of the sample (default: 360)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="random seed for the sample (default: 1)"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only mutants of paths that contain this")
-    parser.add_argument("--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file")
+    parser.add_argument(
+        "--only", default="", metavar="TEXT", help="only mutants of paths that contain this"
+    )
+    parser.add_argument(
+        "--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file for the figures")
     options = parser.parse_args()
     mutants = sample(options.mutants, options.seed)
@@ -107,7 +134,9 @@ def main() -> None:
     for tests in sorted({tuple(sorted(mutant.tests)) for mutant in mutants}):
         start_s = time.perf_counter()
         if (status := _finish(_start(None, tests), 1800.0)) != 0:
-            raise SystemExit(f"{' '.join(tests)}: the tests fail without a mutant (status {status}).")
+            raise SystemExit(
+                f"{' '.join(tests)}: the tests fail without a mutant (status {status})."
+            )
         limits_s[tests] = max(_MIN_TIME_LIMIT_S, 5 * options.jobs * (time.perf_counter() - start_s))
     killed: dict[str, list[bool]] = {"all": []}
     survivors = []
@@ -119,13 +148,18 @@ def main() -> None:
             print(f"survived: {mutant}", flush=True)
         if number % 20 == 0:
             print(f"{number} of {len(mutants)}, {sum(killed['all'])} killed", flush=True)
-    figures = {package: {"mutants": len(flags), "killed": sum(flags)} for package, flags in killed.items()}
+    figures = {
+        package: {"mutants": len(flags), "killed": sum(flags)} for package, flags in killed.items()
+    }
     for package, row in figures.items():
         print(
-            f"{package:<12}{row['killed']:>6} of {row['mutants']}, {100 * row['killed'] / max(row['mutants'], 1):.1f} %"
+            f"{package:<12}{row['killed']:>6} of {row['mutants']}, "
+            f"{100 * row['killed'] / max(row['mutants'], 1):.1f} %"
         )
     if options.json:
-        options.json.write_text(json.dumps({**figures, "survivors": survivors}, indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(
+            json.dumps({**figures, "survivors": survivors}, indent=1) + "\n", encoding="utf-8"
+        )
 
 
 def sample(n: int, seed: int) -> list[Mutant]:
@@ -144,7 +178,8 @@ def sample(n: int, seed: int) -> list[Mutant]:
 
 
 def positions(source: str) -> Iterator[tuple[str, int, tuple[int, int]]]:
-    """Operator, its occurrence in the source, and the (line, column) of every change that can have an effect."""
+    """Operator, its occurrence in the source, and the (line, column) of every change that can have
+    an effect."""
     from cosmic_ray.ast import ast_nodes, get_ast
 
     nodes = list(ast_nodes(get_ast(source)))
@@ -182,7 +217,9 @@ def _annotations_and_decorators(source: str) -> list[tuple[tuple[int, int], tupl
         if isinstance(node, ast.ClassDef):
             nodes += node.decorator_list
     return [
-        ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0)) for node in nodes if node
+        ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
+        for node in nodes
+        if node
     ]
 
 
@@ -200,12 +237,21 @@ def _tests(path: Path, patterns: tuple[str, ...]) -> tuple[str, ...]:
 def _import_libraries() -> None:
     """Import the slow libraries once, before the processes are forked."""
     # track_range.detection.models disables the telemetry of onnxruntime, before it is imported.
-    for name in ("numpy", "cv2", "scipy.optimize", "scipy.ndimage", "track_range.detection.models", "onnxruntime"):
+    for name in (
+        "numpy",
+        "cv2",
+        "scipy.optimize",
+        "scipy.ndimage",
+        "track_range.detection.models",
+        "onnxruntime",
+    ):
         importlib.import_module(name)
     importlib.import_module("cv2").setNumThreads(1)
 
 
-def _run(mutants: list[Mutant], limits_s: dict[tuple[str, ...], float], n_jobs: int) -> Iterator[tuple[Mutant, bool]]:
+def _run(
+    mutants: list[Mutant], limits_s: dict[tuple[str, ...], float], n_jobs: int
+) -> Iterator[tuple[Mutant, bool]]:
     """Each mutant with whether it was killed, as they end."""
     waiting, running = list(reversed(mutants)), dict[int, tuple[Mutant, float]]()
     while waiting or running:
@@ -238,7 +284,8 @@ def _finish(process: int, limit_s: float) -> int:
 
 
 def _start(mutant: Mutant | None, tests: tuple[str, ...]) -> int:
-    """A new process that runs the tests with the mutant instead of its module; it ends with 0 if all pass."""
+    """A new process that runs the tests with the mutant instead of its module; it ends with 0 if
+    all pass."""
     process = os.fork()
     if process:
         return process

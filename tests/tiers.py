@@ -1,6 +1,7 @@
 """A pytest plugin for test tiers: it marks tests, counts them by tier, and prints a table.
 
-`python -m tests.tiers FILE` prints the table of all runs that wrote to FILE and fails if a tier ran no test.
+`python -m tests.tiers FILE` prints the table of all runs that wrote to FILE and fails if a tier ran
+no test.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ TIERS = {
     "browser": "the report and the live view in Chromium",
     "real": "recordings of ../shared/data or of $TRACK_RANGE_DATA",
 }
-"""Tiers and what they hold. All but the first are markers; a test with several belongs to the last one here."""
+"""Tiers and what they hold. All but the first are markers; a test with several belongs to the last
+one here."""
 
 TIER_OF_FIXTURE = {"shared_data": "real", "browser": "browser"}
 """Fixtures that put a test into a tier."""
@@ -47,7 +49,9 @@ class TierTable:
         if outcomes.get(report.nodeid) != "failed":
             outcomes[report.nodeid] = report.outcome
         if report.skipped and isinstance(report.longrepr, tuple):
-            self._reasons.setdefault(tier, Counter())[report.longrepr[2].removeprefix("Skipped: ")] += 1
+            self._reasons.setdefault(tier, Counter())[
+                report.longrepr[2].removeprefix("Skipped: ")
+            ] += 1
 
     def counts(self) -> dict[str, dict[str, Any]]:
         """By tier: tests by outcome, and skipped tests by reason."""
@@ -75,15 +79,25 @@ def table_lines(counts: dict[str, dict[str, Any]]) -> list[str]:
 
 def empty_tiers(counts: dict[str, dict[str, Any]]) -> list[str]:
     """Tiers of which no test ran."""
-    return [tier for tier in TIERS if tier not in counts or not counts[tier]["passed"] + counts[tier]["failed"]]
+    return [
+        tier
+        for tier in TIERS
+        if tier not in counts or not counts[tier]["passed"] + counts[tier]["failed"]
+    ]
 
 
-# --- the plugin -------------------------------------------------------------------------------------------------------
+# --- the plugin
+# -------------------------------------------------------------------------------------------------------
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option for the file of counts."""
-    parser.addoption("--tiers-file", type=Path, metavar="FILE", help="Update the counts by tier in this JSON file.")
+    parser.addoption(
+        "--tiers-file",
+        type=Path,
+        metavar="FILE",
+        help="Update the counts by tier in this JSON file.",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -105,11 +119,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class TierPlugin:
-    """Counts the reports of a run; with pytest-xdist those of all workers arrive in the first process."""
+    """Counts the reports of a run; with pytest-xdist those of all workers arrive in the first
+    process."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._table = TierTable()
-        self._file: Path | None = None if hasattr(config, "workerinput") else config.getoption("--tiers-file")
+        self._file: Path | None = (
+            None if hasattr(config, "workerinput") else config.getoption("--tiers-file")
+        )
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Count a report."""
@@ -123,23 +140,33 @@ class TierPlugin:
             terminalreporter.write_line("\n".join(table_lines(counts)))
         if self._file is not None:
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            before = json.loads(self._file.read_text(encoding="utf-8")) if self._file.exists() else {}
+            before = (
+                json.loads(self._file.read_text(encoding="utf-8")) if self._file.exists() else {}
+            )
             self._file.write_text(json.dumps(before | counts, indent=1), encoding="utf-8")
 
 
 def main(arguments: list[str]) -> int:
-    """Print the table of a file of counts; the exit status is 1 if a test failed or a tier ran no test."""
+    """Print the table of a file of counts; the exit status is 1 if a test failed or a tier ran no
+    test."""
     parser = argparse.ArgumentParser(prog="python -m tests.tiers", description=main.__doc__)
     parser.add_argument("file", type=Path, help="file that --tiers-file wrote")
     parser.add_argument(
-        "--may-be-empty", action="append", default=[], choices=list(TIERS), help="tier that may run no test; repeatable"
+        "--may-be-empty",
+        action="append",
+        default=[],
+        choices=list(TIERS),
+        help="tier that may run no test; repeatable",
     )
     options = parser.parse_args(arguments)
     counts = json.loads(options.file.read_text(encoding="utf-8"))
     empty = [tier for tier in empty_tiers(counts) if tier not in options.may_be_empty]
     totals = {outcome: sum(row[outcome] for row in counts.values()) for outcome in OUTCOMES}
     lines = table_lines(counts)
-    lines += [f"Tier {tier}: no test ran; install what it needs (see why its tests were skipped)." for tier in empty]
+    lines += [
+        f"Tier {tier}: no test ran; install what it needs (see why its tests were skipped)."
+        for tier in empty
+    ]
     lines.append(", ".join(f"{totals[outcome]} {outcome}" for outcome in OUTCOMES))
     sys.stdout.write("\n".join(lines) + "\n")
     return int(bool(empty or totals["failed"]))

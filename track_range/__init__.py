@@ -1,9 +1,10 @@
-"""track-range: distance, uncertainty and closing speed of every road user in a video, from one camera or two.
+"""track-range: distance, uncertainty and closing speed of every road user in a video, from one
+camera or two.
 
     import track_range as tr
 
-    run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4", focal_px=1150)
-    for frame in run:
+    run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4",
+    focal_px=1150) for frame in run:
         for t in frame.objects:
             print(t.id, t.class_name, t.distance_m, t.sigma_m, t.closing_mps, t.ttc_s)
     table = run.to_arrow()
@@ -25,12 +26,19 @@ if TYPE_CHECKING:
         evaluate_tracks as evaluate_tracks,
     )
     from track_range.api.parts import Detector as Detector, Tracker as Tracker, load_rig as load_rig
-    from track_range.detection.classes import ROAD_CLASSES as ROAD_CLASSES, road_class_id as class_id
+    from track_range.detection.classes import (
+        ROAD_CLASSES as ROAD_CLASSES,
+        road_class_id as class_id,
+    )
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.detector import DetectorError as DetectorError
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
-    from track_range.detection.evaluation.object_sizes import evaluate_by_size as evaluate_detections_by_size
-    from track_range.detection.evaluation.score_calibration import evaluate_calibration as evaluate_score_calibration
+    from track_range.detection.evaluation.object_sizes import (
+        evaluate_by_size as evaluate_detections_by_size,
+    )
+    from track_range.detection.evaluation.score_calibration import (
+        evaluate_calibration as evaluate_score_calibration,
+    )
     from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
     from track_range.detection.models.download import DownloadError as DownloadError
@@ -42,7 +50,10 @@ if TYPE_CHECKING:
     )
     from track_range.foundation.files.output_files import OutputError as OutputError
     from track_range.foundation.processes import tuned_process as tuned_process
-    from track_range.pipeline.frame_result import FrameResult as FrameResult, TrackedObject as TrackedObject
+    from track_range.pipeline.frame_result import (
+        FrameResult as FrameResult,
+        TrackedObject as TrackedObject,
+    )
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.filtering.lateral_motion import LateralFilters as LateralFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
@@ -64,8 +75,14 @@ if TYPE_CHECKING:
     from track_range.recording.frame import VideoError as VideoError
     from track_range.recording.recording import open_recording as open_recording
     from track_range.results.events.event import Event as Event
-    from track_range.results.events.files import EventFileError as EventFileError, read_events as read_events
-    from track_range.results.writers import WriterError as WriterError, register_writer as register_writer
+    from track_range.results.events.files import (
+        EventFileError as EventFileError,
+        read_events as read_events,
+    )
+    from track_range.results.writers import (
+        WriterError as WriterError,
+        register_writer as register_writer,
+    )
     from track_range.run.pipeline import (
         FrameError as FrameError,
         MonoPipeline as MonoPipeline,
@@ -80,7 +97,10 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.rectification import Rectifier as Rectifier
     from track_range.stereo.geometry.rig import RigError as RigError, StereoRig as StereoRig
     from track_range.stereo.matching.patch_matcher import PatchMatcher as PatchMatcher
-    from track_range.tracking.registry import TrackerError as TrackerError, register_tracker as register_tracker
+    from track_range.tracking.registry import (
+        TrackerError as TrackerError,
+        register_tracker as register_tracker,
+    )
     from track_range.tracking.tracks import Tracks as Tracks
     from track_range.views.overlay.annotator import Overlay as Overlay
     from track_range.views.report.page import write_report as write_report
@@ -117,7 +137,8 @@ _NAMES = {
     "stereo.geometry.rectification": "Rectifier",
     "stereo.alignment.file": "load_alignment",
     "views.overlay.annotator": "Overlay",
-    "api.evaluation": "evaluate_events evaluate_motion evaluate_ranges evaluate_stereo evaluate_tracks",
+    "api.evaluation": "evaluate_events evaluate_motion evaluate_ranges evaluate_stereo "
+    "evaluate_tracks",
     "detection.evaluation": "evaluate_detections",
     "detection.evaluation.object_sizes": "evaluate_detections_by_size=evaluate_by_size",
     "detection.evaluation.score_calibration": "evaluate_score_calibration=evaluate_calibration",

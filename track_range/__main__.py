@@ -3,11 +3,14 @@
 import gc
 import sys
 
-_GC_THRESHOLD = 50_000  # allocations between garbage collections; the default, 700, costs a tenth of `--help`'s time
+# allocations between garbage collections; the default, 700, costs a tenth of `--help`'s time
+_GC_THRESHOLD = 50_000
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C while the libraries are loaded is reported in one sentence too."""
+    """Run the command line; Ctrl-C while the libraries are loaded is reported in one sentence
+    too.
+    """
     gc.set_threshold(_GC_THRESHOLD)
     try:
         from track_range.cli.app import main as command_line

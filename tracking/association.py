@@ -1,10 +1,12 @@
 """Association of tracks and detections: cost matrices, their gates, and the best assignment.
 
     c_ij = 1 - IoU(predicted box i, detected box j)      inf for incompatible classes
-    minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij <= max_cost
+    minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij
+    <= max_cost
 
-Most tracks and detections of a frame have only one possible partner: these pairs are matched directly, and only the
-remaining ones form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
+Most tracks and detections of a frame have only one possible partner: these pairs are matched
+directly, and only the remaining ones form a linear assignment problem (scipy's solver: Crouse's
+variant of the Jonker-Volgenant algorithm).
 """
 
 from typing import Literal
@@ -18,13 +20,17 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
-_UNRELATED_COST = 0.95  # 1 - IoU above which a track and a detection are not candidates for each other
+# 1 - IoU above which a track and a detection are not candidates for each other
+_UNRELATED_COST = 0.95
 _GROWTH = 0.5  # standard deviation of the relative growth of a box, 1/s
-_MAX_DENSE = 128 * 128  # size up to which one assignment is faster than matching unambiguous pairs first
+# size up to which one assignment is faster than matching unambiguous pairs first
+_MAX_DENSE = 128 * 128
 
 
 class Assignment:
-    """Pairs of N tracks and M detections, collected in stages; each stage matches what is left of earlier stages."""
+    """Pairs of N tracks and M detections, collected in stages; each stage matches what is left of
+    earlier stages.
+    """
 
     def __init__(self, n_tracks: int, n_detections: int) -> None:
         self._stages: list[tuple[IntArray, IntArray]] = []
@@ -49,24 +55,33 @@ class Assignment:
             is_free_track[i], is_free_detection[j] = False, False
         return is_free_track.nonzero()[0], is_free_detection.nonzero()[0]
 
-    def match(self, cost: FloatArray, tracks: BoolArray, detections: BoolArray, *, max_cost: float) -> None:
-        """Match the unmatched tracks and detections within the masks (N,) and (M,) at minimum total `cost` (N, M)."""
+    def match(
+        self, cost: FloatArray, tracks: BoolArray, detections: BoolArray, *, max_cost: float
+    ) -> None:
+        """Match the unmatched tracks and detections within the masks (N,) and (M,) at minimum total
+        `cost` (N, M).
+        """
         if self.is_complete:
             return
         i, j = self.unmatched(tracks, detections)
         if len(i) and len(j):
             self.match_subset(cost[i[:, None], j], i, j, max_cost=max_cost)
 
-    def match_subset(self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float) -> None:
-        """Match the tracks (n,) and detections (m,) with the given row numbers at minimum total `cost` (n, m)."""
+    def match_subset(
+        self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float
+    ) -> None:
+        """Match the tracks (n,) and detections (m,) with the given row numbers at minimum total
+        `cost` (n, m).
+        """
         i, j = min_cost_matching(cost, max_cost=max_cost)
         self._add(tracks[i], detections[j])
 
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
-        """Match tracks within the mask (N,) and detections that are each other's only candidates, by 1 - IoU (N, M).
+        """Match tracks within the mask (N,) and detections that are each other's only candidates,
+        by 1 - IoU (N, M).
 
-        `max_cost` (M,) is the largest cost of each detection. Later stages would match them too, but more slowly: this
-        stage finds most pairs of a frame.
+        `max_cost` (M,) is the largest cost of each detection. Later stages would match them too,
+        but more slowly: this stage finds most pairs of a frame.
         """
         i, j = (cost <= _UNRELATED_COST).nonzero()
         is_pair = np.bincount(i)[i] == 1
@@ -81,20 +96,31 @@ class Assignment:
             self._n_left -= len(tracks)
 
 
-def iou_cost(track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
-    """(N, M) 1 - IoU, in [0, 1], of boxes (N, 4) and (M, 4), each widened by `margin` times its size on every side.
+def iou_cost(
+    track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin: float = 0.0
+) -> FloatArray:
+    """(N, M) 1 - IoU, in [0, 1], of boxes (N, 4) and (M, 4), each widened by `margin` times its
+    size on every side.
 
-    With a margin, boxes of an object that moved by more than its width still overlap (C-BIoU, Yang et al., 2023).
+    With a margin, boxes of an object that moved by more than its width still overlap (C-BIoU, Yang
+    et al., 2023).
     """
     if margin:
-        track_xyxy_px, detected_xyxy_px = widened(track_xyxy_px, margin), widened(detected_xyxy_px, margin)
+        track_xyxy_px, detected_xyxy_px = (
+            widened(track_xyxy_px, margin),
+            widened(detected_xyxy_px, margin),
+        )
     return 1.0 - iou(track_xyxy_px, detected_xyxy_px)
 
 
-def distance_cost(filters: BoxFilters, detected_xyxy_px: FloatArray, step_s: float, noise: MotionNoise) -> FloatArray:
-    """(N, M) squared Mahalanobis distances of boxes (M, 4) from the predictions of N filters, `step_s` after a frame.
+def distance_cost(
+    filters: BoxFilters, detected_xyxy_px: FloatArray, step_s: float, noise: MotionNoise
+) -> FloatArray:
+    """(N, M) squared Mahalanobis distances of boxes (M, 4) from the predictions of N filters,
+    `step_s` after a frame.
 
-    For objects that move by more than their width from frame to frame, with y the difference of the centres:
+    For objects that move by more than their width from frame to frame, with y the difference of the
+    centres:
         d^2 = (y_x^2 + y_y^2) / S + log(h / h')^2 / (2 r^2 + (growth step)^2)        chi-square distributed, 3 degrees
     """
     box = cxcywh(detected_xyxy_px)
@@ -111,20 +137,28 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
     return np.concatenate([xyxy_px[:, :2] - pad_px, xyxy_px[:, 2:] + pad_px], axis=1)
 
 
-def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
-    """(N, M) whether the classes of a track and a detection can be matched; detectors confuse cars and trucks."""
+def are_compatible(
+    track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar"
+) -> BoolArray:
+    """(N, M) whether the classes of a track and a detection can be matched; detectors confuse cars
+    and trucks.
+    """
     if classes == "any":
         return np.ones((len(track_class_id), len(detected_class_id)), np.bool_)
     if classes == "similar":
-        track_class_id, detected_class_id = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[detected_class_id]
+        track_class_id, detected_class_id = (
+            SAME_OBJECT_GROUP[track_class_id],
+            SAME_OBJECT_GROUP[detected_class_id],
+        )
     return np.asarray(track_class_id[:, None] == detected_class_id[None, :])
 
 
 def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the pairs of `cost` (N, M) with minimum total cost; inf forbids a pair, there is no NaN.
+    """Rows and columns of the pairs of `cost` (N, M) with minimum total cost; inf forbids a pair,
+    there is no NaN.
 
-    `max_cost` is the largest cost of a pair, and the cost of an unmatched row: matching more rows is not preferred
-    over a lower total cost.
+    `max_cost` is the largest cost of a pair, and the cost of an unmatched row: matching more rows
+    is not preferred over a lower total cost.
     """
     if cost.size <= _MAX_DENSE:
         return _dense_matching(cost, max_cost)
@@ -141,7 +175,9 @@ def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, I
 
 
 def _dense_matching(cost: FloatArray, max_cost: float) -> tuple[IntArray, IntArray]:
-    """`min_cost_matching` as one linear assignment problem; its time grows with the third power of the size."""
+    """`min_cost_matching` as one linear assignment problem; its time grows with the third power of
+    the size.
+    """
     rows, columns = linear_sum_assignment(np.minimum(cost, max_cost))
     is_pair = cost[rows, columns] <= max_cost
     return rows[is_pair], columns[is_pair]

@@ -1,17 +1,20 @@
-"""Camera motion: the image motion of the background between two frames, which also moves predicted boxes.
+"""Camera motion: the image motion of the background between two frames, which also moves predicted
+boxes.
 
     now = [[a, -b], [b, a]] before + t       a = s cos r, b = s sin r: scale s, roll r, and t for yaw and pitch
 
-Corners of the frame before, outside its boxes, are tracked by pyramidal Lucas-Kanade (Bouguet, 2000) on a small grey
-image. If nearly all are inliers of one similarity, it is the motion. On a road they are not: driving makes near points
-flow away from the vanishing point v, by their inverse depth z (scaled by the speed),
+Corners of the frame before, outside its boxes, are tracked by pyramidal Lucas-Kanade (Bouguet,
+2000) on a small grey image. If nearly all are inliers of one similarity, it is the motion. On a
+road they are not: driving makes near points flow away from the vanishing point v, by their inverse
+depth z (scaled by the speed),
 
     flow = t + b [-y, x] + z ([x, y] - v)
 
-which a similarity mistakes for zoom and shift, although the image of a car ahead does neither. So t and b are fitted to
-the component of the flow perpendicular to the direction from the image centre, where z has an effect only as z v, and v
-is fitted too: the result is yaw, pitch and roll. On a KITTI odometry drive with known poses, the horizon is predicted
-to 0.7 px rms; by robust similarities to 13-23 px, and without compensation to 1.1 px.
+which a similarity mistakes for zoom and shift, although the image of a car ahead does neither. So t
+and b are fitted to the component of the flow perpendicular to the direction from the image centre,
+where z has an effect only as z v, and v is fitted too: the result is yaw, pitch and roll. On a
+KITTI odometry drive with known poses, the horizon is predicted to 0.7 px rms; by robust
+similarities to 13-23 px, and without compensation to 1.1 px.
 """
 
 import math
@@ -26,10 +29,13 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5  # of reweighting; one more changes real drives by 0.02 px
-_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+# of reweighting; one more changes real drives by 0.02 px
+_N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
+# residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+_TUKEY = 4.685
 _NEAR_CENTRE = 0.01  # distance / long side below which the direction from the centre means nothing
-_RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])  # pulls v to the centre where there is no parallax to fit it
+# pulls v to the centre where there is no parallax to fit it
+_RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,25 +49,33 @@ class CameraMotionSettings:
     min_inliers: int = 12  # minimum number of inliers of a motion
     min_inlier_fraction: float = 0.4  # minimum fraction of inliers among the tracked features
     similarity_fraction: float = 0.8  # minimum fraction of inliers for a similarity, with its zoom
-    min_spread: float = 0.1  # minimum rms spread of the features / long side; below it, only t is fitted
+    # minimum rms spread of the features / long side; below it, only t is fitted
+    min_spread: float = 0.1
     max_scale: float = 1.25  # largest plausible scale; its inverse is the smallest
     max_roll_rad: float = 0.2  # largest plausible roll
-    max_shift: float = 0.25  # largest plausible shift of the image centre, as a fraction of width and of height
+    # largest plausible shift of the image centre, as a fraction of width and of height
+    max_shift: float = 0.25
 
 
 class CameraMotion:
-    """Estimator of the background motion between frames of one stream; `flow` may be shared, None = a new flow."""
+    """Estimator of the background motion between frames of one stream; `flow` may be shared, None =
+    a new flow.
+    """
 
-    def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:
+    def __init__(
+        self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None
+    ) -> None:
         self._settings = settings or CameraMotionSettings()
         self._flow = flow or BackgroundFlow()
 
     def update(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> FloatArray:
-        """(2, 3) `now_from_before`, which maps pixels of the previous frame to pixels of this one; deterministic.
+        """(2, 3) `now_from_before`, which maps pixels of the previous frame to pixels of this one;
+        deterministic.
 
-        The identity for the first frame, after a change of size, with too few inliers, and for an implausible motion.
-        Valid boxes of road users (N, 4) in the image (H, W, 3) are not background. Estimators with one flow identify a
-        frame by its `time_s`; NaN = a new frame. Raises ValueError: an argument has another shape.
+        The identity for the first frame, after a change of size, with too few inliers, and for an
+        implausible motion. Valid boxes of road users (N, 4) in the image (H, W, 3) are not
+        background. Estimators with one flow identify a frame by its `time_s`; NaN = a new frame.
+        Raises ValueError: an argument has another shape.
         """
         check_shape("image", image, (None, None, 3))
         check_shape("xyxy_px", xyxy_px, (None, 4))
@@ -74,24 +88,43 @@ class CameraMotion:
         small = _motion(before_px, now_px, frame.small.shape, self._settings)
         factor = 1 << frame.n_halved
         offset = np.full(2, (factor - 1) / 2)  # full pixels = factor * small pixels + offset
-        return np.column_stack([small[:, :2], factor * small[:, 2] + offset - small[:, :2] @ offset])
+        return np.column_stack(
+            [small[:, :2], factor * small[:, 2] + offset - small[:, :2] @ offset]
+        )
 
 
 def _motion(
-    before_px: FloatArray, now_px: FloatArray, grey_hw: tuple[int, ...], settings: CameraMotionSettings
+    before_px: FloatArray,
+    now_px: FloatArray,
+    grey_hw: tuple[int, ...],
+    settings: CameraMotionSettings,
 ) -> FloatArray:
-    """(2, 3) motion in small pixels: a similarity if nearly all agree, else yaw, pitch and roll, else the identity."""
+    """(2, 3) motion in small pixels: a similarity if nearly all agree, else yaw, pitch and roll,
+    else the identity.
+    """
     if len(before_px) < settings.min_inliers:
         return np.eye(2, 3)
     long_side_px, centre = max(grey_hw), complex(grey_hw[1] - 1, grey_hw[0] - 1) / 2
     points, flow = _complex(before_px) - centre, _complex(now_px - before_px)
-    c, t, inliers = _similarity(points, flow, settings, min_spread_px=settings.min_spread * long_side_px)
+    c, t, inliers = _similarity(
+        points, flow, settings, min_spread_px=settings.min_spread * long_side_px
+    )
     if inliers.mean() < settings.similarity_fraction:
         c, t, inliers = _rotation(points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px)
-    has_enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_fraction
-    is_near = abs(t.real) <= settings.max_shift * grey_hw[1] and abs(t.imag) <= settings.max_shift * grey_hw[0]
+    has_enough = (
+        inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_fraction
+    )
+    is_near = (
+        abs(t.real) <= settings.max_shift * grey_hw[1]
+        and abs(t.imag) <= settings.max_shift * grey_hw[0]
+    )
     is_level = abs(np.angle(c)) <= settings.max_roll_rad
-    if not (has_enough and is_near and is_level and 1 / settings.max_scale <= abs(c) <= settings.max_scale):
+    if not (
+        has_enough
+        and is_near
+        and is_level
+        and 1 / settings.max_scale <= abs(c) <= settings.max_scale
+    ):
         return np.eye(2, 3)
     origin = t + centre - c * centre
     return np.array([[c.real, -c.imag, origin.real], [c.imag, c.real, origin.imag]])
@@ -108,15 +141,23 @@ def _median(values: FloatArray) -> float:
 
 
 def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
-    """(N,) Tukey weights of residuals (N,) >= 0, scaled by their standard deviation, at least `noise_px`."""
+    """(N,) Tukey weights of residuals (N,) >= 0, scaled by their standard deviation, at least
+    `noise_px`.
+    """
     limit_px = _TUKEY * max(MAD_TO_SIGMA * _median(residual_px), noise_px)
     return np.asarray((1 - np.minimum(residual_px / limit_px, 1) ** 2) ** 2)
 
 
 def _similarity(
-    points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_spread_px: float
+    points: ComplexArray,
+    flow: ComplexArray,
+    settings: CameraMotionSettings,
+    *,
+    min_spread_px: float,
 ) -> tuple[complex, complex, BoolArray]:
-    """A robust similarity c = a + ib and t, by least squares in closed form, and the (N,) mask of the inliers."""
+    """A robust similarity c = a + ib and t, by least squares in closed form, and the (N,) mask of
+    the inliers.
+    """
     growth, t = 0j, complex(_median(flow.real), _median(flow.imag))  # growth: c - 1
     for _ in range(_N_SIMILARITY_ROUNDS):
         weight = _weights(np.abs(growth * points + t - flow), settings.noise_px)
@@ -125,24 +166,34 @@ def _similarity(
         centred = points - mean
         spread_px2 = float(weight @ (centred.real**2 + centred.imag**2))
         is_spread = spread_px2 >= min_spread_px**2
-        growth = complex((weight * centred.conj()) @ (flow - mean_flow)) / spread_px2 if is_spread else 0j
+        growth = (
+            complex((weight * centred.conj()) @ (flow - mean_flow)) / spread_px2
+            if is_spread
+            else 0j
+        )
         t = complex(mean_flow - growth * mean)
     inliers = np.abs(growth * points + t - flow) <= settings.max_residual_px
     return 1 + growth, t, np.asarray(inliers)
 
 
 def _rotation(
-    points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_radius_px: float
+    points: ComplexArray,
+    flow: ComplexArray,
+    settings: CameraMotionSettings,
+    *,
+    min_radius_px: float,
 ) -> tuple[complex, complex, BoolArray]:
-    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and the (N,) inliers: none if t is not determined.
+    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and the (N,) inliers: none if t is not
+    determined.
 
-    Perpendicular to the direction from the centre, at distance r, the flow is t + b r - z v: linear in t, b and v for a
-    given z, which is the flow along that direction, less t, over r. Features on one line from the centre do not
-    determine t along it.
+    Perpendicular to the direction from the centre, at distance r, the flow is t + b r - z v: linear
+    in t, b and v for a given z, which is the flow along that direction, less t, over r. Features on
+    one line from the centre do not determine t along it.
     """
     r = np.maximum(np.abs(points), min_radius_px)
     direction = points / r
-    radial_flow = flow * direction.conj()  # real part along the direction, imaginary part perpendicular to it
+    # real part along the direction, imaginary part perpendicular to it
+    radial_flow = flow * direction.conj()
     perpendicular = np.stack([-direction.imag, direction.real], axis=1)
     t = complex(_median(flow.real), _median(flow.imag))
     solution = np.array([t.real, t.imag, 0.0, 0.0, 0.0])  # t, b, v
@@ -151,7 +202,10 @@ def _rotation(
     for _ in range(_N_ROTATION_ROUNDS):
         z = (radial_flow - t * direction.conj()).real / r
         columns[:, 3:] = -z[:, None] * perpendicular
-        weighted = columns * _weights(np.abs(radial_flow.imag - columns @ solution), settings.noise_px)[:, None]
+        weighted = (
+            columns
+            * _weights(np.abs(radial_flow.imag - columns @ solution), settings.noise_px)[:, None]
+        )
         covariance = np.linalg.inv(weighted.T @ columns + _RIDGE)
         solution = covariance @ (weighted.T @ radial_flow.imag)
         t = complex(solution[0], solution[1])

@@ -9,13 +9,15 @@
     4. initiate          unmatched high-confidence detections become tentative tracks
     5. output            confirmed tracks, with detected (or smoothed) boxes, or predicted ones for a short time
 
-After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and C-BIoU (Yang et al.,
-2023). The track-activation threshold, which separates high from low confidence, is estimated from the persistence of
-detections (`confidence_threshold`), the process-noise scale from the innovations (`motion`), so that one set of
-parameters suits well-calibrated and over-confident detectors, static and driving cameras. The output is the detected
-box instead of the filter's estimate, because distances are measured on it, whose filters expect independent errors; the
-command `track` smooths it. The chi-square gate applies to appearance only: boxes cut off by the image border or by an
-occluder do not follow the motion model, and IoU is a gate by itself.
+After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and
+C-BIoU (Yang et al., 2023). The track-activation threshold, which separates high from low
+confidence, is estimated from the persistence of detections (`confidence_threshold`), the
+process-noise scale from the innovations (`motion`), so that one set of parameters suits
+well-calibrated and over-confident detectors, static and driving cameras. The output is the detected
+box instead of the filter's estimate, because distances are measured on it, whose filters expect
+independent errors; the command `track` smooths it. The chi-square gate applies to appearance only:
+boxes cut off by the image border or by an occluder do not follow the motion model, and IoU is a
+gate by itself.
 """
 
 from dataclasses import dataclass, field, replace
@@ -29,9 +31,18 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking import history, motion
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.gallery import unit_rows
-from track_range.tracking.association import Assignment, Classes, are_compatible, distance_cost, iou_cost
+from track_range.tracking.association import (
+    Assignment,
+    Classes,
+    are_compatible,
+    distance_cost,
+    iou_cost,
+)
 from track_range.tracking.camera_motion import CameraMotion
-from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
+from track_range.tracking.confidence_threshold import (
+    ConfidenceThreshold,
+    ConfidenceThresholdSettings,
+)
 from track_range.tracking.history import PredictionGates
 from track_range.tracking.motion import MotionNoise, ProcessNoiseScale, ProcessNoiseSettings
 from track_range.tracking.registry import AppearanceModel, TrackerOptions
@@ -46,9 +57,12 @@ _MAX_COSINE_DISTANCE_OF_FILES = 0.2  # deep_sort's, for its 128-dimensional embe
 class AppearanceSettings:
     """Gates of appearance: which detections may match a track by their embedding."""
 
-    max_cosine_distance: float | None = None  # from the nearest embedding; 0 = off; None = the model's, 0.2 of files
-    gating_threshold: float = 16.0  # largest squared Mahalanobis distance: 99.7 % at 4 degrees of freedom
-    max_occlusion: float = 0.5  # fraction inside a nearer detection above which no embedding is computed
+    # from the nearest embedding; 0 = off; None = the model's, 0.2 of files
+    max_cosine_distance: float | None = None
+    # largest squared Mahalanobis distance: 99.7 % at 4 degrees of freedom
+    gating_threshold: float = 16.0
+    # fraction inside a nearer detection above which no embedding is computed
+    max_occlusion: float = 0.5
     nn_budget: int = 4  # embeddings per track, including the running mean
 
 
@@ -56,40 +70,56 @@ class AppearanceSettings:
 class DeepSortSettings:
     """Parameters of `DeepSortTracker`; scores and IoUs are in [0, 1], times in seconds.
 
-    One set of defaults for all scenes, chosen on KITTI's cars and pedestrians (RRC boxes of 13 sequences), 6 sequences
-    of MOT15 and MOT17-05.
+    One set of defaults for all scenes, chosen on KITTI's cars and pedestrians (RRC boxes of 13
+    sequences), 6 sequences of MOT15 and MOT17-05.
     """
 
     min_score: float = 0.1  # detections with a lower score are ignored
-    # settings of the estimated score above which a detection has high confidence and can start a track
-    track_activation_threshold: ConfidenceThresholdSettings = field(default_factory=ConfidenceThresholdSettings)
-    min_iou: float = 0.2  # minimum IoU of a high-confidence detection and the predicted box of a confirmed track
+    # settings of the estimated score above which a detection has high confidence and can start a
+    # track
+    track_activation_threshold: ConfidenceThresholdSettings = field(
+        default_factory=ConfidenceThresholdSettings
+    )
+    # minimum IoU of a high-confidence detection and the predicted box of a confirmed track
+    min_iou: float = 0.2
     min_iou_low_confidence: float = 0.5  # the same of a low-confidence detection; stricter
-    min_iou_tentative: float = 0.3  # minimum IoU of a high-confidence detection and a tentative track, both widened
-    tentative_margin: float = 0.3  # widening / box size, because the speed of a new track is unknown
-    min_distance_step_s: float = 0.15  # time between two frames from which tracks are matched by distance and size
-    max_distance: float = 11.3  # largest squared Mahalanobis distance there: 99 % at 3 degrees of freedom
+    # minimum IoU of a high-confidence detection and a tentative track, both widened
+    min_iou_tentative: float = 0.3
+    # widening / box size, because the speed of a new track is unknown
+    tentative_margin: float = 0.3
+    # time between two frames from which tracks are matched by distance and size
+    min_distance_step_s: float = 0.15
+    # largest squared Mahalanobis distance there: 99 % at 3 degrees of freedom
+    max_distance: float = 11.3
     n_init: int = 2  # detections, one per frame, that confirm a tentative track
     init_score_sum: float = 1.5  # minimum sum of their scores; not used with `n_init` = 1
-    max_skipped_s: float = 1.0  # longest time without any detection that counts as skipped frames, not misses
+    # longest time without any detection that counts as skipped frames, not misses
+    max_skipped_s: float = 1.0
     max_age_s: float = 4.0  # longest time without a detection before a track is deleted
-    max_position_sigma: float = 2.0  # largest standard deviation of a position, in heights of the box
+    # largest standard deviation of a position, in heights of the box
+    max_position_sigma: float = 2.0
     score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
-    is_smoothed: bool = False  # whether detected boxes in the output are drawn towards the motion filters
+    # whether detected boxes in the output are drawn towards the motion filters
+    is_smoothed: bool = False
     classes: Classes = "similar"  # which classes may be one object
-    is_camera_motion_compensated: bool = True  # whether predictions move with the background, where there are images
+    # whether predictions move with the background, where there are images
+    is_camera_motion_compensated: bool = True
     noise: MotionNoise = field(default_factory=MotionNoise)  # noise of the motion filters
     # how the scale of the process noise is estimated
     process_noise: ProcessNoiseSettings = field(default_factory=ProcessNoiseSettings)
-    appearance: AppearanceSettings = field(default_factory=AppearanceSettings)  # gates of appearance
-    prediction: PredictionGates = field(default_factory=PredictionGates)  # when a missing box is predicted
+    # gates of appearance
+    appearance: AppearanceSettings = field(default_factory=AppearanceSettings)
+    # when a missing box is predicted
+    prediction: PredictionGates = field(default_factory=PredictionGates)
 
 
 class DeepSortTracker:
-    """Tracks the objects of one stream of frames; ids count from 1, and the output is deterministic.
+    """Tracks the objects of one stream of frames; ids count from 1, and the output is
+    deterministic.
 
-    Tracks that start in the first frame are confirmed at once; later ones are tentative, and not in the output, until
-    `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes without area are ignored.
+    Tracks that start in the first frame are confirmed at once; later ones are tentative, and not in
+    the output, until `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes without area
+    are ignored.
     """
 
     def __init__(
@@ -102,9 +132,10 @@ class DeepSortTracker:
     ) -> None:
         """Create a tracker without tracks.
 
-        `appearance_model` computes embeddings where there are images and the detections have none; None = appearance is
-        not used. `flow` tracks the background, also for the odometry of the stream; None = a separate one.
-        `camera_motion` estimates the motion of the background from the images; None = from `flow`.
+        `appearance_model` computes embeddings where there are images and the detections have none;
+        None = appearance is not used. `flow` tracks the background, also for the odometry of the
+        stream; None = a separate one. `camera_motion` estimates the motion of the background from
+        the images; None = from `flow`.
         """
         self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model
@@ -113,24 +144,36 @@ class DeepSortTracker:
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
         self._max_overlap_cost = 1 - np.array([settings.min_iou_low_confidence, settings.min_iou])
-        self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
+        self._table = TrackTable(
+            n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget
+        )
         self._next_id = 1
         self._last_s = -np.inf
-        self._step_s = self._shortest_step_s = np.inf  # time between the last two frames, and between any two
-        self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are not misses
+        # time between the last two frames, and between any two
+        self._step_s = self._shortest_step_s = np.inf
+        # the last frame with any detection: skipped frames are not misses
+        self._last_detected_s = -np.inf
         # the boxes of that frame, and the tracks that they continue; 0 = none
         self._last_xyxy_px, self._last_ids = np.zeros((0, 4)), np.zeros(0, np.int64)
-        self._outermost_px = np.full(4, -np.inf)  # edges of the boxes in the output so far, outwards
+        # edges of the boxes in the output so far, outwards
+        self._outermost_px = np.full(4, -np.inf)
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, by id: detected tracks, and missing tracks with a reliable prediction.
+        """The confirmed tracks at `time_s`, by id: detected tracks, and missing tracks with a
+        reliable prediction.
 
-        `image` is used for camera motion, embeddings and the image border; without it, the border is the extent of all
-        boxes so far. Raises ValueError: `time_s` is not later than in the previous call.
+        `image` is used for camera motion, embeddings and the image border; without it, the border
+        is the extent of all boxes so far. Raises ValueError: `time_s` is not later than in the
+        previous call.
         """
         if not self._last_s < time_s < np.inf:
-            raise ValueError(f"time_s: expected more than {self._last_s} s, the time of the last frame, got {time_s} s")
-        is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
+            raise ValueError(
+                f"time_s: expected more than {self._last_s} s, the time of the last "
+                f"frame, got {time_s} s"
+            )
+        is_valid = are_valid_boxes(detections.xyxy_px) & (
+            detections.score >= self._settings.min_score
+        )
         if not is_valid.all():
             detections = detections.select(is_valid)
         self._predict(detections, time_s, image)
@@ -146,7 +189,10 @@ class DeepSortTracker:
         self._last_s = time_s
         if len(detections):
             self._last_detected_s = time_s
-            self._last_xyxy_px, self._last_ids = detections.xyxy_px.copy(), np.zeros(len(detections), np.int64)
+            self._last_xyxy_px, self._last_ids = (
+                detections.xyxy_px.copy(),
+                np.zeros(len(detections), np.int64),
+            )
             self._last_ids[matched] = self._table.track_id[tracks]
         return self._smoothed(self._output(time_s, image))
 
@@ -155,22 +201,32 @@ class DeepSortTracker:
         """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
         is_detected = table.history.last_s == self._last_s
-        return self._smoothed(self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected))
+        return self._smoothed(
+            self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected)
+        )
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so far."""
+        """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so
+        far.
+        """
         return self._activation_threshold.of(class_id)
 
     def _with_embeddings(
         self, detections: Detections, is_high: BoolArray, image: Image | None
     ) -> tuple[Detections, float]:
-        """Detections, with embeddings if visible and of high confidence, and the largest cosine distance of a match.
+        """Detections, with embeddings if visible and of high confidence, and the largest cosine
+        distance of a match.
 
-        The embeddings come from the detector or the appearance model; the distance is 0 where there are none.
+        The embeddings come from the detector or the appearance model; the distance is 0 where there
+        are none.
         """
         settings, model = self._settings.appearance, self._appearance_model
         is_given, visible, max_cosine_distance = detections.descriptor.shape[1] > 0, None, 0.0
-        if settings.max_cosine_distance != 0 and (is_given or not (image is None or model is None)) and is_high.any():
+        if (
+            settings.max_cosine_distance != 0
+            and (is_given or not (image is None or model is None))
+            and is_high.any()
+        ):
             occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
             is_visible = is_high & (occlusion <= settings.max_occlusion)
             if is_given:
@@ -189,10 +245,14 @@ class DeepSortTracker:
         return detections, max_cosine_distance if chosen_distance is None else chosen_distance
 
     def _predict(self, detections: Detections, time_s: float, image: Image | None) -> None:
-        """Stage 1: compensate camera motion, delete dead tracks, and predict the remaining tracks to `time_s`."""
+        """Stage 1: compensate camera motion, delete dead tracks, and predict the remaining tracks
+        to `time_s`.
+        """
         settings, table = self._settings, self._table
         if self._camera_motion is not None and image is not None:
-            table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px, time_s))
+            table.compensate_camera_motion(
+                self._camera_motion.update(image, detections.xyxy_px, time_s)
+            )
         is_alive = time_s - table.history.last_s <= settings.max_age_s
         is_streak = self._is_streak(time_s)
         is_alive &= (table.filters.position_sigma <= settings.max_position_sigma) | is_streak
@@ -201,12 +261,16 @@ class DeepSortTracker:
         self._step_s = dt_s = time_s - self._last_s
         self._shortest_step_s = min(self._shortest_step_s, dt_s)
         if len(table):
-            table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
+            table.filters = motion.predict(
+                table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value
+            )
 
     def _moved(self) -> FloatArray:
-        """(M, 4) boxes of the last frame with boxes; tracked boxes that move by over 0.35 of their size are predicted.
+        """(M, 4) boxes of the last frame with boxes; tracked boxes that move by over 0.35 of their
+        size are predicted.
 
-        Without the prediction, even an exact box would have an IoU of at most 1/2 with itself in this frame.
+        Without the prediction, even an exact box would have an IoU of at most 1/2 with itself in
+        this frame.
         """
         boxes_px, ids = self._last_xyxy_px, self._table.track_id
         if not len(ids):
@@ -221,16 +285,23 @@ class DeepSortTracker:
         return boxes_px
 
     def _is_streak(self, time_s: float) -> BoolArray:
-        """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago.
+        """(N,) whether a track was detected in the last frame with any detection, at most
+        `max_skipped_s` ago.
 
         At low frame rates, the limit is one and a half times the shortest step between two frames.
         """
-        if time_s - self._last_detected_s > max(self._settings.max_skipped_s, 1.5 * self._shortest_step_s):
+        if time_s - self._last_detected_s > max(
+            self._settings.max_skipped_s, 1.5 * self._shortest_step_s
+        ):
             return np.zeros(len(self._table), np.bool_)
         return np.asarray(self._table.history.last_s == self._last_detected_s)
 
-    def _associate(self, detections: Detections, is_high: BoolArray, max_cosine_distance: float) -> Assignment:
-        """Stage 2: match detections and tracks; `max_cosine_distance` = 0: there are no embeddings."""
+    def _associate(
+        self, detections: Detections, is_high: BoolArray, max_cosine_distance: float
+    ) -> Assignment:
+        """Stage 2: match detections and tracks; `max_cosine_distance` = 0: there are no
+        embeddings.
+        """
         settings, table = self._settings, self._table
         assignment = Assignment(len(table), len(detections))
         if not len(table) or not len(detections):
@@ -240,23 +311,33 @@ class DeepSortTracker:
         overlap_cost = iou_cost(boxes_px, detections.xyxy_px)
         overlap_cost[~allowed] = np.inf
 
-        # First association: confirmed tracks and high-confidence detections, by appearance, then by IoU.
+        # First association: confirmed tracks and high-confidence detections, by appearance, then by
+        # IoU.
         if max_cosine_distance > 0:
-            gating_distance = motion.gating_distance(table.filters, detections.xyxy_px, settings.noise)
+            gating_distance = motion.gating_distance(
+                table.filters, detections.xyxy_px, settings.noise
+            )
             is_gated_in = gating_distance <= settings.appearance.gating_threshold
             distance = table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
             is_recent = table.history.last_s == self._last_detected_s
-            for is_in_level in (is_recent, ~is_recent):  # matching cascade: the most recently detected tracks first
-                assignment.match(distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance)
+            # matching cascade: the most recently detected tracks first
+            for is_in_level in (is_recent, ~is_recent):
+                assignment.match(
+                    distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance
+                )
         else:
-            assignment.match_unambiguous(overlap_cost, confirmed, self._max_overlap_cost.take(is_high))
+            assignment.match_unambiguous(
+                overlap_cost, confirmed, self._max_overlap_cost.take(is_high)
+            )
         assignment.match(overlap_cost, confirmed, is_high, max_cost=1 - settings.min_iou)
 
         # Second association: the remaining confirmed tracks and low-confidence detections.
-        assignment.match(overlap_cost, confirmed, ~is_high, max_cost=1 - settings.min_iou_low_confidence)
+        assignment.match(
+            overlap_cost, confirmed, ~is_high, max_cost=1 - settings.min_iou_low_confidence
+        )
 
-        # At low frame rates, all tracks of the last frame and the remaining high-confidence detections, by distance and
-        # size; then tentative tracks, both widened.
+        # At low frame rates, all tracks of the last frame and the remaining high-confidence
+        # detections, by distance and size; then tentative tracks, both widened.
         if assignment.is_complete:
             return assignment
         if self._step_s >= settings.min_distance_step_s:
@@ -271,23 +352,38 @@ class DeepSortTracker:
             assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
         return assignment
 
-    def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:
-        """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale.
+    def _update_matched(
+        self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float
+    ) -> None:
+        """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise
+        scale.
 
         `rows` and `matched` (M,) are row numbers of the tracks and of their detections.
         """
         settings, table = self._settings, self._table
         if not len(rows):
             return
-        innovation_before, is_streak = table.innovation.take(rows, axis=0), self._is_streak(time_s)[rows]
+        innovation_before, is_streak = (
+            table.innovation.take(rows, axis=0),
+            self._is_streak(time_s)[rows],
+        )
         table.update(rows, detections, matched, time_s, is_streak=is_streak, noise=settings.noise)
-        table.is_confirmed |= (table.n_hits >= settings.n_init) & (table.score_sum >= settings.init_score_sum)
-        min_hits = max(settings.process_noise.min_hits, 2)  # two detections give the first innovation
-        settled = (is_streak & (table.n_hits[rows] > min_hits) & table.is_confirmed[rows]).nonzero()[0]
-        self._noise_scale.update(innovation_before.take(settled, axis=0), table.innovation.take(rows[settled], axis=0))
+        table.is_confirmed |= (table.n_hits >= settings.n_init) & (
+            table.score_sum >= settings.init_score_sum
+        )
+        # two detections give the first innovation
+        min_hits = max(settings.process_noise.min_hits, 2)
+        settled = (
+            is_streak & (table.n_hits[rows] > min_hits) & table.is_confirmed[rows]
+        ).nonzero()[0]
+        self._noise_scale.update(
+            innovation_before.take(settled, axis=0), table.innovation.take(rows[settled], axis=0)
+        )
 
     def _initiate_tracks(self, detections: Detections, rows: IntArray, time_s: float) -> None:
-        """Stage 4: start a tentative track for each unmatched high-confidence detection, in the rows (M,)."""
+        """Stage 4: start a tentative track for each unmatched high-confidence detection, in the
+        rows (M,).
+        """
         if not len(rows):
             return
         table, unmatched = self._table, detections.select(rows)
@@ -303,7 +399,9 @@ class DeepSortTracker:
         detected = (table.is_confirmed & is_detected).nonzero()[0]
         tracks = self._as_tracks(detected, is_detected)
         if image is None and len(tracks):
-            np.maximum(self._outermost_px, (tracks.xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px)
+            np.maximum(
+                self._outermost_px, (tracks.xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px
+            )
         missing = (table.is_confirmed & ~is_detected).nonzero()[0]
         if not len(missing) or settings.prediction.max_missing_s <= 0:
             return tracks
@@ -326,10 +424,14 @@ class DeepSortTracker:
         score[missing] *= 0.5 ** (missing_s / settings.score_half_life_s)
         rows = np.sort(np.concatenate([detected, missing]))
         boxes_px = xyxy_px.take(rows, axis=0)
-        return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows])
+        return Tracks(
+            table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows]
+        )
 
     def _smoothed(self, tracks: Tracks) -> Tracks:
-        """The tracks with smoothed boxes in place of detected boxes, if the settings ask for them."""
+        """The tracks with smoothed boxes in place of detected boxes, if the settings ask for
+        them.
+        """
         if not self._settings.is_smoothed or not len(tracks):
             return tracks
         filters = self._table.filters.select(np.searchsorted(self._table.track_id, tracks.track_id))
@@ -337,19 +439,33 @@ class DeepSortTracker:
         return replace(tracks, xyxy_px=np.where(tracks.observed[:, None], boxes_px, tracks.xyxy_px))
 
     def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
-        """The tracks in `rows`, with their last detected boxes; `is_detected` (N,) is for all tracks of the table."""
+        """The tracks in `rows`, with their last detected boxes; `is_detected` (N,) is for all
+        tracks of the table.
+        """
         table = self._table
         boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
-        return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])
+        return Tracks(
+            table.track_id[rows],
+            boxes_px,
+            table.class_id[rows],
+            table.score[rows],
+            is_detected[rows],
+        )
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
-    """`--tracker deepsort`: appearance from the user's re-identification network, or from colour histograms."""
+    """`--tracker deepsort`: appearance from the user's re-identification network, or from colour
+    histograms.
+    """
     settings = DeepSortSettings(is_smoothed=options.is_smoothed)
-    return DeepSortTracker(settings, appearance_model=options.reid or ColourLayout(), flow=options.flow)
+    return DeepSortTracker(
+        settings, appearance_model=options.reid or ColourLayout(), flow=options.flow
+    )
 
 
 def sort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker sort`: the same tracker without appearance."""
     appearance = AppearanceSettings(max_cosine_distance=0.0)
-    return DeepSortTracker(DeepSortSettings(is_smoothed=options.is_smoothed, appearance=appearance), flow=options.flow)
+    return DeepSortTracker(
+        DeepSortSettings(is_smoothed=options.is_smoothed, appearance=appearance), flow=options.flow
+    )

@@ -1,6 +1,8 @@
-"""Motion: constant-velocity Kalman filters of all boxes, as arrays, and the scale of their process noise.
+"""Motion: constant-velocity Kalman filters of all boxes, as arrays, and the scale of their process
+noise.
 
-A box is cx, cy, w, h; each coordinate has a state x = [value px, rate px/s] and a measurement z of the value.
+A box is cx, cy, w, h; each coordinate has a state x = [value px, rate px/s] and a measurement z of
+the value.
 
     predict   x <- F x,  P <- F P F^T + Q         F = [[1, dt], [0, 1]],  H = [1, 0]
     update    y = z - H x,  S = H P H^T + R,  K = P H^T / S,  x <- x + K y,  P <- (I - K H) P
@@ -8,24 +10,27 @@ A box is cx, cy, w, h; each coordinate has a state x = [value px, rate px/s] and
 
     Q = s^2 q (d^2 [[dt, 0], [0, 0]] + a^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]])        R = s^2 r^2
 
-The rates of a person's w and h get a fifth of K y: detected heights of persons jitter by 5 to 10 %, those of
-cars by 2 to 4 %.
+The rates of a person's w and h get a fifth of K y: detected heights of persons jitter by 5 to 10 %,
+those of cars by 2 to 4 %.
 
-The noise has no cross terms between coordinates, so the usual 8x8 filter separates into four exact 2x2 filters; the
-noise is equal for all four, so they share one covariance P and one gain K. s is the height of the last detected box:
-near objects move more pixels (nwojke/deep_sort's scaling). d and a are densities of continuous noise, so that 10 Hz and
-30 Hz behave alike. q is the process-noise scale of the stream, estimated online from the innovations:
+The noise has no cross terms between coordinates, so the usual 8x8 filter separates into four exact
+2x2 filters; the noise is equal for all four, so they share one covariance P and one gain K. s is
+the height of the last detected box: near objects move more pixels (nwojke/deep_sort's scaling). d
+and a are densities of continuous noise, so that 10 Hz and 30 Hz behave alike. q is the
+process-noise scale of the stream, estimated online from the innovations:
 
-A Kalman filter with the right noise has white innovations: they are uncorrelated between successive frames (Mehra,
-1970). If they correlate positively, the filter lags and its process noise is too small; if negatively, it follows the
-detector's jitter. So the process-noise scale q follows the mean correlation c of successive innovations,
+A Kalman filter with the right noise has white innovations: they are uncorrelated between successive
+frames (Mehra, 1970). If they correlate positively, the filter lags and its process noise is too
+small; if negatively, it follows the detector's jitter. So the process-noise scale q follows the
+mean correlation c of successive innovations,
 
     c = mean over the tracks of a . b / ((|a|^2 + |b|^2) / 2)      a, b: innovations of two successive frames
     q <- q exp(rate n c)                                           n tracks, at most ten; q in [lowest, highest]
 
-The scale ends near the lowest value for static cameras (people walk at a steady pace) and at the highest for driving
-ones: a fixed low scale would lose the tracks of a driving camera in each turn, a fixed high one would follow jitter.
-Final scales are 0.06 on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5 on ETH-Bahnhof, 1 on MOT17-05 and KITTI.
+The scale ends near the lowest value for static cameras (people walk at a steady pace) and at the
+highest for driving ones: a fixed low scale would lose the tracks of a driving camera in each turn,
+a fixed high one would follow jitter. Final scales are 0.06 on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5
+on ETH-Bahnhof, 1 on MOT17-05 and KITTI.
 """
 
 from __future__ import annotations
@@ -38,10 +43,12 @@ import numpy as np
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
-_SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])  # of a predicted box: IoU needs a positive size
+# of a predicted box: IoU needs a positive size
+_SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])
 
 # fmt: off
-_CXCYWH_OF_XYXY = np.array(  # by which rows left, top, right, bottom are multiplied: faster than by column
+# by which rows left, top, right, bottom are multiplied: faster than by column
+_CXCYWH_OF_XYXY = np.array(
     [[0.5, 0.0, -1.0, 0.0],
      [0.0, 0.5, 0.0, -1.0],
      [0.5, 0.0, 1.0, 0.0],
@@ -55,25 +62,30 @@ _XYXY_OF_CXCYWH = np.array(  # the inverse
 )
 # fmt: on
 
-# Weight of the filter in smoothed boxes: sizes jitter more, and filtered positions lag. Source: as of person_size_rate.
+# Weight of the filter in smoothed boxes: sizes jitter more, and filtered positions lag. Source: as
+# of person_size_rate.
 _SMOOTHING = np.array([1 / 3, 1 / 3, 1.0, 1.0])
-_MAX_SIGMAS = 2.0  # limit of innovations, in standard deviations, so that one wrong box does not dominate
+# limit of innovations, in standard deviations, so that one wrong box does not dominate
+_MAX_SIGMAS = 2.0
 _MIN_POWER = 0.05  # lower limit of the denominator of c, in standard deviations squared
 _MAX_TRACKS = 10  # upper limit of n, the number of tracks, in the update
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionNoise:
-    """Standard deviations in heights of the box, from nwojke/deep_sort, converted from frames at 30 Hz to seconds.
+    """Standard deviations in heights of the box, from nwojke/deep_sort, converted from frames at 30
+    Hz to seconds.
 
-    Values between half and twice these improve IDF1 by at most 0.1 on average over KITTI, MOT15 and MOT17.
+    Values between half and twice these improve IDF1 by at most 0.1 on average over KITTI, MOT15 and
+    MOT17.
     """
 
     measured: float = 0.05  # r, noise of a detected coordinate, heights
     drift: float = 0.27  # d, random walk of the value, heights per sqrt(s)
     acceleration: float = 1.0  # a, random walk of the rate, heights per s^1.5
     first_rate: float = 1.9  # standard deviation of the rate of a box detected once, heights per s
-    person_size_rate: float = 0.2  # gain of the rates of a person's w and h / K_v (benchmarks/README.md, "tracking")
+    # gain of the rates of a person's w and h / K_v (benchmarks/README.md, "tracking")
+    person_size_rate: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +131,9 @@ class BoxFilters:
 
 
 def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
-    """Filters of boxes (N, 4) detected for the first time: rate 0 with the standard deviation `first_rate`."""
+    """Filters of boxes (N, 4) detected for the first time: rate 0 with the standard deviation
+    `first_rate`.
+    """
     box = cxcywh(xyxy_px)
     s = box[:, 3].copy()
     return BoxFilters(
@@ -132,8 +146,12 @@ def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     )
 
 
-def predict(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, noise_scale: float = 1.0) -> BoxFilters:
-    """The filters `dt_s` >= 0 seconds later; `noise_scale` is q, a factor of the process noise's variance."""
+def predict(
+    filters: BoxFilters, dt_s: float, noise: MotionNoise, *, noise_scale: float = 1.0
+) -> BoxFilters:
+    """The filters `dt_s` >= 0 seconds later; `noise_scale` is q, a factor of the process noise's
+    variance.
+    """
     f, dt = filters, dt_s
     variance = noise_scale * f.height_px**2
     drift, acceleration = noise.drift**2, noise.acceleration**2
@@ -151,7 +169,8 @@ def predict(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, noise_scale
 def update(
     filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise, is_person: BoolArray
 ) -> tuple[BoxFilters, FloatArray]:
-    """The filters updated with their detected boxes (N, 4), and innovations in standard deviations, y / sqrt(S).
+    """The filters updated with their detected boxes (N, 4), and innovations in standard deviations,
+    y / sqrt(S).
 
     `is_person` (N,) marks the boxes of persons, whose sizes change slowly.
     """
@@ -173,7 +192,9 @@ def update(
 
 
 def smoothed(filters: BoxFilters, xyxy_px: FloatArray) -> FloatArray:
-    """(N, 4) boxes between the detected boxes (N, 4) and the updated filters: less jitter, but some lag in position."""
+    """(N, 4) boxes between the detected boxes (N, 4) and the updated filters: less jitter, but some
+    lag in position.
+    """
     z = cxcywh(xyxy_px)
     return xyxy_from_cxcywh(z + _SMOOTHING * (filters.x - z))
 
@@ -186,7 +207,9 @@ def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise
 
 
 def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -> BoxFilters:
-    """The filters in pixels of the current frame: a similarity (2, 3) moves centres, rotates rates and scales sizes."""
+    """The filters in pixels of the current frame: a similarity (2, 3) moves centres, rotates rates
+    and scales sizes.
+    """
     rotation = now_from_before * [1.0, 1.0, 0.0]
     scale = _scale(rotation)
     f, variance = filters, scale**2
@@ -201,7 +224,9 @@ def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -
 
 
 def transformed(box_cxcywh: FloatArray, now_from_before: FloatArray) -> FloatArray:
-    """Centres and sizes (..., 4) transformed by a similarity (2, 3) from the previous frame to this one."""
+    """Centres and sizes (..., 4) transformed by a similarity (2, 3) from the previous frame to this
+    one.
+    """
     rotation, translation_px = now_from_before[:, :2], now_from_before[:, 2]
     centre = box_cxcywh[..., :2] @ rotation.T + translation_px
     return np.concatenate([centre, _scale(now_from_before) * box_cxcywh[..., 2:]], axis=-1)
@@ -236,7 +261,9 @@ class ProcessNoiseScale:
         self.value = settings.highest  # q, the factor of the process noise's variance
 
     def update(self, before: FloatArray, now: FloatArray) -> None:
-        """Update the scale from innovations of two successive frames, (N, D) each, in standard deviations."""
+        """Update the scale from innovations of two successive frames, (N, D) each, in standard
+        deviations.
+        """
         if not len(now):
             return
         ab = np.concatenate([before, now], axis=1)

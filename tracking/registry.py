@@ -1,8 +1,10 @@
-"""Trackers by name: built-in trackers, trackers of installed packages, and any class as `package.module:Class`.
+"""Trackers by name: built-in trackers, trackers of installed packages, and any class as
+`package.module:Class`.
 
-A tracker needs one file, with a class that has `update` (`track_range.tracking.registry.ObjectTracker`) and takes
-`TrackerOptions`, and one registration: a line in `TRACKERS`, an entry point of the group `track_range.trackers` in
-another package, or a call to `register_tracker`.
+A tracker needs one file, with a class that has `update`
+(`track_range.tracking.registry.ObjectTracker`) and takes `TrackerOptions`, and one registration: a
+line in `TRACKERS`, an entry point of the group `track_range.trackers` in another package, or a call
+to `register_tracker`.
 """
 
 import inspect
@@ -28,7 +30,8 @@ class ObjectTracker(Protocol):
     """Assigns identities to the boxes of successive frames; all state belongs to the instance."""
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H, W, 3) BGR or None.
+        """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H,
+        W, 3) BGR or None.
 
         Raises ValueError: `time_s` is not later than in the previous call.
         """
@@ -39,8 +42,8 @@ class ObjectTracker(Protocol):
 class RefinableTracker(ObjectTracker, Protocol):
     """A tracker with additional output for `track_range.tracking.offline_refinement`; optional.
 
-    The tracks of other trackers are refined too, but without the boxes before a track's confirmation, and tracks
-    with low scores are not dropped.
+    The tracks of other trackers are refined too, but without the boxes before a track's
+    confirmation, and tracks with low scores are not dropped.
     """
 
     @property
@@ -54,13 +57,17 @@ class RefinableTracker(ObjectTracker, Protocol):
 
 
 class AppearanceModel(Protocol):
-    """Computes appearance embeddings of boxes: vectors of length 1 with small cosine distances for one object."""
+    """Computes appearance embeddings of boxes: vectors of length 1 with small cosine distances for
+    one object.
+    """
 
     max_cosine_distance: float  # largest one between two embeddings of one object
     notes: tuple[str, ...]  # for the user
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
+        """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros =
+        unknown.
+        """
         ...
 
 
@@ -68,23 +75,28 @@ class AppearanceModel(Protocol):
 class TrackerOptions:
     """Options that the program passes to every new tracker."""
 
-    reid: AppearanceModel | None = None  # network of `--reid`; None = the tracker's default appearance model, if any
+    # network of `--reid`; None = the tracker's default appearance model, if any
+    reid: AppearanceModel | None = None
     flow: BackgroundFlow | None = None  # shared with the odometry of the run; None = none to share
-    is_smoothed: bool = False  # whether boxes may be smoothed over time: not where distances are measured on them
+    # whether boxes may be smoothed over time: not where distances are measured on them
+    is_smoothed: bool = False
 
 
 TrackerFactory = Callable[[TrackerOptions], ObjectTracker]  # class or function that makes a tracker
 
 
 class TrackerError(UserError):
-    """A tracker that is unknown or unusable, or that returned wrong results; the message is one sentence."""
+    """A tracker that is unknown or unusable, or that returned wrong results; the message is one
+    sentence.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class RegisteredTracker:
     """A tracker that `--tracker` can select."""
 
-    factory: TrackerFactory | str  # makes the tracker; a string "package.module:attribute" is imported on first use
+    # makes the tracker; a string "package.module:attribute" is imported on first use
+    factory: TrackerFactory | str
     uses_reid: bool = False  # whether it uses `TrackerOptions.reid`
 
 
@@ -100,7 +112,8 @@ TRACKERS: Registry[RegisteredTracker] = Registry(
 def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: bool = False) -> None:
     """Make a tracker available as `--tracker NAME`; see `RegisteredTracker` for the arguments.
 
-    Raises TrackerError: another tracker has this name; ValueError: the name is empty or contains a colon.
+    Raises TrackerError: another tracker has this name; ValueError: the name is empty or contains a
+    colon.
     """
     if not name or ":" in name:
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
@@ -110,24 +123,30 @@ def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: boo
 
 
 def find_tracker(name: str) -> RegisteredTracker:
-    """The tracker with a name or `package.module:Class`, checked as far as possible without creating a tracker.
+    """The tracker with a name or `package.module:Class`, checked as far as possible without
+    creating a tracker.
 
-    The command line also searches for a `package.module:Class` in the current folder, after the installed modules.
-    Raises TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
+    The command line also searches for a `package.module:Class` in the current folder, after the
+    installed modules. Raises TrackerError: there is no such tracker, or it does not take
+    `TrackerOptions`.
     """
     listed = TRACKERS.find(name)
     if isinstance(listed, RegisteredTracker):
         return listed
     if listed is None and ":" not in name:
         known = ", ".join(TRACKERS.names)
-        raise TrackerError(f"unknown tracker {quoted(name)}: expected {known}, or package.module:Class.")
+        raise TrackerError(
+            f"unknown tracker {quoted(name)}: expected {known}, or package.module:Class."
+        )
     if listed is None:
         search_current_folder()
     factory = _imported(listed or name)
     try:
         inspect.signature(factory).bind(TrackerOptions())
     except (TypeError, ValueError) as error:
-        raise TrackerError(f"{name}: expected a class or function with one argument, the TrackerOptions.") from error
+        raise TrackerError(
+            f"{name}: expected a class or function with one argument, the TrackerOptions."
+        ) from error
     return RegisteredTracker(factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
 
 
@@ -136,7 +155,8 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
 
     `name`: one of `TRACKERS.names`, or `package.module:Class`; `options`: None = the defaults.
 
-    Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
+    Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has
+    no method `update`.
     """
     factory = _imported(find_tracker(name).factory)
     try:
@@ -144,33 +164,53 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
     except TypeError as error:
         raise TrackerError(f"{name}: cannot be created from TrackerOptions ({error}).") from error
     if not callable(getattr(tracker, "update", None)):
-        raise TrackerError(f"{name}: expected a method update(detections, time_s, image), found none.")
+        raise TrackerError(
+            f"{name}: expected a method update(detections, time_s, image), found none."
+        )
     return tracker
 
 
 def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
-    """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has invalid classes, ids or boxes."""
+    """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has invalid classes,
+    ids or boxes.
+    """
     name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
     if not isinstance(result, Tracks):
-        raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")
+        raise TrackerError(
+            f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}."
+        )
     class_id = result.class_id
-    if class_id.dtype.kind not in "iu" or not ((class_id >= 0) & (class_id < len(ROAD_CLASSES))).all():
-        raise TrackerError(f"{name}: expected class_id among {ROAD_CLASS_TABLE}, got {class_id.tolist()}.")
+    if (
+        class_id.dtype.kind not in "iu"
+        or not ((class_id >= 0) & (class_id < len(ROAD_CLASSES))).all()
+    ):
+        raise TrackerError(
+            f"{name}: expected class_id among {ROAD_CLASS_TABLE}, got {class_id.tolist()}."
+        )
     if not name.startswith("track_range."):
         if len(np.unique(result.track_id[result.track_id >= 0])) < len(result):
-            raise TrackerError(f"{name}: expected track_id >= 0, each once per frame, got {result.track_id.tolist()}.")
+            raise TrackerError(
+                f"{name}: expected track_id >= 0, each once per frame, got "
+                f"{result.track_id.tolist()}."
+            )
         if not (is_valid := are_valid_boxes(result.xyxy_px)).all():
             box = result.xyxy_px[~is_valid][0].tolist()
-            raise TrackerError(f"{name}: expected xyxy_px with finite x1 < x2 and y1 < y2, got {box}.")
+            raise TrackerError(
+                f"{name}: expected xyxy_px with finite x1 < x2 and y1 < y2, got {box}."
+            )
     return result
 
 
 def _imported(factory: TrackerFactory | str) -> TrackerFactory:
-    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if that fails."""
+    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if
+    that fails.
+    """
     try:
         made_by = imported(factory)
     except (ImportError, AttributeError, ValueError) as error:
         raise TrackerError(f"{factory}: cannot be imported as a tracker ({error}).") from error
     if not callable(made_by):
-        raise TrackerError(f"{factory}: expected a class or function, found {type(made_by).__name__}.")
+        raise TrackerError(
+            f"{factory}: expected a class or function, found {type(made_by).__name__}."
+        )
     return made_by

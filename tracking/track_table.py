@@ -1,7 +1,8 @@
-"""TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's state, changed in place.
+"""TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's state, changed
+in place.
 
-Arrays are copied when tracks start or end; the filters are replaced in every frame, the gallery where there are
-embeddings.
+Arrays are copied when tracks start or end; the filters are replaced in every frame, the gallery
+where there are embeddings.
 """
 
 import numpy as np
@@ -14,8 +15,9 @@ from track_range.tracking import history, motion
 from track_range.tracking.appearance.gallery import Gallery
 from track_range.tracking.motion import MotionNoise
 
-# Lead in votes that changes a class, in standard deviations of the difference of random votes. Of tracks with a random
-# one of two classes in each frame, 0.2 % change more than once in 100 frames; nine votes correct three wrong ones.
+# Lead in votes that changes a class, in standard deviations of the difference of random votes. Of
+# tracks with a random one of two classes in each frame, 0.2 % change more than once in 100 frames;
+# nine votes correct three wrong ones.
 _MIN_LEAD = 1.5
 _PERSON = ROAD_CLASSES.index("person")
 
@@ -27,8 +29,10 @@ class TrackTable:
         """An empty table that stores `n_boxes` boxes and `n_embeddings` embeddings per track."""
         self.track_id: IntArray = np.zeros(0, np.int64)  # (N,) ascending
         self.filters = motion.initiate(np.zeros((0, 4)), MotionNoise())  # motion filters
-        self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)  # the last detected boxes
-        self.class_votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))  # (N, classes) sum of scores
+        # the last detected boxes
+        self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)
+        # (N, classes) sum of scores
+        self.class_votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))
         # (N,) the class with the most votes, with hysteresis, so that it does not flicker
         self.class_id: IntArray = np.zeros(0, np.int64)
         self.score_sum: FloatArray = np.zeros(0)  # (N,) sum of the scores of all detections
@@ -48,10 +52,20 @@ class TrackTable:
         if len(rows) == len(self):
             return
         self.track_id, self.filters = self.track_id[rows], self.filters.select(rows)
-        self.history, self.class_votes = self.history.select(rows), self.class_votes.take(rows, axis=0)
-        self.class_id, self.score_sum, self.score = self.class_id[rows], self.score_sum[rows], self.score[rows]
+        self.history, self.class_votes = (
+            self.history.select(rows),
+            self.class_votes.take(rows, axis=0),
+        )
+        self.class_id, self.score_sum, self.score = (
+            self.class_id[rows],
+            self.score_sum[rows],
+            self.score[rows],
+        )
         self.n_hits, self.is_confirmed = self.n_hits[rows], self.is_confirmed[rows]
-        self.innovation, self.gallery = self.innovation.take(rows, axis=0), self.gallery.select(rows)
+        self.innovation, self.gallery = (
+            self.innovation.take(rows, axis=0),
+            self.gallery.select(rows),
+        )
 
     def update(
         self,
@@ -63,7 +77,8 @@ class TrackTable:
         is_streak: BoolArray,
         noise: MotionNoise,
     ) -> None:
-        """Update M tracks, `rows`, with their detections of this frame, the rows `matched` (M,) of `detections`.
+        """Update M tracks, `rows`, with their detections of this frame, the rows `matched` (M,) of
+        `detections`.
 
         `is_streak` (M,) is whether a track was also detected in the previous frame.
         """
@@ -82,21 +97,31 @@ class TrackTable:
             self.gallery = self.gallery.append(rows, detections.descriptor.take(matched, axis=0))
 
     def _elect(self) -> None:
-        """Change the class of tracks for which another class leads by more votes than chance explains."""
+        """Change the class of tracks for which another class leads by more votes than chance
+        explains.
+        """
         best = self.class_votes.argmax(axis=1)
         if (best == self.class_id).all():
             return
         row = np.arange(len(self))
         votes, own_votes = self.class_votes[row, best], self.class_votes[row, self.class_id]
-        self.class_id = np.where(votes - own_votes > _MIN_LEAD * np.sqrt(votes + own_votes), best, self.class_id)
+        self.class_id = np.where(
+            votes - own_votes > _MIN_LEAD * np.sqrt(votes + own_votes), best, self.class_id
+        )
 
-    def initiate(self, first_id: int, detections: Detections, time_s: float, *, noise: MotionNoise) -> None:
+    def initiate(
+        self, first_id: int, detections: Detections, time_s: float, *, noise: MotionNoise
+    ) -> None:
         """Add a tentative track for each detection; ids count from `first_id`."""
         n = len(detections)
         votes = np.zeros((n, len(ROAD_CLASSES)))
         votes[np.arange(n), detections.class_id] = detections.score
-        new_history = history.initiate(detections.xyxy_px, time_s, n_kept=self.history.boxes.shape[1])
-        self.track_id = np.concatenate([self.track_id, np.arange(first_id, first_id + n, dtype=np.int64)])
+        new_history = history.initiate(
+            detections.xyxy_px, time_s, n_kept=self.history.boxes.shape[1]
+        )
+        self.track_id = np.concatenate(
+            [self.track_id, np.arange(first_id, first_id + n, dtype=np.int64)]
+        )
         self.filters = self.filters.concatenate(motion.initiate(detections.xyxy_px, noise))
         self.history = self.history.concatenate(new_history)
         self.class_votes = np.concatenate([self.class_votes, votes])
@@ -109,7 +134,9 @@ class TrackTable:
         self.gallery = self.gallery.initiate(detections.descriptor)
 
     def compensate_camera_motion(self, now_from_before: FloatArray) -> None:
-        """Transform filters and past boxes into pixels of the current frame, by a similarity (2, 3)."""
+        """Transform filters and past boxes into pixels of the current frame, by a similarity (2,
+        3).
+        """
         self.filters = motion.compensate_camera_motion(self.filters, now_from_before)
         boxes_px = motion.transformed(motion.cxcywh(self.history.xyxy_px), now_from_before)
         self.history.boxes[:, :, :4] = xyxy_from_cxcywh(boxes_px)

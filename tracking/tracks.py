@@ -10,7 +10,14 @@ import numpy as np
 
 from track_range.detection.classes import class_counts
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, Rows, check_shape, row_numbers
+from track_range.foundation.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Rows,
+    check_shape,
+    row_numbers,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,25 +67,31 @@ class Tracks:
 
     @classmethod
     def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Tracks:
-        """Tracks from supervision's `Detections` with `tracker_id`, as returned by the trackers of other libraries.
+        """Tracks from supervision's `Detections` with `tracker_id`, as returned by the trackers of
+        other libraries.
 
-        Boxes with a negative identity (not confirmed yet) are left out; other identities do not change. Raises
-        ValueError: `tracker_id` is missing, or contains an identity twice.
+        Boxes with a negative identity (not confirmed yet) are left out; other identities do not
+        change. Raises ValueError: `tracker_id` is missing, or contains an identity twice.
         """
         xyxy_px, score, class_id, track_id = read_supervision(boxes, class_names)
         if track_id is None:
             raise ValueError("tracker_id: expected an identity for each box, got None")
-        tracks = cls(track_id, xyxy_px, class_id, score, np.ones(len(track_id), np.bool_)).select(track_id >= 0)
+        tracks = cls(track_id, xyxy_px, class_id, score, np.ones(len(track_id), np.bool_)).select(
+            track_id >= 0
+        )
         if len(np.unique(tracks.track_id)) < len(tracks):
             raise ValueError("tracker_id: expected each identity once in a frame, got duplicates")
         return tracks
 
     def to_supervision(self) -> Any:
-        """`supervision.Detections` with `tracker_id`, or an equivalent object if supervision is not installed."""
+        """`supervision.Detections` with `tracker_id`, or an equivalent object if supervision is not
+        installed.
+        """
         return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
     def select(self, rows: Rows) -> Tracks:
-        """The rows that a mask (N,), an array or list of row numbers or a slice selects, in its order.
+        """The rows that a mask (N,), an array or list of row numbers or a slice selects, in its
+        order.
 
         Raises IndexError: the mask has another length, or a row does not exist.
         """

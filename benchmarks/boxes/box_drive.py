@@ -1,4 +1,6 @@
-"""BoxDrive: a drive without images: boxes as the packaged detector finds them, and stereo distances, frame by frame."""
+"""BoxDrive: a drive without images: boxes as the packaged detector finds them, and stereo
+distances, frame by frame.
+"""
 
 from __future__ import annotations
 
@@ -32,45 +34,73 @@ class BoxFrame:
     detections: Detections  # K boxes with embeddings
     user: IntArray  # (K,) row of the scene's road users; -1 = a false box
     true_m: FloatArray  # (K,) distance; that of a false box is the distance of the scenery there
-    # stereo_m, stereo_sigma_m: (K,) measured distance and reported standard deviation; NaN = no match
+    # stereo_m, stereo_sigma_m: (K,) measured distance and reported standard deviation; NaN = no
+    # match
     stereo_m: FloatArray
     stereo_sigma_m: FloatArray
-    # (2,) estimated motion of far objects in the image since the frame before, by the camera's rotation
+    # (2,) estimated motion of far objects in the image since the frame before, by the camera's
+    # rotation
     shift_px: FloatArray
 
 
 class BoxDrive:
-    """The frames of a scene with a rectified pair, at equal steps; the same scene and seed give the same frames.
+    """The frames of a scene with a rectified pair, at equal steps; the same scene and seed give the
+    same frames.
 
-    Another drive in the same scene with the same times and rig (`like`) saves the computation of the exact boxes.
+    Another drive in the same scene with the same times and rig (`like`) saves the computation of
+    the exact boxes.
     """
 
     def __init__(
-        self, scene: Scene, times_s: FloatArray, rig: StereoRig, *, seed: int, like: BoxDrive | None = None
+        self,
+        scene: Scene,
+        times_s: FloatArray,
+        rig: StereoRig,
+        *,
+        seed: int,
+        like: BoxDrive | None = None,
     ) -> None:
         rng = np.random.default_rng([seed, 31])
         self.scene, self.times_s, self.rig = scene, times_s, rig
         frames = (len(times_s), float(times_s[1] - times_s[0]))
         self.poses: CameraPoses = like.poses if like else CameraPoses.of(scene, times_s)
         poses = self.poses
-        self.true: TrueBoxes = like.true if like else true_boxes(scene, times_s, rig.left, poses=poses)
+        self.true: TrueBoxes = (
+            like.true if like else true_boxes(scene, times_s, rig.left, poses=poses)
+        )
         n_users = len(scene.road_users)
         stereo = StereoErrors()
         first, rows = _detected(scene, self.true, rng, rig, frames)
         first = replace(first, seen_m=_seen_m(rng, stereo, first, self.true, rows, frames))
-        is_vehicle = np.array([user.kitti_type in _VEHICLES for user in scene.road_users])[first.user]
+        is_vehicle = np.array([user.kitti_type in _VEHICLES for user in scene.road_users])[
+            first.user
+        ]
         network = model.NETWORK_WIDTH_PX / rig.left.width_px
         repeated = second_boxes(
-            rng, first.select(is_vehicle), self.true, rows[is_vehicle], network, frames, first_key=n_users
+            rng,
+            first.select(is_vehicle),
+            self.true,
+            rows[is_vehicle],
+            network,
+            frames,
+            first_key=n_users,
         )
-        false = scenery_boxes(rng, rig.left, poses, scene.camera_height_m, frames[1], first_key=2 * n_users)
+        false = scenery_boxes(
+            rng, rig.left, poses, scene.camera_height_m, frames[1], first_key=2 * n_users
+        )
         self._boxes = boxes = joined_rows([first, repeated, false])
         keys = np.unique(boxes.key, return_inverse=True)[1]
-        self._stereo_m, self._stereo_sigma_m = _stereo(rng, stereo, rig, (boxes.frame, keys, boxes.seen_m), frames)
-        objects = np.unique(np.where(boxes.user >= 0, boxes.user, boxes.key), return_inverse=True)[1]
+        self._stereo_m, self._stereo_sigma_m = _stereo(
+            rng, stereo, rig, (boxes.frame, keys, boxes.seen_m), frames
+        )
+        objects = np.unique(np.where(boxes.user >= 0, boxes.user, boxes.key), return_inverse=True)[
+            1
+        ]
         self._embedding = _embeddings(rng, AppearanceErrors(), objects, boxes.frame, frames)
         sigma_px = model.CAMERA_MOTION_SIGMA_PX * rig.left.width_px / _FIT_WIDTH_PX
-        self._shift_px = poses.image_shifts_px(rig.left) + sigma_px * rng.normal(size=(len(times_s), 2))
+        self._shift_px = poses.image_shifts_px(rig.left) + sigma_px * rng.normal(
+            size=(len(times_s), 2)
+        )
         self._ends = np.searchsorted(boxes.frame, np.arange(len(times_s) + 1))
 
     def __iter__(self) -> Iterator[BoxFrame]:
@@ -80,7 +110,12 @@ class BoxDrive:
             yield BoxFrame(
                 index,
                 time_s,
-                Detections(boxes.xyxy_px[part], boxes.score[part], boxes.class_id[part], self._embedding[part]),
+                Detections(
+                    boxes.xyxy_px[part],
+                    boxes.score[part],
+                    boxes.class_id[part],
+                    self._embedding[part],
+                ),
                 boxes.user[part],
                 boxes.true_m[part],
                 self._stereo_m[part],
@@ -90,7 +125,11 @@ class BoxDrive:
 
 
 def _detected(
-    scene: Scene, true: TrueBoxes, rng: np.random.Generator, rig: StereoRig, frames: tuple[int, float]
+    scene: Scene,
+    true: TrueBoxes,
+    rng: np.random.Generator,
+    rig: StereoRig,
+    frames: tuple[int, float],
 ) -> tuple[BoxRows, IntArray]:
     """The detections of road users, and their rows in `true`; `frames`: number and time step."""
     n_users = len(scene.road_users)
@@ -98,7 +137,9 @@ def _detected(
     network = model.NETWORK_WIDTH_PX / rig.left.width_px
     height_px = true.height_px * network
     latent = model.DETECTION_MEMORY.sample(rng, n_users, *frames)[at]
-    edges = np.stack([memory.sample(rng, n_users, *frames)[at] for memory in model.EDGE_MEMORY], axis=1)
+    edges = np.stack(
+        [memory.sample(rng, n_users, *frames)[at] for memory in model.EDGE_MEMORY], axis=1
+    )
     group = np.array([_group(user.kitti_type) for user in scene.road_users], np.int64)[true.user]
     rate, score = np.zeros((2, len(group)))
     bias, sigma = np.zeros((2, len(group), 4))
@@ -112,19 +153,32 @@ def _detected(
     score += np.interp(true.hidden_fraction, model.HIDDEN, model.HIDDEN_SCORE)
     is_vehicle = group == 1
     for column, extra in zip((0, 2), model.HIDDEN_SIGMA, strict=True):
-        sigma[:, column] = np.hypot(sigma[:, column], is_vehicle * np.interp(true.hidden_fraction, model.HIDDEN, extra))
+        sigma[:, column] = np.hypot(
+            sigma[:, column], is_vehicle * np.interp(true.hidden_fraction, model.HIDDEN, extra)
+        )
     quantile = ndtr(latent)
     rows = np.flatnonzero(quantile > 1 - rate)  # large latent values are detected, with high scores
     within = np.clip((quantile[rows] - 1 + rate[rows]) / rate[rows], 1e-6, 1 - 1e-6)
     median = np.clip(score[rows], 0.02, model.MAX_SCORE)
-    scores = np.clip(expit(logit(median) + model.SCORE_SIGMA * ndtri(within)), model.MIN_SCORE, model.MAX_SCORE)
+    scores = np.clip(
+        expit(logit(median) + model.SCORE_SIGMA * ndtri(within)), model.MIN_SCORE, model.MAX_SCORE
+    )
     moves = bias[rows] + sigma[rows] * edges[rows]
     moves[:, 2:] += (0.25 * np.log1p((model.SMALLEST_HEIGHT_PX / height_px[rows]) ** 4))[:, None]
     boxes = _moved(true.xyxy_px[rows], moves)
     edge = np.array([rig.left.width_px - 1, rig.left.height_px - 1] * 2, np.float64)
     classes = _classes(scene, rng, frames)[at][rows]
     user, distance_m = true.user[rows], true.distance_m[rows]
-    first = BoxRows(true.frame[rows], user, user, np.clip(boxes, 0, edge), scores, classes, distance_m, distance_m)
+    first = BoxRows(
+        true.frame[rows],
+        user,
+        user,
+        np.clip(boxes, 0, edge),
+        scores,
+        classes,
+        distance_m,
+        distance_m,
+    )
     return first, rows
 
 
@@ -137,14 +191,19 @@ def _rates(errors: ClassErrors, height_px: FloatArray, hidden: FloatArray) -> Fl
     table = np.array(errors.rate)
     x = np.interp(np.log(height_px), np.log(model.HEIGHTS_PX), np.arange(len(model.HEIGHTS_PX)))
     y = np.interp(hidden, model.HIDDEN, np.arange(len(model.HIDDEN)))
-    i, j = np.minimum(x.astype(int), len(model.HEIGHTS_PX) - 2), np.minimum(y.astype(int), len(model.HIDDEN) - 2)
+    i, j = (
+        np.minimum(x.astype(int), len(model.HEIGHTS_PX) - 2),
+        np.minimum(y.astype(int), len(model.HIDDEN) - 2),
+    )
     p, q = x - i, y - j
     low = (1 - p) * (1 - q) * table[i, j] + p * (1 - q) * table[i + 1, j]
     return np.asarray(low + (1 - p) * q * table[i, j + 1] + p * q * table[i + 1, j + 1])
 
 
 def _moved(xyxy_px: FloatArray, errors: FloatArray) -> FloatArray:
-    """Boxes with errors of centre x and y, relative to the height, and of log width and log height."""
+    """Boxes with errors of centre x and y, relative to the height, and of log width and log
+    height.
+    """
     size = xyxy_px[:, 2:] - xyxy_px[:, :2]
     centre = (xyxy_px[:, 2:] + xyxy_px[:, :2]) / 2 + errors[:, :2] * size[:, 1:]
     half = size * np.exp(errors[:, 2:]) / 2
@@ -173,13 +232,19 @@ def _seen_m(
     """(K,) distance that stereo measures: the object's, or its occluder's."""
     n_users = int(true.user.max(initial=-1)) + 1
     quantile = ndtr(process.occluder_memory.sample(rng, n_users, *frames)[boxes.user, boxes.frame])
-    is_occluder = quantile < np.interp(true.hidden_fraction[rows], model.HIDDEN, process.occluder_rate)
+    is_occluder = quantile < np.interp(
+        true.hidden_fraction[rows], model.HIDDEN, process.occluder_rate
+    )
     is_occluder &= np.isfinite(true.occluder_m[rows])
     return np.where(is_occluder, true.occluder_m[rows], boxes.true_m)
 
 
 def _embeddings(
-    rng: np.random.Generator, process: AppearanceErrors, objects: IntArray, frame: IntArray, frames: tuple[int, float]
+    rng: np.random.Generator,
+    process: AppearanceErrors,
+    objects: IntArray,
+    frame: IntArray,
+    frames: tuple[int, float],
 ) -> FloatArray32:
     """(K, 1 + n_values) embeddings of boxes of the given objects (K,) in the given frames (K,)."""
     n_objects = int(objects.max(initial=-1)) + 1
@@ -198,13 +263,19 @@ def _stereo(
     boxes: tuple[IntArray, IntArray, FloatArray],
     frames: tuple[int, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Measured distances and their reported standard deviations; `boxes`: frame, object, distance."""
+    """Measured distances and their reported standard deviations; `boxes`: frame, object,
+    distance.
+    """
     frame, key, true_m = boxes
     n = len(frame)
     error = process.memory.sample(rng, int(key.max(initial=-1)) + 1, *frames)[key, frame]
     near = process.far_sigma_px * np.maximum(process.near_m / true_m, 1.0) ** 2
-    sigma_px = near * rig.left.width_px / _FIT_WIDTH_PX * np.exp(process.sigma_spread * rng.normal(size=n))
-    scale = np.where(rng.uniform(size=n) < process.outlier_rate, process.outlier_scale, process.scale)
+    sigma_px = (
+        near * rig.left.width_px / _FIT_WIDTH_PX * np.exp(process.sigma_spread * rng.normal(size=n))
+    )
+    scale = np.where(
+        rng.uniform(size=n) < process.outlier_rate, process.outlier_scale, process.scale
+    )
     base = rig.left.fx_px * rig.baseline_m
     disparity_px = base / true_m + (process.bias + error * scale) * sigma_px
     is_matched = (rng.uniform(size=n) < process.rate) & (disparity_px > 0.5)

@@ -1,8 +1,10 @@
-"""Runs of the pipeline on drives without images: tracker, size ranging, fusion, filters, warnings and events.
+"""Runs of the pipeline on drives without images: tracker, size ranging, fusion, filters, warnings
+and events.
 
-The tracker gets boxes with embeddings and the camera's rotation, as if estimated from images. Methods that need only
-boxes measure as they do in a run; stereo distances come from the drive. Several drives in the same scene with different
-errors run as one, with different track ids, since the later stages take hardly longer for many tracks than for few.
+The tracker gets boxes with embeddings and the camera's rotation, as if estimated from images.
+Methods that need only boxes measure as they do in a run; stereo distances come from the drive.
+Several drives in the same scene with different errors run as one, with different track ids, since
+the later stages take hardly longer for many tracks than for few.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, 
 from track_range.tracking.tracks import Tracks
 
 MIN_IOU = 0.5  # smallest IoU of a track's box with the box of the drive that it was updated with
-YAW_SIGMA_RAD_S = 0.004  # standard deviation of the yaw rate, rad/s: that of image motion on rendered drives
+# standard deviation of the yaw rate, rad/s: that of image motion on rendered drives
+YAW_SIGMA_RAD_S = 0.004
 IDS_PER_DRIVE = 100_000  # difference between the track ids of two drives that run as one
 SIZE_MODEL = load_curves()
 
@@ -47,10 +50,11 @@ Step = tuple[BoxFrame, Tracks]  # a frame of a drive with its tracks
 
 @dataclass(frozen=True, slots=True)
 class BoxResult:
-    """Result of the pipeline for one frame of K drives; the drive of a track is its id // `IDS_PER_DRIVE`.
+    """Result of the pipeline for one frame of K drives; the drive of a track is its id //
+    `IDS_PER_DRIVE`.
 
-    `user` (N,) is the row of the scene's road users of each track, -1 = a false box, or predicted only; `true_m` (N,)
-    its distance, NaN without a road user.
+    `user` (N,) is the row of the scene's road users of each track, -1 = a false box, or predicted
+    only; `true_m` (N,) its distance, NaN without a road user.
     """
 
     result: FrameResult
@@ -72,7 +76,8 @@ def run_boxes(
     methods: Sequence[str] = ("mono", "stereo"),
     warning: CollisionWarning | None = None,
 ) -> Iterator[BoxResult]:
-    """Results of the pipeline for each frame of K drives in the same scene, with the result of `tracked` for each.
+    """Results of the pipeline for each frame of K drives in the same scene, with the result of
+    `tracked` for each.
 
     The ranging methods are "mono", "stereo" or both.
     """
@@ -91,7 +96,9 @@ def run_boxes(
         camera=camera,
         detection=DetectionStage(detect=lambda frame: Detections.empty()),
         tracker=source,
-        ego=EgoStage(speed=EgoSpeed(times_s, speeds_mps, "simulation"), image_motion=_TrueYaw(camera, drive)),
+        ego=EgoStage(
+            speed=EgoSpeed(times_s, speeds_mps, "simulation"), image_motion=_TrueYaw(camera, drive)
+        ),
         ranging=RangingStage(rangers),
         warning=warning or CollisionWarning(),
         clock=_NoClock(),
@@ -100,7 +107,9 @@ def run_boxes(
     for steps in zip(*tracks, strict=True):
         source.set(steps)
         frame = steps[0][0]
-        result = pipeline.step(Detected(Frame(frame.index, frame.time_s, image, None), None, frame.detections))
+        result = pipeline.step(
+            Detected(Frame(frame.index, frame.time_s, image, None), None, frame.detections)
+        )
         yield BoxResult(result, *source.truth())
 
 
@@ -148,7 +157,9 @@ class _TrueYaw(ImageMotionEstimator):
         super().__init__(camera)
         self._times_s = drive.times_s
         yaw_rad = drive.poses.yaw_rad
-        noise = np.random.default_rng([drive.scene.seed, 32]).normal(0, YAW_SIGMA_RAD_S, len(yaw_rad))
+        noise = np.random.default_rng([drive.scene.seed, 32]).normal(
+            0, YAW_SIGMA_RAD_S, len(yaw_rad)
+        )
         self._yaw_rad_s = np.gradient(yaw_rad, drive.times_s) + noise
 
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
@@ -175,7 +186,9 @@ class _Source(Ranger):
             np.concatenate([getattr(tracks, name) for _, tracks in steps])
             for name in ("xyxy_px", "class_id", "score", "observed")
         )
-        track_id = np.concatenate([tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)])
+        track_id = np.concatenate(
+            [tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)]
+        )
         self.tracks = Tracks(track_id, xyxy_px, class_id, score, observed)
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
@@ -184,7 +197,11 @@ class _Source(Ranger):
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         distance_m = self._of_boxes([frame.stereo_m for frame, _ in self.steps])
-        return Ranges(tracks.track_id, distance_m, self._of_boxes([frame.stereo_sigma_m for frame, _ in self.steps]))
+        return Ranges(
+            tracks.track_id,
+            distance_m,
+            self._of_boxes([frame.stereo_sigma_m for frame, _ in self.steps]),
+        )
 
     def truth(self) -> tuple[IntArray, FloatArray]:
         """Road user and true distance of the tracks."""
@@ -196,7 +213,8 @@ class _Source(Ranger):
     def _of_boxes(self, values: Sequence[FloatArray]) -> FloatArray:
         """(N,) values of the tracks' boxes; NaN = none."""
         return np.concatenate(
-            [np.append(value, np.nan)[box] for value, box in zip(values, self._box, strict=True)]  # -1 = the NaN
+            # -1 = the NaN
+            [np.append(value, np.nan)[box] for value, box in zip(values, self._box, strict=True)]
         )
 
 
@@ -207,9 +225,17 @@ class _Sizes(Ranger):
         self._source, self._rangers = source, rangers
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        parts = [ranger.measure(own, frame) for ranger, (_, own) in zip(self._rangers, self._source.steps, strict=True)]
-        distance_m, sigma_m = np.concatenate([[part.distance_m, part.sigma_m] for part in parts], axis=1)
+        parts = [
+            ranger.measure(own, frame)
+            for ranger, (_, own) in zip(self._rangers, self._source.steps, strict=True)
+        ]
+        distance_m, sigma_m = np.concatenate(
+            [[part.distance_m, part.sigma_m] for part in parts], axis=1
+        )
         systematic_m = [part.sigma_systematic_m for part in parts]
         unknown = [np.full(len(part), np.nan) for part in parts]
-        known = [nan if values is None else values for nan, values in zip(unknown, systematic_m, strict=True)]
+        known = [
+            nan if values is None else values
+            for nan, values in zip(unknown, systematic_m, strict=True)
+        ]
         return Ranges(tracks.track_id, distance_m, sigma_m, np.concatenate(known))

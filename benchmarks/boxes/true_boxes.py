@@ -1,6 +1,8 @@
-"""TrueBoxes: the exact boxes, distances and occlusion of all road users in all frames of a drive, without rendering.
+"""TrueBoxes: the exact boxes, distances and occlusion of all road users in all frames of a drive,
+without rendering.
 
-Occlusion is approximated: the fraction of a box that the boxes of nearer road users cover, as if these did not overlap.
+Occlusion is approximated: the fraction of a box that the boxes of nearer road users cover, as if
+these did not overlap.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ SMALLEST_PX = 3.5  # smallest height of a box, px; the detector finds none below
 
 @dataclass(frozen=True, slots=True)
 class CameraPoses:
-    """Rotations (T, 3, 3), positions (T, 3) in world axes of the left camera, and directions (T,) of the road there."""
+    """Rotations (T, 3, 3), positions (T, 3) in world axes of the left camera, and directions (T,)
+    of the road there.
+    """
 
     camera_from_world: FloatArray
     position_m: FloatArray
@@ -39,9 +43,12 @@ class CameraPoses:
         )
 
     def image_shifts_px(self, camera: PinholeCamera) -> FloatArray:
-        """(T, 2) shift of far objects since the frame before, by yaw and pitch; 0 in the first frame."""
+        """(T, 2) shift of far objects since the frame before, by yaw and pitch; 0 in the first
+        frame.
+        """
         before = np.concatenate([self.camera_from_world[:1], self.camera_from_world[:-1]])
-        axis = np.einsum("tij,tkj->tik", self.camera_from_world, before)[:, :, 2]  # where the last optical axis is now
+        # where the last optical axis is now
+        axis = np.einsum("tij,tkj->tik", self.camera_from_world, before)[:, :, 2]
         return np.asarray(axis[:, :2] / axis[:, 2:] * [camera.fx_px, camera.fy_px])
 
 
@@ -55,8 +62,10 @@ class TrueBoxes:
     distance_m: FloatArray  # (M,) z at which the ray through the box centre meets the 3-D box
     hidden_fraction: FloatArray  # (M,) fraction of the box that is covered by nearer boxes
     overlap_fraction: FloatArray  # (M,) largest fraction of the box inside one other box
-    occluder_m: FloatArray  # (M,) distance of the nearer box that covers the largest part; NaN = none
-    outside_fraction: FloatArray  # (M,) fraction outside the image of the bounding box of the whole road user
+    # (M,) distance of the nearer box that covers the largest part; NaN = none
+    occluder_m: FloatArray
+    # (M,) fraction outside the image of the bounding box of the whole road user
+    outside_fraction: FloatArray
 
     @property
     def height_px(self) -> FloatArray:
@@ -66,11 +75,15 @@ class TrueBoxes:
 def true_boxes(
     scene: Scene, times_s: FloatArray, camera: PinholeCamera, *, poses: CameraPoses | None = None
 ) -> TrueBoxes:
-    """The boxes of a scene at the given times (T,); `poses`: of the camera at these times, None = computed here."""
+    """The boxes of a scene at the given times (T,); `poses`: of the camera at these times, None =
+    computed here.
+    """
     poses = poses or CameraPoses.of(scene, times_s)
     camera_from_world, ego_yaw_rad = poses.camera_from_world, poses.yaw_rad
     along_m, location = _locations(scene, times_s, poses)
-    headings = np.stack([np.broadcast_to(user.heading_rad(times_s), len(times_s)) for user in scene.road_users])
+    headings = np.stack(
+        [np.broadcast_to(user.heading_rad(times_s), len(times_s)) for user in scene.road_users]
+    )
     x, z = location[:, :, 0], location[:, :, 2]
     reach = camera.width_px / camera.fx_px
     user, frame = np.nonzero((z > NEAREST_M) & (z < FARTHEST_M) & (np.abs(x) < reach * z + 8.0))
@@ -79,14 +92,20 @@ def true_boxes(
     at_m, size_m = location[user, frame], scene.size_hwl_m()[user]
     z_m, heading_rad = along_m[user, frame], headings[user, frame]
     yaw_rad = heading_rad + scene.road.yaw_rad(z_m)
-    rotations = camera_from_world[frame] @ slope_rotation(scene.road.climb_rad(z_m)) @ yaw_rotation(yaw_rad)
+    rotations = (
+        camera_from_world[frame] @ slope_rotation(scene.road.climb_rad(z_m)) @ yaw_rotation(yaw_rad)
+    )
     inside, outside = boxes_in_image(corners_m(at_m, size_m, rotations), camera)
-    is_visible = (_areas(inside) > 0) & (inside[:, 3] - inside[:, 1] >= SMALLEST_PX)  # false for NaN
+    # false for NaN
+    is_visible = (_areas(inside) > 0) & (inside[:, 3] - inside[:, 1] >= SMALLEST_PX)
     rows = np.flatnonzero(is_visible)
     frame, user, inside = frame[rows], user[rows], inside[rows]
     centre_px = (inside[:, :2] + inside[:, 2:]) / 2
     distance_m = surface_distance_m(
-        camera.rays(centre_px), at_m[rows], size_hwl_m=size_m[rows], rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame]
+        camera.rays(centre_px),
+        at_m[rows],
+        size_hwl_m=size_m[rows],
+        rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame],
     )
     distance_m = np.where(np.isnan(distance_m), at_m[rows, 2], distance_m)
     hidden, overlap, occluder = _covered_fractions(frame, inside, len(times_s))
@@ -94,8 +113,12 @@ def true_boxes(
     return TrueBoxes(frame, user, inside, distance_m, hidden, overlap, occluder_m, outside[rows])
 
 
-def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[FloatArray, FloatArray]:
-    """(N, T) z of N road users along the road, and (N, T, 3) their lower centres in the camera's frame."""
+def _locations(
+    scene: Scene, times_s: FloatArray, poses: CameraPoses
+) -> tuple[FloatArray, FloatArray]:
+    """(N, T) z of N road users along the road, and (N, T, 3) their lower centres in the camera's
+    frame.
+    """
     across_m, z_m = np.swapaxes([user.on_road_m(times_s) for user in scene.road_users], 0, 1)
     raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
     world = np.stack([scene.road.x_m(z_m) + across_m, scene.road.y_m(z_m) - raised_m, z_m], axis=2)
@@ -103,7 +126,9 @@ def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[F
 
 
 def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:
-    """(N, T) closing speeds of all road users along the camera's axis, by central differences over 2 `STEP_S`."""
+    """(N, T) closing speeds of all road users along the camera's axis, by central differences over
+    2 `STEP_S`.
+    """
     before, after = (
         _locations(scene, moments_s, CameraPoses.of(scene, moments_s))[1][:, :, 2]
         for moments_s in (times_s - STEP_S, times_s + STEP_S)
@@ -111,8 +136,11 @@ def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:
     return np.asarray((before - after) / (2 * STEP_S))
 
 
-def _covered_fractions(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray, IntArray]:
-    """(M,) fractions of boxes that nearer ones cover, the largest that one other box covers, and the main occluder.
+def _covered_fractions(
+    frame: IntArray, boxes: FloatArray, n_frames: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """(M,) fractions of boxes that nearer ones cover, the largest that one other box covers, and
+    the main occluder.
 
     The occluder is the row of the nearer box that covers the largest part; -1 = none.
 
@@ -129,7 +157,9 @@ def _covered_fractions(frame: IntArray, boxes: FloatArray, n_frames: int) -> tup
         nearer = np.tril(common, -1)
         hidden[start:end] = nearer.sum(axis=1) / areas
         if end > start:
-            occluder[start:end] = np.where(nearer.max(axis=1) > 0, start + nearer.argmax(axis=1), -1)
+            occluder[start:end] = np.where(
+                nearer.max(axis=1) > 0, start + nearer.argmax(axis=1), -1
+            )
         np.fill_diagonal(common, 0)
         overlap[start:end] = common.max(axis=1, initial=0.0) / areas
     return np.clip(hidden, 0, 1), overlap, occluder

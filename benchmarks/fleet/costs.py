@@ -1,4 +1,5 @@
-"""Time and cost of a fleet at a number of nodes, from figures of one core; the tables of docs/how-to/fleet.md.
+"""Time and cost of a fleet at a number of nodes, from figures of one core; the tables of
+docs/how-to/fleet.md.
 
 compute  T_c = (3600 H f t + C o) / (N k)       H hours of video, f frames/s, t s per frame and core
 storage  T_s = 3600 H b / min(N r, R)           b MB per second of video, r and R MB/s of a node and of the storage
@@ -51,11 +52,16 @@ ASSUMED: Mapping[str, float] = {
 
 NODES = (1, 10, 100, 1000)
 
-BEGIN, END = "<!-- fleet costs: written by `python -m benchmarks fleet --docs` -->", "<!-- end of fleet costs -->"
+BEGIN, END = (
+    "<!-- fleet costs: written by `python -m benchmarks fleet --docs` -->",
+    "<!-- end of fleet costs -->",
+)
 """Lines around the tables in docs/how-to/fleet.md."""
 
 
-def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu: bool = False) -> dict[str, float]:
+def times_s(
+    inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu: bool = False
+) -> dict[str, float]:
     """Times in s by part: compute, storage, driver, ends, and total, for "stereo" or "mono".
 
     The rate of one GPU per node, which its workers share, counts instead of that of k cores.
@@ -72,14 +78,19 @@ def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu:
         "driver": n_clips / inputs["driver_clips_per_s"],
         "ends": inputs["start_s"] + inputs["clip_s"] * inputs["fps"] * frame_s,
     }
-    return {**parts, "total": max(parts["compute"], parts["storage"], parts["driver"]) + parts["ends"]}
+    return {
+        **parts,
+        "total": max(parts["compute"], parts["storage"], parts["driver"]) + parts["ends"],
+    }
 
 
 def bottleneck(parts: Mapping[str, float]) -> str:
     return max((name for name in parts if name != "total"), key=lambda name: parts[name])
 
 
-def cost(inputs: Mapping[str, float], n_nodes: int, total_s: float, *, has_gpu: bool = False) -> float:
+def cost(
+    inputs: Mapping[str, float], n_nodes: int, total_s: float, *, has_gpu: bool = False
+) -> float:
     node_h = inputs["price_per_gpu_h"] if has_gpu else inputs["cores"] * inputs["price_per_core_h"]
     return n_nodes * total_s / 3600 * node_h
 
@@ -89,19 +100,33 @@ def is_complete(inputs: Mapping[str, float]) -> bool:
 
 
 def cost_tables(inputs: Mapping[str, float]) -> str:
-    """The inputs and the results as Markdown tables; the results are those of the inputs as they are shown."""
+    """The inputs and the results as Markdown tables; the results are those of the inputs as they
+    are shown.
+    """
     inputs = {name: float(_text(value)) for name, value in inputs.items()}
     lines = ["| input | value | source |", "|---|--:|---|"]
     has_gpu = "gpu_mono_ms" in inputs
     shown_inputs = (*INPUTS, *GPU_INPUTS) if has_gpu else INPUTS
-    lines += [f"| {meaning} (`{name}`) | {_text(inputs[name])} | {source} |" for name, meaning, source in shown_inputs]
-    lines += ["", "| cameras, nodes | compute | storage | driver | ends | total | bottleneck | cost, $ |"]
+    lines += [
+        f"| {meaning} (`{name}`) | {_text(inputs[name])} | {source} |"
+        for name, meaning, source in shown_inputs
+    ]
+    lines += [
+        "",
+        "| cameras, nodes | compute | storage | driver | ends | total | bottleneck | cost, $ |",
+    ]
     lines.append("|---|--:|--:|--:|--:|--:|---|--:|")
-    kinds = [("stereo", "two", False), ("mono", "one", False), *([("mono", "one, GPU", True)] if has_gpu else [])]
+    kinds = [
+        ("stereo", "two", False),
+        ("mono", "one", False),
+        *([("mono", "one, GPU", True)] if has_gpu else []),
+    ]
     for cameras, shown, on_gpu in kinds:
         for n_nodes in NODES:
             parts = times_s(inputs, n_nodes, cameras, has_gpu=on_gpu)
-            texts = [duration(parts[name]) for name in ("compute", "storage", "driver", "ends", "total")]
+            texts = [
+                duration(parts[name]) for name in ("compute", "storage", "driver", "ends", "total")
+            ]
             price = f"{cost(inputs, n_nodes, parts['total'], has_gpu=on_gpu):.0f}"
             row = [f"{shown}, {n_nodes}", *texts, bottleneck(parts), price]
             lines.append(f"| {' | '.join(row)} |")
@@ -121,7 +146,9 @@ def duration(seconds: float) -> str:
 
 
 def inputs_in(page: str) -> dict[str, float]:
-    return {name: float(value) for name, value in re.findall(r"\(`(\w+)`\) \| ([\d.e+-]+) \|", page)}
+    return {
+        name: float(value) for name, value in re.findall(r"\(`(\w+)`\) \| ([\d.e+-]+) \|", page)
+    }
 
 
 def replace_tables(page: Path, inputs: Mapping[str, float]) -> None:

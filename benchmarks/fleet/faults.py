@@ -1,4 +1,6 @@
-"""Faults of a fleet: killed workers, a corrupt clip, and a killed driver, each against a run without faults."""
+"""Faults of a fleet: killed workers, a corrupt clip, and a killed driver, each against a run
+without faults.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,15 @@ from benchmarks.inputs.drives import REAL_DATA
 
 PARTS = ("kills", "corrupt", "driver")
 
-_SIMULATED = {"highway": 2, "town": 3, "city": 4, "cut-in": 5, "crossing": 6, "queue": 8, "night": 20}
+_SIMULATED = {
+    "highway": 2,
+    "town": 3,
+    "city": 4,
+    "cut-in": 5,
+    "crossing": 6,
+    "queue": 8,
+    "night": 20,
+}
 """Scenario and duration in seconds of the simulated clips."""
 
 _REAL_PAIRS = ("kitti_stereo/0003", "kitti_stereo/0005")
@@ -62,7 +72,9 @@ class _Clips:
         self._expected = [_table(out, _name(i)) for i in range(len(self._distinct))]
 
     def manifest(self, n_clips: int, name: str, corrupt: str | None = None) -> Path:
-        """Manifest with `n_clips` names of the distinct clips in turn; the first video is `corrupt` if given."""
+        """Manifest with `n_clips` names of the distinct clips in turn; the first video is `corrupt`
+        if given.
+        """
         path = self.folder / f"{name}.csv"
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
@@ -89,7 +101,9 @@ class _Clips:
             "rows of clips.parquet": len(rows),
             "files of tracks": len(files),
             "equal to the undisturbed run": n_equal,
-            "unfinished files left": len([path for path in out.glob("unfinished/**/*") if path.is_file()]),
+            "unfinished files left": len(
+                [path for path in out.glob("unfinished/**/*") if path.is_file()]
+            ),
         }
 
 
@@ -101,7 +115,9 @@ def _kills(clips: _Clips, options: Namespace) -> Figures:
     while len(killed) < options.kills and driver.returncode is None:
         with suppress(subprocess.TimeoutExpired):
             driver.wait(generator.expovariate(1 / options.interval))
-        alive = [pid for pid in worker_pids(out) if pid not in killed and Path(f"/proc/{pid}").exists()]
+        alive = [
+            pid for pid in worker_pids(out) if pid not in killed and Path(f"/proc/{pid}").exists()
+        ]
         if alive and driver.returncode is None:
             killed.append(generator.choice(alive))
             with suppress(ProcessLookupError):
@@ -122,7 +138,11 @@ def _corrupt(clips: _Clips, options: Namespace) -> Figures:
     damaged.write_bytes(random.Random(options.seed).randbytes(100_000))  # noqa: S311
     out = clips.folder / "corrupt"
     status = _fleet(clips.manifest(options.clips, "corrupt", str(damaged)), out).wait()
-    failed = [row for row in parquet.read_table(out / "clips.parquet").to_pylist() if row["status"] == "failed"]
+    failed = [
+        row
+        for row in parquet.read_table(out / "clips.parquet").to_pylist()
+        if row["status"] == "failed"
+    ]
     return {
         "exit status": status,
         **clips.compared(out, options.clips),
@@ -155,7 +175,9 @@ def _complete(out: Path) -> dict[str, int]:
     """Modification time of the results of clips with a record, ns."""
     recorded = {path.stem for path in out.glob("journal/*.json")}
     with suppress(OSError, pa.ArrowException):
-        recorded |= set(parquet.read_table(out / "clips.parquet", columns=["clip"])["clip"].to_pylist())
+        recorded |= set(
+            parquet.read_table(out / "clips.parquet", columns=["clip"])["clip"].to_pylist()
+        )
     times = dict[str, int]()
     for name in recorded:
         with suppress(OSError):
@@ -186,7 +208,9 @@ def _simulated(folder: Path) -> list[tuple[str, ...]]:
         command = [*PROGRAM, "simulate", "--scenario", scenario, "--seed", str(seed)]
         command += ["--seconds", str(seconds), "--out", str(drive)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        rows.append((str(drive / "left.mp4"), str(drive / "right.mp4"), str(drive / "rig.yaml"), ""))
+        rows.append(
+            (str(drive / "left.mp4"), str(drive / "right.mp4"), str(drive / "rig.yaml"), "")
+        )
     return rows
 
 
@@ -196,6 +220,9 @@ def _real(data: Path) -> Sequence[tuple[str, ...]]:
     if missing := [path for path in (*pairs, *(video for video, _ in videos)) if not path.exists()]:
         raise SystemExit(f"{missing[0]}: expected a recording; give its folder with --data")
     return [
-        *((str(pair / "left.mp4"), str(pair / "right.mp4"), str(pair / "calib.txt"), "") for pair in pairs),
+        *(
+            (str(pair / "left.mp4"), str(pair / "right.mp4"), str(pair / "calib.txt"), "")
+            for pair in pairs
+        ),
         *((str(video), "", "", focal_px) for video, focal_px in videos),
     ]

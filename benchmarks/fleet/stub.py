@@ -1,6 +1,8 @@
-"""A fleet of the rows of a manifest with a stub instead of the processing, for the cost of the control path.
+"""A fleet of the rows of a manifest with a stub instead of the processing, for the cost of the
+control path.
 
-`python -m benchmarks.fleet.stub MANIFEST OUT` prints the time and the memory of this process as JSON.
+`python -m benchmarks.fleet.stub MANIFEST OUT` prints the time and the memory of this process as
+JSON.
 """
 
 from __future__ import annotations
@@ -61,7 +63,9 @@ def main() -> None:
     listed_s = time.perf_counter() - start_s
     # the start of new processes is a part of the overhead of real clips, not of the driver
     worker.CLIPS_PER_PROCESS = len(clips)
-    settings = FleetSettings(recordings=(manifest,), out=out, workers=os.cpu_count() or 1, worker_memory="1GB")
+    settings = FleetSettings(
+        recordings=(manifest,), out=out, workers=os.cpu_count() or 1, worker_memory="1GB"
+    )
     result = run_fleet(settings, {}, clips, process=publish_stub)
     peak_mb = _peak_mb()  # before the results are read for the times below
     counts = result.counts
@@ -80,12 +84,17 @@ def main() -> None:
 
 def _work_s(out: Location) -> float:
     """Time from the first end of a clip to the last, s."""
-    ends_s = [datetime.fromisoformat(text).timestamp() for text in read_clips(out)["finished_utc"].to_pylist()]
+    ends_s = [
+        datetime.fromisoformat(text).timestamp()
+        for text in read_clips(out)["finished_utc"].to_pylist()
+    ]
     return max(ends_s) - min(ends_s)
 
 
 def _peak_mb() -> float:
-    """Largest resident memory of this process, MB; that of getrusage includes the parent process."""
+    """Largest resident memory of this process, MB; that of getrusage includes the parent
+    process.
+    """
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1e3
 

@@ -1,4 +1,6 @@
-"""Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of 1,000 hours."""
+"""Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of
+1,000 hours.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped
 from track_range.fleet.output.state import read_state
 from track_range.fleet.storage.location import Location
 
-PARTS = ("throughput", "cores", "mono", "memory", "driver")  # parts by default; `gpu` is another one
+# parts by default; `gpu` is another one
+PARTS = ("throughput", "cores", "mono", "memory", "driver")
 _POLL_S = 0.5  # time between two looks at fleet.json for processes to pin, s
 
 
@@ -61,14 +64,18 @@ def fleet(options: Namespace) -> Figures:
 
 @dataclass(frozen=True, slots=True)
 class _FleetRun:
-    """Start and duration of a run of a fleet, and its records in the order of their ends, `end_s`; Unix times."""
+    """Start and duration of a run of a fleet, and its records in the order of their ends, `end_s`;
+    Unix times.
+    """
 
     start_s: float
     wall_s: float
     rows: Sequence[Figures]
 
     def frames_per_s(self, n_workers: int) -> float:
-        """Rate between the first end of all workers and the last of all, in which each of them was busy."""
+        """Rate between the first end of all workers and the last of all, in which each of them was
+        busy.
+        """
         first, last = n_workers - 1, len(self.rows) - n_workers
         n_frames = sum(row["frames"] for row in self.rows[first + 1 : last + 1])
         return float(n_frames / (self.rows[last]["end_s"] - self.rows[first]["end_s"]))
@@ -82,7 +89,11 @@ def _throughput(options: Namespace, folder: Path) -> Figures:
     two = _run_fleet(manifest, folder / "two", 2, arguments)
     start_s = time.perf_counter()
     for i in range(options.clips):  # ordinary runs, each in its own process with all cores
-        subprocess.run(_run_command(drive, folder / "loop" / str(i), arguments), check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(
+            _run_command(drive, folder / "loop" / str(i), arguments),
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
     loop_s = time.perf_counter() - start_s
     n_frames = sum(row["frames"] for row in one.rows)
     one_fps, two_fps = one.frames_per_s(1), two.frames_per_s(2)
@@ -108,7 +119,9 @@ def _throughput(options: Namespace, folder: Path) -> Figures:
 
 
 def _cores(options: Namespace, folder: Path) -> Figures:
-    """Rate of runs without a fleet on both cores, relative to one core; cores share caches, memory and clock."""
+    """Rate of runs without a fleet on both cores, relative to one core; cores share caches, memory
+    and clock.
+    """
     drive = looped(options.drive, folder, n_frames=options.frames)
     arguments = ["--detector", str(options.detector), "--no-sgbm", "--threads", "1"]
     one_s: list[float] = []
@@ -128,13 +141,18 @@ def _cores(options: Namespace, folder: Path) -> Figures:
             if any(statuses):
                 raise RuntimeError("a run failed; its message is above.")
             durations_s.append(time.perf_counter() - start_s)
-    return {"runs": len(one_s), "two_to_one": 2 * statistics.median(one_s) / statistics.median(two_s)}
+    return {
+        "runs": len(one_s),
+        "two_to_one": 2 * statistics.median(one_s) / statistics.median(two_s),
+    }
 
 
 def _mono(options: Namespace, folder: Path) -> Figures:
     drive = looped(options.drive, folder, n_frames=options.frames)
     manifest = _manifest(folder, drive, max(3, options.clips // 3), is_mono=True)
-    run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector)], pinned_core=0)
+    run = _run_fleet(
+        manifest, folder / "out", 1, ["--detector", str(options.detector)], pinned_core=0
+    )
     warm = run.rows[1:]
     run_s = sum(row["wall_s"] - row["overhead_s"] for row in warm)
     return {
@@ -147,7 +165,14 @@ def _gpu(options: Namespace, folder: Path) -> Figures:
     drive = looped(options.drive, folder, n_frames=options.frames)
     n_workers = options.gpu_workers
     manifest = _manifest(folder, drive, max(options.clips, 3 * n_workers), is_mono=True)
-    arguments = ["--detector", str(options.detector), "--device", "cuda", "--gpus-per-worker", f"{1 / n_workers:.4f}"]
+    arguments = [
+        "--detector",
+        str(options.detector),
+        "--device",
+        "cuda",
+        "--gpus-per-worker",
+        f"{1 / n_workers:.4f}",
+    ]
     run = _run_fleet(manifest, folder / "out", n_workers, arguments)
     return {"gpu_workers": n_workers, "gpu_mono_ms": 1000 / run.frames_per_s(n_workers)}
 
@@ -155,10 +180,15 @@ def _gpu(options: Namespace, folder: Path) -> Figures:
 def _memory(options: Namespace, folder: Path) -> Figures:
     drive = looped(options.drive, folder, n_frames=16)
     manifest = _manifest(folder, drive, options.memory_clips)
-    run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector), "--no-sgbm"])
+    run = _run_fleet(
+        manifest, folder / "out", 1, ["--detector", str(options.detector), "--no-sgbm"]
+    )
     peaks_mb = [row["peak_memory_mb"] for row in run.rows]
     size = len(peaks_mb) // 4
-    quarters = {f"quarter_{q + 1}_mb": statistics.median(peaks_mb[q * size : (q + 1) * size]) for q in range(4)}
+    quarters = {
+        f"quarter_{q + 1}_mb": statistics.median(peaks_mb[q * size : (q + 1) * size])
+        for q in range(4)
+    }
     return {"clips": len(peaks_mb), **quarters, "max_mb": max(peaks_mb)}
 
 
@@ -201,9 +231,15 @@ def _manifest(folder: Path, drive: LoopedDrive, n_clips: int, *, is_mono: bool =
 
 
 def _run_fleet(
-    manifest: Path, out: Path, n_workers: int, arguments: Sequence[str], pinned_core: int | None = None
+    manifest: Path,
+    out: Path,
+    n_workers: int,
+    arguments: Sequence[str],
+    pinned_core: int | None = None,
 ) -> _FleetRun:
-    """Run a fleet; its workers are pinned to a core as soon as they appear, None = they run on all."""
+    """Run a fleet; its workers are pinned to a core as soon as they appear, None = they run on
+    all.
+    """
     from pyarrow import parquet
 
     command = [*PROGRAM, "fleet", "run", str(manifest), "--out", str(out)]
@@ -230,12 +266,26 @@ def _run_fleet(
 def worker_pids(out: Path) -> tuple[int, ...]:
     """Processes of the workers of a fleet, from fleet.json, which is up to 5 s old."""
     state = read_state(Location.of(str(out)))
-    return () if state is None else tuple(worker["pid"] for worker in state.workers if worker.get("pid"))
+    return (
+        ()
+        if state is None
+        else tuple(worker["pid"] for worker in state.workers if worker.get("pid"))
+    )
 
 
 def _run_command(drive: LoopedDrive, out: Path, arguments: Sequence[str]) -> list[str]:
     command = [*PROGRAM, "--stereo", str(drive.left), str(drive.right)]
-    return [*command, "--rig", str(drive.rig), "--out", str(out), "--no-overlay", "--write", "parquet", *arguments]
+    return [
+        *command,
+        "--rig",
+        str(drive.rig),
+        "--out",
+        str(out),
+        "--no-overlay",
+        "--write",
+        "parquet",
+        *arguments,
+    ]
 
 
 def _mb_per_s(videos: Sequence[Path], duration_s: float) -> float:

@@ -1,8 +1,9 @@
-"""Drives for benchmarks: real ones looped to any length, simulated ones in memory, and rendered ones in a cache.
+"""Drives for benchmarks: real ones looped to any length, simulated ones in memory, and rendered
+ones in a cache.
 
-An edge of the lane of a simulated drive consists of points (x(z) + offset, y(z), z) at a constant lateral offset from
-the middle of the road, which are projected into the image; columns between two points are interpolated, up to the first
-crest of the road, behind which the road is hidden.
+An edge of the lane of a simulated drive consists of points (x(z) + offset, y(z), z) at a constant
+lateral offset from the middle of the road, which are projected into the image; columns between two
+points are interpolated, up to the first crest of the road, behind which the road is hidden.
 """
 
 from __future__ import annotations
@@ -31,11 +32,22 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.surroundings import SURROUNDINGS
 from track_range.stereo.geometry.frames import Frame
 
-REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+REAL_DATA = Path(
+    os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
+)
 
 DRIVE_OPTIONS = (
-    option("--drive", default=REAL_DATA / "kitti_stereo/0003", help="folder with left.mp4, right.mp4 and calib.txt"),
-    option("--detector", default=REAL_DATA / "models" / "yolov5n_coco_640.onnx", type=Path, help="a YOLOv5 ONNX file"),
+    option(
+        "--drive",
+        default=REAL_DATA / "kitti_stereo/0003",
+        help="folder with left.mp4, right.mp4 and calib.txt",
+    ),
+    option(
+        "--detector",
+        default=REAL_DATA / "models" / "yolov5n_coco_640.onnx",
+        type=Path,
+        help="a YOLOv5 ONNX file",
+    ),
 )
 
 FPS = 10.0
@@ -43,10 +55,18 @@ FPS = 10.0
 NEAREST_M, FARTHEST_M, N_POINTS = 2.0, 90.0, 300
 """Range of depths ahead of the camera and number of the points of a lane edge."""
 
-COLLISIONS = ("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child", "cut-in")
+COLLISIONS = (
+    "rear-stationary",
+    "rear-slower",
+    "rear-braking",
+    "crossing-adult",
+    "crossing-child",
+    "cut-in",
+)
 """Scenarios with a contact."""
 
-HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue")  # scenarios without a contact
+# scenarios without a contact
+HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue")
 CONFLICT_S = 8.0  # length of a rendered drive in s, after all contacts
 
 WIDTH_PX, HEIGHT_FRACTION = 1240, 376 / 1240
@@ -55,7 +75,9 @@ WIDTH_PX, HEIGHT_FRACTION = 1240, 376 / 1240
 
 @dataclass(frozen=True, slots=True)
 class LoopedDrive:
-    """A stereo drive that is repeated to a given length: videos, rig file, and (height, width) of the images."""
+    """A stereo drive that is repeated to a given length: videos, rig file, and (height, width) of
+    the images.
+    """
 
     left: Path
     right: Path
@@ -86,7 +108,9 @@ def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
 
 
 def ordinary_video(target: Path, *, n_frames: int) -> Path:
-    """A video of 1280x720 px as a dashcam writes it (H.264, crf 23): a real one, played forwards and backwards."""
+    """A video of 1280x720 px as a dashcam writes it (H.264, crf 23): a real one, played forwards
+    and backwards.
+    """
     with av.open(str(REAL_DATA / "dashcam" / "highway_two_cars.mp4")) as reader:
         frames = [frame.to_ndarray(format="yuv420p") for frame in reader.decode(video=0)]
     period = 2 * len(frames) - 2
@@ -115,13 +139,17 @@ def decoded(video: Path, n_frames: int | None = None) -> list[Image]:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDrive:
-    """A simulated drive at `FPS` with KITTI's field of view, rendered on demand; `times_s` (F,) start at 0."""
+    """A simulated drive at `FPS` with KITTI's field of view, rendered on demand; `times_s` (F,)
+    start at 0.
+    """
 
     renderer: Renderer
     times_s: FloatArray
 
     @classmethod
-    def of(cls, scenario: str, *, seed: int, seconds: float, faults: Faults = NO_FAULTS) -> SimulatedDrive:
+    def of(
+        cls, scenario: str, *, seed: int, seconds: float, faults: Faults = NO_FAULTS
+    ) -> SimulatedDrive:
         scene = make_scenario(scenario, seed=seed, seconds=seconds)
         renderer = Renderer(scene, kitti_like_rig(), faults=faults)
         return cls(renderer, np.arange(round(seconds * FPS)) / FPS)
@@ -145,7 +173,9 @@ class SimulatedDrive:
         return Frame(index, time_s, left, right)
 
     def lane_px(self, y_px: FloatArray) -> FloatArray:
-        """(F, 2, K) columns of the left and right edge of the ego lane in rows (K,), by frame; NaN = not visible."""
+        """(F, 2, K) columns of the left and right edge of the ego lane in rows (K,), by frame; NaN
+        = not visible.
+        """
         return np.array([list(self._edges_px(time_s, y_px)) for time_s in self.times_s.tolist()])
 
     def _edges_px(self, time_s: float, y_px: FloatArray) -> Iterator[FloatArray]:
@@ -174,7 +204,9 @@ class StoredDetector:
 
 @dataclass(frozen=True, slots=True)
 class ConflictDrive:
-    """A rendered drive with a contact, or a harmless one: its files, and the packaged detector's boxes by frame."""
+    """A rendered drive with a contact, or a harmless one: its files, and the packaged detector's
+    boxes by frame.
+    """
 
     scenario: str
     seed: int
@@ -186,8 +218,12 @@ class ConflictDrive:
         return len(self.boxes) / FPS
 
 
-def conflict_drive(cache_folder: Path, scenario: str, seed: int, *, width_px: int = WIDTH_PX) -> ConflictDrive:
-    """The drive of a scenario and seed from the cache folder; if it is not there, rendered and detected first."""
+def conflict_drive(
+    cache_folder: Path, scenario: str, seed: int, *, width_px: int = WIDTH_PX
+) -> ConflictDrive:
+    """The drive of a scenario and seed from the cache folder; if it is not there, rendered and
+    detected first.
+    """
     folder = cache_folder / f"{scenario}_{seed}_{width_px}"
     path = folder / "boxes.npz"
     files = Drive.in_folder(folder)
@@ -210,13 +246,18 @@ def conflict_drive(cache_folder: Path, scenario: str, seed: int, *, width_px: in
         xyxy_px, score, class_id = (stored[name] for name in ("xyxy_px", "score", "class_id"))
     rows = [np.flatnonzero(frame == number) for number in range(n_frames)]
     return ConflictDrive(
-        scenario, seed, files, [Detections.of(xyxy_px[row], score[row], class_id[row]) for row in rows]
+        scenario,
+        seed,
+        files,
+        [Detections.of(xyxy_px[row], score[row], class_id[row]) for row in rows],
     )
 
 
 @cache
 def _detector() -> YoloDetector:
-    return YoloDetector(find_model(DEFAULT_MODEL).path, YoloSettings(), runtime=Runtime(n_threads=1))
+    return YoloDetector(
+        find_model(DEFAULT_MODEL).path, YoloSettings(), runtime=Runtime(n_threads=1)
+    )
 
 
 CACHE = Path(tempfile.gettempdir()) / "track-range-drives"

@@ -1,13 +1,14 @@
-"""Stereo pairs of the scenario `occlusion` with exact truth: unrelated images, and short sequences of tracks.
+"""Stereo pairs of the scenario `occlusion` with exact truth: unrelated images, and short sequences
+of tracks.
 
-Each seed is a drive; even seeds have KITTI's images (1242 x 375 px, f = 723 px), odd ones 1280 x 720 px with the same
-angle of view; the baseline is 0.54 m. A pair contains the boxes of all road users
-and signs with at least `MIN_VISIBLE_PX` visible pixels, also of those that occlude others; `is_scored` selects the
-objects that count.
+Each seed is a drive; even seeds have KITTI's images (1242 x 375 px, f = 723 px), odd ones 1280 x
+720 px with the same angle of view; the baseline is 0.54 m. A pair contains the boxes of all road
+users and signs with at least `MIN_VISIBLE_PX` visible pixels, also of those that occlude others;
+`is_scored` selects the objects that count.
 
-Exact occlusion: each body is drawn alone and with everything else. A sample (four per pixel) of the body is covered if
-it is drawn alone, but shows something else in the scene. The true disparity is that of the body itself where the ray
-through the box centre first meets it, behind its occluders.
+Exact occlusion: each body is drawn alone and with everything else. A sample (four per pixel) of the
+body is covered if it is drawn alone, but shows something else in the scene. The true disparity is
+that of the body itself where the ray through the box centre first meets it, behind its occluders.
 """
 
 from __future__ import annotations
@@ -33,13 +34,14 @@ SIZES_PX = ((1242, 375), (1280, 720))  # image sizes of even and of odd seeds
 SECONDS = 7.0  # length of a drive, s
 
 SEQUENCE_FPS, N_SEQUENCE = 10.0, 6
-"""Frame rate and number of frames of the sequence; its last but one frame is the third unrelated image."""
+"""Frame rate and number of frames of the sequence; its last but one frame is the third unrelated
+image."""
 
 MIN_VISIBLE_PX = MIN_TRUE_PIXELS  # smallest visible area of an object with a box, px
 
 MAX_COVERED_FRACTION, MAX_COVERED_INNER = 0.5, 0.75
-"""Largest covered fractions of scored objects: of the body, as for KITTI's "partly occluded" objects, which the other
-evaluations use too, and of its part in the inner half of the box."""
+"""Largest covered fractions of scored objects: of the body, as for KITTI's "partly occluded"
+objects, which the other evaluations use too, and of its part in the inner half of the box."""
 
 ID_STEP = 100_000  # difference between the track ids of successive seeds
 
@@ -47,7 +49,8 @@ NOT_COVERED = "none"  # kind of occluder of an object that is not covered
 SCENERY = "scenery"  # kind of occluder for trees, lamps and other objects of the street
 
 MIN_COVERED_FRACTION = 0.01
-"""Smallest covered fraction of the body, or of its part in the inner half of the box, of an object with an occluder."""
+"""Smallest covered fraction of the body, or of its part in the inner half of the box, of an object
+with an occluder."""
 
 MODAL_FRACTION = 0.5  # fraction of objects with the bounding box of their visible part
 
@@ -58,17 +61,23 @@ class CoveredObjects:
 
     track_id: IntArray  # (N,) id of the road user
     kitti_type: npt.NDArray[np.str_]  # (N,) type of the road user
-    # (N, 4) box in the left image: of the visible part of the body if `is_modal`, else of the whole 3-D box
+    # (N, 4) box in the left image: of the visible part of the body if `is_modal`, else of the whole
+    # 3-D box
     xyxy_px: FloatArray
-    is_modal: BoolArray  # (N,) whether the box is that of the visible part, as KITTI's stereo data set 2015 has it
+    # (N,) whether the box is that of the visible part, as KITTI's stereo data set 2015 has it
+    is_modal: BoolArray
     is_cut: BoolArray  # (N,) whether the image border cuts the object
-    true_px: FloatArray  # (N,) disparity of the body on the ray through the box centre, as without occluders
+    # (N,) disparity of the body on the ray through the box centre, as without occluders
+    true_px: FloatArray
     covered_fraction: FloatArray  # (N,) covered fraction of the body's samples
-    covered_inner: FloatArray  # (N,) covered fraction of the body's samples in the inner half of the box
-    # n_visible_px, n_inner_px: (N,) visible area of the body in px, in total and in the inner half of the box
+    # (N,) covered fraction of the body's samples in the inner half of the box
+    covered_inner: FloatArray
+    # n_visible_px, n_inner_px: (N,) visible area of the body in px, in total and in the inner half
+    # of the box
     n_visible_px: FloatArray
     n_inner_px: FloatArray
-    # (N,) what covers most of the body: "pole", "fence", "bush", "sign", "road user", `SCENERY`, `NOT_COVERED`
+    # (N,) what covers most of the body: "pole", "fence", "bush", "sign", "road user", `SCENERY`,
+    # `NOT_COVERED`
     kind: npt.NDArray[np.str_]
     occluder_id: IntArray  # (N,) track id of this occluder; -1 = no road user
     occluder_px: FloatArray  # (N,) median disparity of its samples in front of the body; NaN = none
@@ -80,8 +89,12 @@ class CoveredObjects:
         return CoveredObjects(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
-def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float = MODAL_FRACTION) -> CoveredObjects:
-    """The labelled objects of the left image at a time; a constant fraction of the road users has modal boxes."""
+def covered_objects(
+    renderer: Renderer, time_s: float, *, modal_fraction: float = MODAL_FRACTION
+) -> CoveredObjects:
+    """The labelled objects of the left image at a time; a constant fraction of the road users has
+    modal boxes.
+    """
     scene, camera = renderer.scene, renderer.rig.left
     inverse_depth, owner = renderer.drawn_owners(time_s)
     visible = visible_objects(scene, time_s, frame=0, camera=camera, inverse_depth=inverse_depth)
@@ -104,7 +117,9 @@ def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float 
             inner_box = np.array([patch.left, patch.top, patch.right, patch.bottom], np.float64)
             top, left = window[0].start, window[1].start
             part = _samples(inner_box, (camera.height_px, camera.width_px))
-            inner[part[0].start - top : part[0].stop - top, part[1].start - left : part[1].stop - left] = True
+            inner[
+                part[0].start - top : part[0].stop - top, part[1].start - left : part[1].stop - left
+            ] = True
         covered = body & ~shown
         kind, occluder_id, occluder_px = _occluder(
             renderer, owner[window], focal_baseline * inverse_depth[window], covered, inner
@@ -127,7 +142,21 @@ def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float 
                 occluder_px,
             )
         )
-    dtypes = (np.int64, np.str_, float, bool, bool, float, float, float, float, float, np.str_, np.int64, float)
+    dtypes = (
+        np.int64,
+        np.str_,
+        float,
+        bool,
+        bool,
+        float,
+        float,
+        float,
+        float,
+        float,
+        np.str_,
+        np.int64,
+        float,
+    )
     columns = zip(*rows, strict=True) if rows else ([] for _ in dtypes)
     arrays = [np.array(list(column), dtype) for column, dtype in zip(columns, dtypes, strict=True)]
     arrays[2] = arrays[2].reshape(-1, 4)
@@ -135,10 +164,19 @@ def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float 
 
 
 def _occluder(
-    renderer: Renderer, owner: npt.NDArray[np.uint16], disparity_px: FloatArray, covered: BoolArray, inner: BoolArray
+    renderer: Renderer,
+    owner: npt.NDArray[np.uint16],
+    disparity_px: FloatArray,
+    covered: BoolArray,
+    inner: BoolArray,
 ) -> tuple[str, int, float]:
-    """Kind, track id and disparity of what covers most of a body; all arrays are windows of samples around it."""
-    if not covered.any() or max(covered.mean(), (covered & inner).sum() / max(inner.sum(), 1)) < MIN_COVERED_FRACTION:
+    """Kind, track id and disparity of what covers most of a body; all arrays are windows of samples
+    around it.
+    """
+    if (
+        not covered.any()
+        or max(covered.mean(), (covered & inner).sum() / max(inner.sum(), 1)) < MIN_COVERED_FRACTION
+    ):
         return NOT_COVERED, -1, np.nan
     where = covered & inner if (covered & inner).any() else covered
     number = int(np.bincount(owner[where]).argmax())
@@ -156,7 +194,10 @@ def _samples(xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[slice, sli
     """Rows and columns of the samples of the pixels between the edges of a box, inclusive."""
     first = np.maximum(np.floor(xyxy_px[:2] + 0.5), 0).astype(int).tolist()
     last = np.minimum(np.ceil(xyxy_px[2:] - 0.5), np.array(image_hw[::-1]) - 1).astype(int).tolist()
-    return (slice(SAMPLES * first[1], SAMPLES * (last[1] + 1)), slice(SAMPLES * first[0], SAMPLES * (last[0] + 1)))
+    return (
+        slice(SAMPLES * first[1], SAMPLES * (last[1] + 1)),
+        slice(SAMPLES * first[0], SAMPLES * (last[0] + 1)),
+    )
 
 
 def _bounding_box(shown: BoolArray, window: tuple[slice, slice]) -> FloatArray:
@@ -195,7 +236,9 @@ def sequences(seeds: range) -> Iterator[OcclusionPair]:
 
 
 def is_scored(objects: CoveredObjects, pair: StereoPair) -> BoolArray:
-    """(N,) objects that count: vehicles and people of known distance, inside the image and at least half visible."""
+    """(N,) objects that count: vehicles and people of known distance, inside the image and at least
+    half visible.
+    """
     distance_m = pair.rig.distance_m(pair.true_px)
     return np.asarray(
         ~objects.is_cut
@@ -217,7 +260,9 @@ def _renderer(seed: int) -> Renderer:
 def _pair(renderer: Renderer, time_s: float, *, has_ids: bool) -> OcclusionPair:
     seed = renderer.scene.seed
     objects = covered_objects(renderer, time_s)
-    objects = objects.select((objects.n_visible_px >= MIN_VISIBLE_PX) & np.isfinite(objects.true_px))
+    objects = objects.select(
+        (objects.n_visible_px >= MIN_VISIBLE_PX) & np.isfinite(objects.true_px)
+    )
     left, right = (renderer.render(time_s, side=side) for side in ("left", "right"))
     pair = StereoPair(
         f"{seed}_{round(100 * time_s):04}",

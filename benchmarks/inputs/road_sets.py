@@ -1,7 +1,8 @@
-"""Road data sets for distances of one camera: labelled boxes with true distances, camera height and region.
+"""Road data sets for distances of one camera: labelled boxes with true distances, camera height and
+region.
 
-tusimple  clips of US highways: drawn boxes, truth = the nearest point of a vehicle
-nuscenes  Boston, six cameras: boxes and truth from 3-D boxes; boxes that end at the border are left out
+tusimple  clips of US highways: drawn boxes, truth = the nearest point of a vehicle nuscenes
+Boston, six cameras: boxes and truth from 3-D boxes; boxes that end at the border are left out
 kitti     tracking labels of 13 sequences: exact boxes, boxes with a noise of 2 px, boxes of a detector (RRC)
 """
 
@@ -27,13 +28,16 @@ KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
 
 @dataclass(frozen=True, slots=True)
 class RoadSet:
-    """Boxes of a data set with (N,) camera heights and (N,) identities of objects, and what is known of them."""
+    """Boxes of a data set with (N,) camera heights and (N,) identities of objects, and what is
+    known of them.
+    """
 
     boxes: BoxSet
     camera_height_m: FloatArray
     object_id: IntArray
     region: str
-    train: BoxSet | None = None  # boxes without noise, for a cross-validation over sequences; None = packaged sizes
+    # boxes without noise, for a cross-validation over sequences; None = packaged sizes
+    train: BoxSet | None = None
     box_sigma_px: float | None = None  # None = the noise model of a detector
 
 
@@ -47,16 +51,24 @@ def road_set(name: str, data: Path) -> RoadSet:
     folder = data / "kitti_labels"
     exact = box_set(folder / "label_02", folder / "calib")
     boxes = box_set(
-        folder / "label_02", folder / "calib", boxes=source.format(folder / "rrc"), noise_px=noise_px, seed=1
+        folder / "label_02",
+        folder / "calib",
+        boxes=source.format(folder / "rrc"),
+        noise_px=noise_px,
+        seed=1,
     )
     tracks = _identities(boxes.sequence, boxes.track_id)
     height_m = np.full(len(boxes), KITTI_HEIGHT_M)
-    return RoadSet(boxes, height_m, tracks, "europe", exact, noise_px if source == "labels" else None)
+    return RoadSet(
+        boxes, height_m, tracks, "europe", exact, noise_px if source == "labels" else None
+    )
 
 
 def _tusimple(truth: Any) -> RoadSet:
     clip = np.array([clip["clip"] for clip in truth["clips"] for _ in clip["vehicles"]])
-    boxes = vehicle_boxes(vehicle_columns([vehicle for clip in truth["clips"] for vehicle in clip["vehicles"]]), clip)
+    boxes = vehicle_boxes(
+        vehicle_columns([vehicle for clip in truth["clips"] for vehicle in clip["vehicles"]]), clip
+    )
     height_m = np.full(len(boxes), truth["camera"]["camera_height_m"])
     return RoadSet(boxes, height_m, np.arange(len(boxes)), "north-america")
 
@@ -66,7 +78,11 @@ def _nuscenes(path: Path) -> RoadSet:
     boxes, n = labels.boxes, len(labels.boxes)
     image = np.unique([boxes.sequence, boxes.frame], axis=1, return_inverse=True)[1].reshape(-1)
     separate = replace(
-        boxes, sequence_names=("nuscenes",), sequence=np.zeros(n, np.int64), frame=image, track_id=np.full(n, -1)
+        boxes,
+        sequence_names=("nuscenes",),
+        sequence=np.zeros(n, np.int64),
+        frame=image,
+        track_id=np.full(n, -1),
     )
     return RoadSet(separate, labels.camera_height_m, boxes.track_id, "north-america")
 

@@ -1,7 +1,9 @@
-"""Sequences for the tracking benchmark: stored boxes with official ground truth, and random scenes for timing.
+"""Sequences for the tracking benchmark: stored boxes with official ground truth, and random scenes
+for timing.
 
-KITTI tracking (RRC boxes of cars and pedestrians), MOT15 and MOT17, scored as by `evaluate tracks`. A scene has objects
-on smooth random paths, with jitter, missing boxes and false alarms, determined by its seed.
+KITTI tracking (RRC boxes of cars and pedestrians), MOT15 and MOT17, scored as by `evaluate tracks`.
+A scene has objects on smooth random paths, with jitter, missing boxes and false alarms, determined
+by its seed.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ N_WARM_UP = 20  # frames at the start of a scene that are not timed
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Stored boxes of one class of a sequence of a data set (of `SETS`, or "scene"), with the ground truth.
+    """Stored boxes of one class of a sequence of a data set (of `SETS`, or "scene"), with the
+    ground truth.
 
     `size_px` is (width, height) of the images; a scene has no ground truth.
     """
@@ -72,27 +75,39 @@ class Sequence:
                 taken["detections"] = rows.detections.select(kept)
             return replace(rows, frame=rows.frame[kept] // step, **taken)
 
-        truth, detected = None if self.truth is None else thinned(self.truth), thinned(self.detected)
+        truth, detected = (
+            None if self.truth is None else thinned(self.truth),
+            thinned(self.detected),
+        )
         n_frames = -(-self.n_frames // step)
         return replace(self, detected=detected, truth=truth, n_frames=n_frames, fps=self.fps / step)
 
     def boxes(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackedBoxes:
         """N track boxes of the class."""
-        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), ROAD_CLASSES.index(self.road_class)))
+        return TrackedBoxes(
+            frame, track_id, xyxy_px, np.full(len(frame), ROAD_CLASSES.index(self.road_class))
+        )
 
-    def tracked(self, tracker: DeepSortTracker, *, is_online: bool = True) -> tuple[TrackedBoxes, BoolArray]:
-        """The boxes of all tracks, as by the command `track`, and (N,) whether they were detected."""
+    def tracked(
+        self, tracker: DeepSortTracker, *, is_online: bool = True
+    ) -> tuple[TrackedBoxes, BoolArray]:
+        """The boxes of all tracks, as by the command `track`, and (N,) whether they were
+        detected.
+        """
         frames = track_sequence(
             self.detected, tracker, n_frames=self.n_frames, fps=self.fps, is_online=is_online
         ).frames
         frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
         track_id, xyxy_px, observed = (
-            np.concatenate([getattr(tracks, name) for tracks in frames]) for name in ("track_id", "xyxy_px", "observed")
+            np.concatenate([getattr(tracks, name) for tracks in frames])
+            for name in ("track_id", "xyxy_px", "observed")
         )
         return self.boxes(frame, track_id, xyxy_px), observed
 
     def counts(self, boxes: TrackedBoxes) -> TrackingCounts:
-        """Counts of track boxes by the official rules; boxes are rounded to two decimals, as in result files."""
+        """Counts of track boxes by the official rules; boxes are rounded to two decimals, as in
+        result files.
+        """
         boxes = replace(boxes, xyxy_px=np.round(boxes.xyxy_px, 2))
         if isinstance(self.truth, KittiLabels):
             return TrackingCounts.of(*kitti_cleaned(self.truth, boxes, self.road_class))
@@ -102,7 +117,9 @@ class Sequence:
 
 
 def sequences_of(set_name: str, data: Path) -> list[Sequence]:
-    """All sequences of a data set, of `SETS`, with stored boxes; empty if `data` does not have the data set."""
+    """All sequences of a data set, of `SETS`, with stored boxes; empty if `data` does not have the
+    data set.
+    """
     if set_name.startswith("kitti"):
         return list(_kitti(data / "kitti_labels", set_name))
     return list(_mot(data / "mot" / set_name.upper(), set_name))
@@ -117,7 +134,9 @@ def _kitti(folder: Path, set_name: str) -> Iterator[Sequence]:
         detected = read_detections(source.path, default_class_id=ROAD_CLASSES.index(road_class))
         truth = read_kitti(folder / "label_02" / f"{source.name}.txt")
         n_frames = int(detected.frame[-1]) + 1
-        yield Sequence(source.name, set_name, road_class, detected, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth)
+        yield Sequence(
+            source.name, set_name, road_class, detected, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth
+        )
 
 
 def _mot(folder: Path, set_name: str) -> Iterator[Sequence]:
@@ -130,29 +149,49 @@ def _mot(folder: Path, set_name: str) -> Iterator[Sequence]:
 
 
 def scene(n_objects: int, *, n_frames: int, seed: int = 0) -> Sequence:
-    """Random scene of objects on smooth paths: 2 % jitter, 5 % missing boxes, 2 % false alarms, in random order.
+    """Random scene of objects on smooth paths: 2 % jitter, 5 % missing boxes, 2 % false alarms, in
+    random order.
 
-    The image is 1920 x 1080 px, and larger for more than 200 objects, so that their density stays the same.
+    The image is 1920 x 1080 px, and larger for more than 200 objects, so that their density stays
+    the same.
     """
     random = np.random.default_rng(seed)
     side = max(1.0, (n_objects / 200) ** 0.5)
     size_px = np.array(_DEFAULT_SIZE_PX) * side
     height_px = random.uniform(40, 160, n_objects)
     size = np.stack([height_px * random.uniform(0.4, 1.5, n_objects), height_px], axis=1)
-    middle, swing = random.uniform(0.1, 0.9, (2, n_objects, 2)) * size_px * np.array([[[1.0]], [[0.1 / side]]])
-    speed, phase = random.uniform(0.2, 1.0, (n_objects, 2)), random.uniform(0, 2 * np.pi, (n_objects, 2))
+    middle, swing = (
+        random.uniform(0.1, 0.9, (2, n_objects, 2)) * size_px * np.array([[[1.0]], [[0.1 / side]]])
+    )
+    speed, phase = (
+        random.uniform(0.2, 1.0, (n_objects, 2)),
+        random.uniform(0, 2 * np.pi, (n_objects, 2)),
+    )
     frames = []
     for frame in range(n_frames):
         centre = middle + swing * np.sin(speed * frame / 30 + phase)
         boxes = np.concatenate([centre - size / 2, centre + size / 2], axis=1)
-        boxes = (boxes + random.normal(0, 0.02, boxes.shape) * np.tile(size, 2))[random.random(n_objects) > 0.05]
+        boxes = (boxes + random.normal(0, 0.02, boxes.shape) * np.tile(size, 2))[
+            random.random(n_objects) > 0.05
+        ]
         corner = random.uniform(0, 0.9, (random.binomial(n_objects, 0.02), 2)) * size_px
         alarms = np.concatenate([corner, corner + random.uniform(30, 120, corner.shape)], axis=1)
-        score = np.concatenate([random.uniform(0.6, 1.0, len(boxes)), random.uniform(0.3, 0.7, len(alarms))])
+        score = np.concatenate(
+            [random.uniform(0.6, 1.0, len(boxes)), random.uniform(0.3, 0.7, len(alarms))]
+        )
         order = random.permutation(len(score))
-        frames.append(Detections.of(np.concatenate([boxes, alarms])[order], score[order], np.zeros(len(score))))
-    columns = (np.concatenate([getattr(part, name) for part in frames]) for name in ("xyxy_px", "score", "class_id"))
+        frames.append(
+            Detections.of(
+                np.concatenate([boxes, alarms])[order], score[order], np.zeros(len(score))
+            )
+        )
+    columns = (
+        np.concatenate([getattr(part, name) for part in frames])
+        for name in ("xyxy_px", "score", "class_id")
+    )
     frame_number = np.repeat(np.arange(n_frames), [len(detections) for detections in frames])
     recorded = RecordedDetections(frame_number, Detections.of(*columns), "rrc", notes=())
     width, height = np.rint(size_px).astype(int).tolist()
-    return Sequence(f"{n_objects} objects", "scene", "person", recorded, n_frames, 30.0, (width, height), None)
+    return Sequence(
+        f"{n_objects} objects", "scene", "person", recorded, n_frames, 30.0, (width, height), None
+    )

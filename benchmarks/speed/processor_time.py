@@ -30,7 +30,10 @@ STEPS: dict[str, tuple[str, ...]] = {
         "recording.pairs.sync_monitor:SyncMonitor.add",
         "stereo.alignment.drift:DriftMonitor.add",
     ),
-    "lanes": ("detection.lanes.edges:EdgeLaneFinder.find", "detection.lanes.nets:NetLaneFinder.find"),
+    "lanes": (
+        "detection.lanes.edges:EdgeLaneFinder.find",
+        "detection.lanes.nets:NetLaneFinder.find",
+    ),
     "resize, letterbox": ("detection.yolo.detector:YoloDetector.prepared",),
     "inference": ("detection.models.onnx_session:BoundNetwork.run",),
     "box decoding, NMS": ("detection.yolo.detector:YoloDetector._decoded",),
@@ -56,14 +59,17 @@ STEPS: dict[str, tuple[str, ...]] = {
 """Functions of each step."""
 
 _N_FIRST, _N_LAST = 32, 16
-"""Numbers of frames that do not count: in the first ones, libraries are initialized and the pair is checked; during the
-last ones, which are in the queues, nothing more is decoded."""
+"""Numbers of frames that do not count: in the first ones, libraries are initialized and the pair is
+checked; during the last ones, which are in the queues, nothing more is decoded."""
 
 Times = list[tuple[str, dict[str, float]]]  # name and times of each thread
 
 WAITS = {
     "input": ("foundation.prefetch:ClosableQueue.wait_for_item",),
-    "room": ("foundation.prefetch:ClosableQueue.wait_for_room", "views.overlay.result_video:ResultVideo.wait"),
+    "room": (
+        "foundation.prefetch:ClosableQueue.wait_for_room",
+        "views.overlay.result_video:ResultVideo.wait",
+    ),
 }
 """Functions in which a thread waits for the thread before it, or for the thread after it."""
 
@@ -81,8 +87,9 @@ def functions_at(path: str) -> Iterator[tuple[Any, Callable[..., Any]]]:
 class _Thread:
     """Times of one thread so far, s: processor time by step, and wall time by wait.
 
-    "on a core" and "queued" are counted by the system: processor time, and time in which the thread was ready but had
-    no core. `nested_s` is the processor time within each step in progress of the steps that it called.
+    "on a core" and "queued" are counted by the system: processor time, and time in which the thread
+    was ready but had no core. `nested_s` is the processor time within each step in progress of the
+    steps that it called.
     """
 
     name: str
@@ -90,8 +97,13 @@ class _Thread:
     nested_s: list[float] = field(default_factory=list)
 
     def read_scheduler(self) -> None:
-        on_core_ns, queued_ns, _ = Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
-        self.times_s["on a core"], self.times_s["queued"] = int(on_core_ns) * 1e-9, int(queued_ns) * 1e-9
+        on_core_ns, queued_ns, _ = (
+            Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
+        )
+        self.times_s["on a core"], self.times_s["queued"] = (
+            int(on_core_ns) * 1e-9,
+            int(queued_ns) * 1e-9,
+        )
 
 
 class _Probe:
@@ -110,7 +122,10 @@ class _Probe:
         self._thread.read_scheduler()
         used = resource.getrusage(resource.RUSAGE_SELF)
         now = {"wall": time.perf_counter(), "on a core": used.ru_utime + used.ru_stime}
-        return [("process", now), *((thread.name, thread.times_s.copy()) for thread in self._threads)]
+        return [
+            ("process", now),
+            *((thread.name, thread.times_s.copy()) for thread in self._threads),
+        ]
 
     @property
     def _thread(self) -> _Thread:
@@ -157,7 +172,11 @@ def processor_time(options: Namespace) -> Figures:
         drive = looped(options.drive, folder, n_frames=options.frames)
         video = ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)
         shared = {"detector": str(options.detector), "threads": 1, "device": "cpu"}
-        pair: dict[str, Any] = {"stereo": (str(drive.left), str(drive.right)), "rig": str(drive.rig), "align": "off"}
+        pair: dict[str, Any] = {
+            "stereo": (str(drive.left), str(drive.right)),
+            "rig": str(drive.rig),
+            "align": "off",
+        }
         pair |= {"sgbm": False, "out": str(folder / "pair")}
         one: dict[str, Any] = {"mono": str(video), "focal_px": 1150.0, "out": str(folder / "one")}
         threads = {
@@ -173,7 +192,9 @@ def processor_time(options: Namespace) -> Figures:
         steps["other"][name] = process["on a core"] - sum(steps[step][name] for step in STEPS)
         steps["sum"][name], steps["wall time"][name] = process["on a core"], process["wall"]
         keys = ("on a core", "queued", "input", "room")
-        waits[name] = {thread: {key: ms.get(key, 0.0) for key in keys} for thread, ms in by_thread.items()}
+        waits[name] = {
+            thread: {key: ms.get(key, 0.0) for key in keys} for thread, ms in by_thread.items()
+        }
     return {"steps_ms": steps, "threads_ms": waits}
 
 
@@ -195,6 +216,10 @@ def _per_frame(begin: Times, end: Times, n_frames: int) -> dict[str, dict[str, f
     times_ms: dict[str, dict[str, float]] = {}
     for index, (name, until) in enumerate(end):
         since = begin[index][1] if index < len(begin) else {}
-        spent = {key: 1e3 * (value - since.get(key, 0.0)) / n_frames for key, value in until.items()}
-        times_ms[name if name not in times_ms else f"{name} {index}"] = {key: ms for key, ms in spent.items() if ms > 0}
+        spent = {
+            key: 1e3 * (value - since.get(key, 0.0)) / n_frames for key, value in until.items()
+        }
+        times_ms[name if name not in times_ms else f"{name} {index}"] = {
+            key: ms for key, ms in spent.items() if ms > 0
+        }
     return times_ms

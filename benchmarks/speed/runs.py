@@ -46,18 +46,31 @@ def times_s(arguments: Sequence[str]) -> tuple[float, float]:
 def pair_command(drive: LoopedDrive, options: Namespace, out: Path) -> tuple[str, ...]:
     """Arguments of Python for a run on a looped drive, without dense stereo."""
     pair = ("--stereo", str(drive.left), str(drive.right), "--rig", str(drive.rig))
-    return (*PROGRAM[1:], *pair, "--detector", str(options.detector), "--out", str(out), "--no-sgbm")
+    return (
+        *PROGRAM[1:],
+        *pair,
+        "--detector",
+        str(options.detector),
+        "--out",
+        str(out),
+        "--no-sgbm",
+    )
 
 
 @workload(option("--runs", default=10, help="runs of each command"))
 def startup(options: Namespace) -> Figures:
-    """Median wall-clock and CPU time in s of each command in a new process; runs alternate between the commands."""
+    """Median wall-clock and CPU time in s of each command in a new process; runs alternate between
+    the commands.
+    """
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
     for _ in range(options.runs):
         for name, arguments in COMMANDS.items():
             times[name].append(times_s(arguments))
     medians = {name: np.median(pairs, axis=0).tolist() for name, pairs in times.items()}
-    return {name: {"wall_s": wall, "cpu_s": cpu, "n_runs": options.runs} for name, (wall, cpu) in medians.items()}
+    return {
+        name: {"wall_s": wall, "cpu_s": cpu, "n_runs": options.runs}
+        for name, (wall, cpu) in medians.items()
+    }
 
 
 @workload(
@@ -66,19 +79,31 @@ def startup(options: Namespace) -> Figures:
     option("--rounds", default=3, help="number of rounds"),
 )
 def pipeline(options: Namespace) -> Figures:
-    """Wall time of whole runs relative to the detector's inference alone, both with one network thread, ms."""
+    """Wall time of whole runs relative to the detector's inference alone, both with one network
+    thread, ms.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
         video = ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)
-        one = ("--mono", str(video), "--focal-px", "1150", "--detector", str(options.detector), "--no-sgbm")
+        one = (
+            "--mono",
+            str(video),
+            "--focal-px",
+            "1150",
+            "--detector",
+            str(options.detector),
+            "--no-sgbm",
+        )
         commands = {
             "pair": (*pair_command(drive, options, folder / "pair"), "--align", "off"),
             "ordinary": (*PROGRAM[1:], *one, "--out", str(folder / "ordinary")),
         }
         rounds = []
         for _ in range(options.rounds):
-            alone_ms = _inference_alone_ms(options.detector, n_frames=options.frames, image_hw=drive.image_hw)
+            alone_ms = _inference_alone_ms(
+                options.detector, n_frames=options.frames, image_hw=drive.image_hw
+            )
             figures = {"inference alone": alone_ms}
             for kind, command in commands.items():
                 times_s((*command, "--threads", "1", "--device", "cpu"))
@@ -92,8 +117,11 @@ def pipeline(options: Namespace) -> Figures:
 
 def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
     session = OnnxSession(detector, Runtime(device="cpu", n_threads=1))
-    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)  # input size of a run with a dynamic network
-    height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
+    # input size of a run with a dynamic network
+    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)
+    height, width = (
+        fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True)
+    )
     network = session.bound((height, width))
     network.blob[:] = np.random.default_rng(0).random((1, 3, height, width), np.float32)
     network.run()
@@ -103,17 +131,23 @@ def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, i
     return 1e3 * (time.perf_counter() - start_s) / n_frames
 
 
-@workload(*DRIVE_OPTIONS, option("--frames", default=2000, help="number of frames of the looped drive"))
+@workload(
+    *DRIVE_OPTIONS, option("--frames", default=2000, help="number of frames of the looped drive")
+)
 def memory(options: Namespace) -> Figures:
-    """Resident memory of a run, MiB: medians by quarter, equal but the first if it does not grow, and the peak."""
-    import psutil  # a local import, since only this workload and `writers` require the extra `bench`
+    """Resident memory of a run, MiB: medians by quarter, equal but the first if it does not grow,
+    and the peak.
+    """
+    # a local import, since only this workload and `writers` require the extra `bench`
+    import psutil
 
     samples: list[tuple[int, float]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
         process = subprocess.Popen(
-            [sys.executable, *pair_command(drive, options, folder / "out")], stdout=subprocess.DEVNULL
+            [sys.executable, *pair_command(drive, options, folder / "out")],
+            stdout=subprocess.DEVNULL,
         )
         resources = psutil.Process(process.pid)
         while process.poll() is None:
@@ -125,7 +159,9 @@ def memory(options: Namespace) -> Figures:
             raise SystemExit(f"track-range failed with status {process.returncode}")
     n_frames = 1 + max(frame for frame, _ in samples)
     quarters = {
-        f"quarter_{q + 1}_mib": statistics.median(mib for frame, mib in samples if 4 * frame // n_frames == q)
+        f"quarter_{q + 1}_mib": statistics.median(
+            mib for frame, mib in samples if 4 * frame // n_frames == q
+        )
         for q in range(4)
     }
     return {"frames": options.frames, **quarters, "peak_mib": max(mib for _, mib in samples)}

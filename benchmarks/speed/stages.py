@@ -48,25 +48,35 @@ SIZES_HW_M = {"car": (1.5, 1.8), "person": (1.7, 0.6), "truck": (3.3, 2.5), "bic
 
 FRACTIONS = (0.6, 0.2, 0.1, 0.1)  # fraction of each class of `SIZES_HW_M` among the objects
 STEP_S = 0.1
-STEREO_SIGMA_PER_M, STEREO_FRACTION = 0.002, 0.8  # relative sigma of stereo per metre of distance, and its coverage
+# relative sigma of stereo per metre of distance, and its coverage
+STEREO_SIGMA_PER_M, STEREO_FRACTION = 0.002, 0.8
 
 N_TRACKS, FPS = 8, 30.0
 
 _LIFETIME = 150  # frames of a track
-_FIRST_SAMPLE = 500  # memory is compared after this frame, when libraries are loaded and buffers allocated
+# memory is compared after this frame, when libraries are loaded and buffers allocated
+_FIRST_SAMPLE = 500
 
 WRITTEN_CAMERA = PinholeCamera(1000.0, 1000.0, 620.0, 180.0, 1242, 375)
 
 
 @workload(
-    option("--models", default=tuple(REAL_DATA / f"models/{name}.onnx" for name in MODELS), help="ONNX files"),
-    option("--video", default=REAL_DATA / "kitti_stereo/0003/left.mp4", help="video with the frames"),
+    option(
+        "--models",
+        default=tuple(REAL_DATA / f"models/{name}.onnx" for name in MODELS),
+        help="ONNX files",
+    ),
+    option(
+        "--video", default=REAL_DATA / "kitti_stereo/0003/left.mp4", help="video with the frames"
+    ),
     option("--frames", default=16, help="number of frames, from the first on"),
     option("--rounds", default=3, help="number of passes over the frames"),
     option("--threads", default=(1, 2), help="numbers of threads"),
 )
 def detection(options: Namespace) -> Figures:
-    """Time of each detector at each input size: preprocessing, inference and postprocessing, on one and two threads."""
+    """Time of each detector at each input size: preprocessing, inference and postprocessing, on one
+    and two threads.
+    """
     cv2.setNumThreads(1)
     frames = decoded(options.video, options.frames)
     detectors: dict[str, YoloDetector] = {}
@@ -85,18 +95,33 @@ def detection(options: Namespace) -> Figures:
     figures: Figures = {}
     for name, detector in detectors.items():
         pre, inference, post = np.median(times_ms[name], axis=0).tolist()
-        times = {"pre_ms": pre, "inference_ms": inference, "post_ms": post, "total_ms": pre + inference + post}
-        figures[name] = {"family": detector.model.family, **times, "overhead_fraction": (pre + post) / inference}
+        times = {
+            "pre_ms": pre,
+            "inference_ms": inference,
+            "post_ms": post,
+            "total_ms": pre + inference + post,
+        }
+        figures[name] = {
+            "family": detector.model.family,
+            **times,
+            "overhead_fraction": (pre + post) / inference,
+        }
     return {"frames": len(frames), "image_hw": list(frames[0].shape[:2]), "detectors": figures}
 
 
 def _detectors(path: Path, n_threads: int) -> list[YoloDetector]:
-    """One detector for a network with a fixed input; for a dynamic one a rectangular and a square one of each size."""
+    """One detector for a network with a fixed input; for a dynamic one a rectangular and a square
+    one of each size.
+    """
     runtime = Runtime(device="cpu", n_threads=n_threads)
     fixed = YoloDetector(path, runtime=runtime)
     if None not in fixed.session.input_shape[2:]:
         return [fixed]
-    settings = [YoloSettings(size_px=size, is_square=square) for size in SIZES_PX for square in (False, True)]
+    settings = [
+        YoloSettings(size_px=size, is_square=square)
+        for size in SIZES_PX
+        for square in (False, True)
+    ]
     return [YoloDetector(path, option, runtime=runtime) for option in settings]
 
 
@@ -118,11 +143,17 @@ def _timed_ms(detector: YoloDetector, frame: Image) -> list[float]:
 )
 def ranging(options: Namespace) -> Figures:
     """Time per frame of the box-only ranging methods, and of fusion and filters."""
-    return {"ms_by_tracks": {f"{n} tracks": box_only_ms(n, n_frames=options.frames) for n in options.tracks}}
+    return {
+        "ms_by_tracks": {
+            f"{n} tracks": box_only_ms(n, n_frames=options.frames) for n in options.tracks
+        }
+    }
 
 
 def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
-    """Median time in ms of each box-only method, of fusion and of the filters, for a number of tracks."""
+    """Median time in ms of each box-only method, of fusion and of the filters, for a number of
+    tracks.
+    """
     rangers = create_rangers(MethodContext(camera=CAMERA, has_lane_lines=True))
     reads = {method.name: method.reads for method in methods()}
     fusion, filters = Fusion(), DistanceFilters(noise_shares())
@@ -148,7 +179,10 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
         ranges["stereo"] = _stereo(tracks, index)
         fused = timed("fuse", partial(fusion.fuse, ranges, jittered.track_id, frame.time_s))
         ranges["fused"] = fused.ranges
-        timed("filters", partial(filters.update, ranges, frame.time_s, conditions={"fused": fused.condition}))
+        timed(
+            "filters",
+            partial(filters.update, ranges, frame.time_s, conditions={"fused": fused.condition}),
+        )
     median = {name: median_ms(times) for name, times in times_s.items()}
     sums = {"box-only methods": tuple(rangers), "fusion and filters": ("fuse", "filters")}
     return {**median, **{name: sum(median[part] for part in parts) for name, parts in sums.items()}}
@@ -163,8 +197,13 @@ def _tracks(n: int) -> Tracks:
     class_id = np.array([ROAD_CLASSES.index(name) for name in SIZES_HW_M])[index]
     height, width = (np.array(list(SIZES_HW_M.values())) * CAMERA.fx_px)[index].T
     z, x = rng.uniform(8.0, 80.0, n), rng.uniform(-6.0, 6.0, n)
-    column, bottom = CAMERA.cx_px + CAMERA.fx_px * x / z, CAMERA.cy_px + CAMERA.fy_px * CAMERA_HEIGHT_M / z
-    xyxy_px = np.stack([column - width / z / 2, bottom - height / z, column + width / z / 2, bottom], axis=1)
+    column, bottom = (
+        CAMERA.cx_px + CAMERA.fx_px * x / z,
+        CAMERA.cy_px + CAMERA.fy_px * CAMERA_HEIGHT_M / z,
+    )
+    xyxy_px = np.stack(
+        [column - width / z / 2, bottom - height / z, column + width / z / 2, bottom], axis=1
+    )
     return Tracks(np.arange(1, n + 1), xyxy_px, class_id, np.ones(n), np.ones(n, np.bool_))
 
 
@@ -179,7 +218,9 @@ def _stereo(tracks: Tracks, index: int) -> Ranges:
     rng = np.random.default_rng(index)
     true_m = CAMERA.fy_px * CAMERA_HEIGHT_M / (tracks.xyxy_px[:, 3] - CAMERA.cy_px)
     sigma = STEREO_SIGMA_PER_M * true_m
-    distance_m = np.where(rng.random(len(tracks)) < STEREO_FRACTION, true_m * np.exp(rng.normal(0.0, sigma)), np.nan)
+    distance_m = np.where(
+        rng.random(len(tracks)) < STEREO_FRACTION, true_m * np.exp(rng.normal(0.0, sigma)), np.nan
+    )
     return Ranges(tracks.track_id, distance_m, distance_m * sigma)
 
 
@@ -202,19 +243,29 @@ def _lines() -> LaneLines:
     option("--rounds", default=5, help="rounds, of which the median is printed"),
 )
 def writers(options: Namespace) -> Figures:
-    """Cost of the result formats: time per frame, time at the end, file size and growth of memory."""
-    cases: dict[str, tuple[tuple[str, ...], Figures]] = {name: ((name,), {}) for name in WRITERS.names}
+    """Cost of the result formats: time per frame, time at the end, file size and growth of
+    memory.
+    """
+    cases: dict[str, tuple[tuple[str, ...], Figures]] = {
+        name: ((name,), {}) for name in WRITERS.names
+    }
     cases["mcap, ros2"] = (("mcap",), {"mcap_profile": "ros2"})
     cases[f"default: {','.join(DEFAULT_WRITERS)}"] = (DEFAULT_WRITERS, {})
     figures: Figures = {}
     for name, case in cases.items():
-        costs = [in_new_process(_writing_cost, *case, options.frames) for _ in range(options.rounds)]
-        figures[name] = {key: round(float(np.median([cost[key] for cost in costs])), 3) for key in costs[0]}
+        costs = [
+            in_new_process(_writing_cost, *case, options.frames) for _ in range(options.rounds)
+        ]
+        figures[name] = {
+            key: round(float(np.median([cost[key] for cost in costs])), 3) for key in costs[0]
+        }
     return figures
 
 
 def _writing_cost(formats: Sequence[str], settings: Figures, n_frames: int) -> dict[str, float]:
-    """Process time per frame and of closing the files, size of these, and growth of memory from frame 500 on."""
+    """Process time per frame and of closing the files, size of these, and growth of memory from
+    frame 500 on.
+    """
     import psutil  # a local import, since only this workload and `memory` require the extra `bench`
 
     process = psutil.Process()
@@ -235,21 +286,32 @@ def _writing_cost(formats: Sequence[str], settings: Figures, n_frames: int) -> d
         close_s = time.process_time() - start_s
         n_bytes = sum(path.stat().st_size for path in folder.iterdir())
     frame_ms, kb = 1e3 * busy_s / n_frames, n_bytes / n_frames / 1000
-    return {"ms_per_frame": frame_ms, "close_ms": 1e3 * close_s, "kb_per_frame": kb, "growth_mib": growth_mib}
+    return {
+        "ms_per_frame": frame_ms,
+        "close_ms": 1e3 * close_s,
+        "kb_per_frame": kb,
+        "growth_mib": growth_mib,
+    }
 
 
 def written_frames(n_frames: int) -> Iterator[FrameResult]:
-    """Frames with `N_TRACKS` tracks each, of which one is replaced every `_LIFETIME / N_TRACKS` frames."""
+    """Frames with `N_TRACKS` tracks each, of which one is replaced every `_LIFETIME / N_TRACKS`
+    frames.
+    """
     rng = np.random.default_rng(0)
     place = np.arange(N_TRACKS)
     for index in range(n_frames):
         age = index + place * _LIFETIME / N_TRACKS
         track_id = 1 + place + N_TRACKS * (age // _LIFETIME).astype(np.int64)
-        distance_m = 60.0 - 50.0 * (age % _LIFETIME) / _LIFETIME + 0.1 * rng.standard_normal(N_TRACKS)
+        distance_m = (
+            60.0 - 50.0 * (age % _LIFETIME) / _LIFETIME + 0.1 * rng.standard_normal(N_TRACKS)
+        )
         centre_x, size = 620.0 + 40.0 * (place - 4) * 30.0 / distance_m, 1600.0 / distance_m
         tracks = Tracks(
             track_id,
-            np.stack([centre_x - size / 2, 180 - size / 4, centre_x + size / 2, 180 + size / 2], axis=1),
+            np.stack(
+                [centre_x - size / 2, 180 - size / 4, centre_x + size / 2, 180 + size / 2], axis=1
+            ),
             place % 6,
             np.full(N_TRACKS, 0.8) + 0.05 * rng.standard_normal(N_TRACKS),
             rng.random(N_TRACKS) > 0.1,
@@ -268,5 +330,7 @@ def written_frames(n_frames: int) -> Iterator[FrameResult]:
             closing_sigma_mps=np.full(N_TRACKS, 0.3),
             ttc_s=distance_m / closing_mps,
             ttc_sigma_s=0.03 * distance_m / closing_mps,
-            xyz_m=np.stack([(centre_x - 620) / 1000 * distance_m, np.ones(N_TRACKS), distance_m], axis=1),
+            xyz_m=np.stack(
+                [(centre_x - 620) / 1000 * distance_m, np.ones(N_TRACKS), distance_m], axis=1
+            ),
         )

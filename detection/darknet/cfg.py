@@ -4,7 +4,8 @@
     filters=32
     layers = -1, -4        # blanks are ignored; comments start with #
 
-If an option occurs twice in a section, the first one is used, as in Darknet (`option_find` in option_list.c).
+If an option occurs twice in a section, the first one is used, as in Darknet (`option_find` in
+option_list.c).
 """
 
 import re
@@ -88,7 +89,9 @@ class CfgSection:
 
 
 def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
-    """The sections of a cfg: [net], then sections in `known`; ModelError for an unreadable file or unknown sections."""
+    """The sections of a cfg: [net], then sections in `known`; ModelError for an unreadable file or
+    unknown sections.
+    """
     content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
     text = content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
     sections: list[CfgSection] = []
@@ -104,10 +107,15 @@ def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
         elif equals and key and sections:
             options.setdefault(key, value)
         else:
-            raise ModelError(f"{path}, line {line_number}: expected [section] or key=value, got '{_short(line)}'.")
+            raise ModelError(
+                f"{path}, line {line_number}: expected [section] or key=value, got "
+                f"'{_short(line)}'."
+            )
     if not sections or sections[0].kind != "net":
         first = f"[{_short(sections[0].kind)}]" if sections else "no section"
-        raise ModelError(f"{path}: expected a Darknet cfg whose first section is [net], got {first}.")
+        raise ModelError(
+            f"{path}: expected a Darknet cfg whose first section is [net], got {first}."
+        )
     for section in sections[1:]:
         if section.kind not in known:
             supported = ", ".join(f"[{kind}]" for kind in known)

@@ -1,6 +1,7 @@
 """Conversion of a Darknet cfg into layers with their sources and shapes.
 
-Layers count from 0 at the section after [net]; `layers=-1` is the previous layer, `layers=8` the ninth layer.
+Layers count from 0 at the section after [net]; `layers=-1` is the previous layer, `layers=8` the
+ninth layer.
 
     convolutional    out = (in + 2 pad - size) / stride + 1        pad=1 in the cfg means pad = size / 2
     maxpool          out = (in + padding - size) / stride + 1      padding = size - 1, the smaller half top and left
@@ -71,7 +72,9 @@ class Convolution:
 
 @dataclass(frozen=True, slots=True)
 class MaxPool:
-    """Maximum pooling; `padding` is the sum of both sides, and padded values are never the maximum."""
+    """Maximum pooling; `padding` is the sum of both sides, and padded values are never the
+    maximum.
+    """
 
     size: int
     stride_yx: tuple[int, int]
@@ -87,7 +90,9 @@ class Upsample:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Concatenation of part `group_id` of the channels of each source, which are divided into `groups` equal parts."""
+    """Concatenation of part `group_id` of the channels of each source, which are divided into
+    `groups` equal parts.
+    """
 
     groups: int
     group_id: int
@@ -109,7 +114,8 @@ class Dropout:
 class YoloHead:
     """A [yolo] layer."""
 
-    anchors_px: tuple[tuple[float, float], ...]  # (width, height) in input pixels of the anchors in its mask
+    # (width, height) in input pixels of the anchors in its mask
+    anchors_px: tuple[tuple[float, float], ...]
     n_classes: int
     scale_x_y: float  # factor on the range of the centre offsets
 
@@ -119,7 +125,9 @@ Operation = Convolution | MaxPool | Upsample | Route | Shortcut | Dropout | Yolo
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One layer: its operation, the indices of its source layers (or `IMAGE`) and the shape of its output."""
+    """One layer: its operation, the indices of its source layers (or `IMAGE`) and the shape of its
+    output.
+    """
 
     operation: Operation
     sources: tuple[int, ...]
@@ -132,43 +140,62 @@ class Network:
 
     input_shape: Shape  # shape of the input image
     letter_box: int | None  # value of letter_box in [net]; None = absent
-    layers: tuple[Layer, ...]  # the layers in the cfg's order; sources precede the layers that use them
+    # the layers in the cfg's order; sources precede the layers that use them
+    layers: tuple[Layer, ...]
 
     @property
     def n_values(self) -> int:
         """Number of values in the weights file."""
-        return sum(layer.operation.n_values for layer in self.layers if isinstance(layer.operation, Convolution))
+        return sum(
+            layer.operation.n_values
+            for layer in self.layers
+            if isinstance(layer.operation, Convolution)
+        )
 
     @property
     def heads(self) -> list[tuple[int, YoloHead]]:
         """Index of the source layer and the operation of each [yolo] layer, in the cfg's order."""
-        return [(layer.sources[0], layer.operation) for layer in self.layers if isinstance(layer.operation, YoloHead)]
+        return [
+            (layer.sources[0], layer.operation)
+            for layer in self.layers
+            if isinstance(layer.operation, YoloHead)
+        ]
 
 
 def read_network(path: Path) -> Network:
-    """The network that the cfg at `path` describes; ModelError if it is invalid or has unsupported options."""
+    """The network that the cfg at `path` describes; ModelError if it is invalid or has unsupported
+    options.
+    """
     net, sections, network = read_layers(path)
     heads = [head for _, head in network.heads]
     if len(heads) not in (2, 3):
-        raise net.error(f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}")
+        raise net.error(
+            f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}"
+        )
     if len({(len(head.anchors_px), head.n_classes) for head in heads}) != 1:
-        raise net.error("expected the same number of classes and of anchors per mask in all [yolo] sections")
+        raise net.error(
+            "expected the same number of classes and of anchors per mask in all [yolo] sections"
+        )
     image = network.input_shape
     for section, (source, _) in zip(sections, network.heads, strict=True):
         grid = network.layers[source].shape
         if image[1] % grid[1] or image[2] % grid[2]:
             raise section.error(
-                f"expected width and height of [net] that are multiples of the strides (usually of 32), got an input "
-                f"of {image[2]}x{image[1]} pixels for a grid of {grid[2]}x{grid[1]} cells; check width, height and the "
-                "strides"
+                "expected width and height of [net] that are multiples of the strides (usually of "
+                f"32), got an input of {image[2]}x{image[1]} pixels for a grid of "
+                f"{grid[2]}x{grid[1]} cells; check width, height and the strides"
             )
     return network
 
 
 def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
-    """The section [net], the [yolo] sections and the network of a cfg; the heads are not yet compared."""
+    """The section [net], the [yolo] sections and the network of a cfg; the heads are not yet
+    compared.
+    """
     net, *sections = read_sections(path, tuple(_READERS))
-    n_channels, height, width = (net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items())
+    n_channels, height, width = (
+        net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items()
+    )
     if n_channels != 3:
         raise net.error(f"expected channels=3, got channels={n_channels}")
     if (side := max(height, width)) > _MAX_SIDE_PX:
@@ -177,14 +204,17 @@ def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
     for section in sections:
         layer = _READERS[section.kind](section, trunk)
         if math.prod(layer.shape) > _MAX_VALUES:
-            raise section.error(f"expected an output of at most {_MAX_VALUES:,} values, got {_sizes([layer.shape])}")
+            raise section.error(
+                f"expected an output of at most {_MAX_VALUES:,} values, got {_sizes([layer.shape])}"
+            )
         trunk.layers.append(layer)
     letter_box = net.integer("letter_box") if "letter_box" in net.options else None
     network = Network(trunk.image, letter_box, tuple(trunk.layers))
     return net, [section for section in sections if section.kind == "yolo"], network
 
 
-_NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}  # of [net]; None = no default
+# of [net]; None = no default
+_NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}
 _MAX_SIDE_PX = 8192  # of the input, as for ONNX models
 _MAX_VALUES = 2**28  # of a layer's output: 1 GB
 _MAX_ANCHOR_PX = 65535
@@ -201,9 +231,13 @@ class _Trunk:
         return self.source(section, len(self.layers) - 1)
 
     def source(self, section: CfgSection, index: int) -> int:
-        """`index` after a check that the layer is not a [yolo], whose output cannot be an input of layers."""
+        """`index` after a check that the layer is not a [yolo], whose output cannot be an input of
+        layers.
+        """
         if index >= 0 and isinstance(self.layers[index].operation, YoloHead):
-            raise section.error(f"its source, layer {index}, is a [yolo] layer, which has no features")
+            raise section.error(
+                f"its source, layer {index}, is a [yolo] layer, which has no features"
+            )
         return index
 
     def shape(self, index: int) -> Shape:
@@ -215,7 +249,8 @@ class _Trunk:
         indices = tuple(index + current if index < 0 else index for index in section.integers(key))
         if not all(0 <= index < current for index in indices):
             raise section.error(
-                f"expected layers before layer {current}, got {quoted(f'{key}={section.options[key]}')}"
+                f"expected layers before layer {current}, got "
+                f"{quoted(f'{key}={section.options[key]}')}"
             )
         return tuple(self.source(section, index) for index in indices)
 
@@ -224,7 +259,10 @@ def _window(
     section: CfgSection, shape: Shape, *, size: int, padding: int, stride_yx: tuple[int, int]
 ) -> tuple[int, int]:
     """Rows and columns of the output of a sliding window; `padding` is the sum of both sides."""
-    rows, columns = ((side + padding - size) // stride + 1 for side, stride in zip(shape[1:], stride_yx, strict=True))
+    rows, columns = (
+        (side + padding - size) // stride + 1
+        for side, stride in zip(shape[1:], stride_yx, strict=True)
+    )
     if rows < 1 or columns < 1:
         raise section.error(f"size={size} is larger than its input of {shape[2]}x{shape[1]} pixels")
     return rows, columns
@@ -232,7 +270,9 @@ def _window(
 
 def _stride_yx(section: CfgSection) -> tuple[int, int]:
     stride = section.integer("stride", 1, minimum=1)
-    return section.integer("stride_y", stride, minimum=1), section.integer("stride_x", stride, minimum=1)
+    return section.integer("stride_y", stride, minimum=1), section.integer(
+        "stride_x", stride, minimum=1
+    )
 
 
 def _convolution(section: CfgSection, trunk: _Trunk) -> Layer:
@@ -253,10 +293,12 @@ def _convolution(section: CfgSection, trunk: _Trunk) -> Layer:
     )
     if operation.n_channels % operation.groups or operation.n_filters % operation.groups:
         raise section.error(
-            f"groups={operation.groups} does not divide {operation.n_channels} channels and {operation.n_filters} "
-            "filters"
+            f"groups={operation.groups} does not divide {operation.n_channels} channels and "
+            f"{operation.n_filters} filters"
         )
-    rows, columns = _window(section, shape, size=size, padding=2 * pad, stride_yx=operation.stride_yx)
+    rows, columns = _window(
+        section, shape, size=size, padding=2 * pad, stride_yx=operation.stride_yx
+    )
     return Layer(operation, (source,), (operation.n_filters, rows, columns))
 
 
@@ -268,7 +310,9 @@ def _max_pool(section: CfgSection, trunk: _Trunk) -> Layer:
     size = section.integer("size", section.integer("stride", 1, minimum=1), minimum=1)
     padding = section.integer("padding", size - 1)
     if (padding + 1) // 2 >= size:
-        raise section.error(f"padding={padding} is too large for size={size}: some windows are outside the input")
+        raise section.error(
+            f"padding={padding} is too large for size={size}: some windows are outside the input"
+        )
     rows, columns = _window(section, shape, size=size, padding=padding, stride_yx=stride_yx)
     return Layer(MaxPool(size, stride_yx, padding), (source,), (shape[0], rows, columns))
 
@@ -287,9 +331,13 @@ def _route(section: CfgSection, trunk: _Trunk) -> Layer:
     groups, group_id = section.integer("groups", 1, minimum=1), section.integer("group_id", 0)
     if group_id >= groups or any(shape[0] % groups for shape in shapes):
         counts = shortened(", ".join(str(shape[0]) for shape in shapes))
-        raise section.error(f"groups={groups}, group_id={group_id} is not a valid part of {counts} channels")
+        raise section.error(
+            f"groups={groups}, group_id={group_id} is not a valid part of {counts} channels"
+        )
     if len({shape[1:] for shape in shapes}) != 1:
-        raise section.error(f"its layers differ in size: {_sizes(shapes)}; check width and height of [net]")
+        raise section.error(
+            f"its layers differ in size: {_sizes(shapes)}; check width and height of [net]"
+        )
     channels = sum(shape[0] // groups for shape in shapes)
     return Layer(Route(groups, group_id), sources, (channels, *shapes[0][1:]))
 
@@ -308,36 +356,55 @@ def _yolo(section: CfgSection, trunk: _Trunk) -> Layer:
     source = trunk.before(section)
     numbers = section.numbers("anchors")
     if len(numbers) % 2 or min(numbers) <= 0 or max(numbers) > _MAX_ANCHOR_PX:
-        raise section.error(f"expected anchors as pairs of a positive width and height up to {_MAX_ANCHOR_PX} pixels")
+        raise section.error(
+            "expected anchors as pairs of a positive width and height up to "
+            f"{_MAX_ANCHOR_PX} pixels"
+        )
     anchors = tuple(zip(numbers[::2], numbers[1::2], strict=True))
     has_mask = "mask" in section.options
     n_anchors = section.integer("num", len(anchors) if has_mask else 1, minimum=1)
     if n_anchors != len(anchors):
-        raise section.error(f"expected num={len(anchors)}, the number of anchors, got num={n_anchors}")
+        raise section.error(
+            f"expected num={len(anchors)}, the number of anchors, got num={n_anchors}"
+        )
     mask = section.integers("mask") if has_mask else tuple(range(n_anchors))
     if not all(0 <= index < len(anchors) for index in mask) or len(set(mask)) < len(mask):
         raise section.error(
-            f"expected different mask indices below {len(anchors)}, got {shortened(', '.join(map(str, mask)))}"
+            f"expected different mask indices below {len(anchors)}, got "
+            f"{shortened(', '.join(map(str, mask)))}"
         )
     scale = section.numbers("scale_x_y", 1.0)[0]
     if not 1 <= scale <= 2:
         raise section.error(f"expected scale_x_y from 1 to 2, got {scale:g}")
     n_classes = section.integer("classes", 20, minimum=1)
     n_filters, shape = len(mask) * (5 + n_classes), trunk.shape(source)
-    if shape[0] != n_filters or source == IMAGE or not isinstance(trunk.layers[source].operation, Convolution):
+    if (
+        shape[0] != n_filters
+        or source == IMAGE
+        or not isinstance(trunk.layers[source].operation, Convolution)
+    ):
         raise section.error(
-            f"expected a [convolutional] layer with filters={n_filters} before it, for {len(mask)} anchors x "
-            f"(5 + {n_classes} classes); got {shape[0]} channels"
+            f"expected a [convolutional] layer with filters={n_filters} before it, for {len(mask)} "
+            f"anchors x (5 + {n_classes} classes); got {shape[0]} channels"
         )
-    return Layer(YoloHead(tuple(anchors[index] for index in mask), n_classes, scale), (source,), shape)
+    return Layer(
+        YoloHead(tuple(anchors[index] for index in mask), n_classes, scale), (source,), shape
+    )
 
 
 def _sizes(shapes: Sequence[Shape]) -> str:
-    return shortened(" and ".join(f"{columns}x{rows}x{channels}" for channels, rows, columns in shapes))
+    return shortened(
+        " and ".join(f"{columns}x{rows}x{channels}" for channels, rows, columns in shapes)
+    )
 
 
-_PLAIN_CONVOLUTION = {  # Darknet's defaults; other values would change the weights file or the arithmetic
-    **dict.fromkeys("antialiasing assisted_excitation binary cbn coordconv deform dontload dontloadscales".split(), 0),
+# Darknet's defaults; other values would change the weights file or the arithmetic
+_PLAIN_CONVOLUTION = {
+    **dict.fromkeys(
+        "antialiasing assisted_excitation binary cbn coordconv deform dontload "
+        "dontloadscales".split(),
+        0,
+    ),
     **dict.fromkeys("bin_output flipped rotate stretch stretch_sway sway xnor".split(), 0),
     "dilation": 1,
     "share_index": -1_000_000_000,
@@ -348,6 +415,8 @@ _READERS: Mapping[str, Callable[[CfgSection, _Trunk], Layer]] = {
     "upsample": _upsample,
     "route": _route,
     "shortcut": _shortcut,
-    "dropout": lambda section, trunk: Layer(Dropout(), (source := trunk.before(section),), trunk.shape(source)),
+    "dropout": lambda section, trunk: Layer(
+        Dropout(), (source := trunk.before(section),), trunk.shape(source)
+    ),
     "yolo": _yolo,
 }

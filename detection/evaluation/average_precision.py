@@ -1,4 +1,5 @@
-"""Average precision of detectors by COCO's protocol (pycocotools' COCOeval, all areas, 100 boxes per image and class).
+"""Average precision of detectors by COCO's protocol (pycocotools' COCOeval, all areas, 100 boxes
+per image and class).
 
     p_interp(r) = max over r' >= r of p(r')      AP = mean of p_interp(r) over r = 0, 0.01, ..., 1
     AP50: AP at IoU >= 0.5                        AP50-95: mean AP over IoU >= 0.50, 0.55, ..., 0.95
@@ -20,44 +21,69 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import FloatArray, IntArray
 
 RECALL_POINTS: FloatArray = np.linspace(0.0, 1.0, 101)  # as in COCO
-PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # at which recalls are reported, so that detectors can be compared
+# at which recalls are reported, so that detectors can be compared
+PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 MIN_BOXES = 50  # of a class in the means; metrics from fewer labels vary too much
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassScores:
-    """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without detections."""
+    """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without
+    detections.
+    """
 
-    n_images: int  # number of images in which all objects of the class are labelled; other images are not evaluated
+    # number of images in which all objects of the class are labelled; other images are not
+    # evaluated
+    n_images: int
     n_boxes: int  # number of labels in these images, without labels to ignore
     ap50: float  # average precision
     ap50_95: float
-    precision: float  # of the detections at or above the confidence threshold, at IoU >= 0.5; so is the recall
+    # of the detections at or above the confidence threshold, at IoU >= 0.5; so is the recall
+    precision: float
     recall: float
-    recall_at: tuple[float, ...]  # (6,) for each of `PRECISIONS`, the largest recall with at least that precision
-    best_score: float  # score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5
+    # (6,) for each of `PRECISIONS`, the largest recall with at least that precision
+    recall_at: tuple[float, ...]
+    # score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5
+    best_score: float
     is_known: bool  # the detector has a name for this class
     is_averaged: bool  # the class is included in the means
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionScores:
-    """Scores of one detector by road class id, and their unweighted means over the averaged classes."""
+    """Scores of one detector by road class id, and their unweighted means over the averaged
+    classes.
+    """
 
     by_class: Mapping[int, ClassScores]
 
     def mean(self, figure: str, class_id: Iterable[int] | None = None) -> float:
-        """Mean of a figure of `ClassScores` over the averaged classes (in `class_id`); NaN if there are none."""
+        """Mean of a figure of `ClassScores` over the averaged classes (in `class_id`); NaN if there
+        are none.
+        """
         class_ids = self.by_class if class_id is None else class_id
-        values = [getattr(self.by_class[i], figure) for i in class_ids if self.by_class[i].is_averaged]
+        values = [
+            getattr(self.by_class[i], figure) for i in class_ids if self.by_class[i].is_averaged
+        ]
         return float(np.mean(values)) if values else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
-        """The means, the names of the averaged classes and all scores by class name, for JSON; None instead of NaN."""
-        means = {key: json_number(self.mean(key)) for key in ("ap50", "ap50_95", "precision", "recall")}
+        """The means, the names of the averaged classes and all scores by class name, for JSON; None
+        instead of NaN.
+        """
+        means = {
+            key: json_number(self.mean(key)) for key in ("ap50", "ap50_95", "precision", "recall")
+        }
         classes = {
-            ROAD_CLASSES[i]: {name: json_number(getattr(scores, name)) for name in ClassScores.__dataclass_fields__}
-            | {"recall_at": dict(zip(map(str, PRECISIONS), map(json_number, scores.recall_at), strict=True))}
+            ROAD_CLASSES[i]: {
+                name: json_number(getattr(scores, name))
+                for name in ClassScores.__dataclass_fields__
+            }
+            | {
+                "recall_at": dict(
+                    zip(map(str, PRECISIONS), map(json_number, scores.recall_at), strict=True)
+                )
+            }
             for i, scores in self.by_class.items()
         }
         averaged = [ROAD_CLASSES[i] for i, scores in self.by_class.items() if scores.is_averaged]
@@ -78,12 +104,13 @@ def evaluate_detections(
     min_boxes: int = MIN_BOXES,
     min_height_px: float = 0.0,
 ) -> DetectionScores:
-    """Scores of one detector on labelled images, from the detections of each image, down to very low scores.
+    """Scores of one detector on labelled images, from the detections of each image, down to very
+    low scores.
 
-    Precision and recall are at the thresholds `working_score` (8,) by road class. Classes without a name of the
-    detector (`known_class_id`) or with fewer labels than `min_boxes` are excluded from the mean. Labels below
-    `min_height_px` are ignored, and so are unmatched detections (KITTI's rule). Raises ValueError if `detections` and
-    `truth` differ in length.
+    Precision and recall are at the thresholds `working_score` (8,) by road class. Classes without a
+    name of the detector (`known_class_id`) or with fewer labels than `min_boxes` are excluded from
+    the mean. Labels below `min_height_px` are ignored, and so are unmatched detections (KITTI's
+    rule). Raises ValueError if `detections` and `truth` differ in length.
     """
     by_class = {}
     for class_id in range(len(ROAD_CLASSES)):
@@ -107,16 +134,23 @@ def accuracy(matches: ClassMatches, working_score: float) -> dict[str, Any]:
     with np.errstate(invalid="ignore", divide="ignore"):
         precision, recall = hits / (hits + false_positives), hits / matches.n_boxes
         f1 = 2 * hits[0] / (hits[0] + false_positives[0] + matches.n_boxes)
-    average = [_average_precision(p, r) if matches.n_boxes else np.nan for p, r in zip(precision, recall, strict=True)]
+    average = [
+        _average_precision(p, r) if matches.n_boxes else np.nan
+        for p, r in zip(precision, recall, strict=True)
+    ]
     n_used = int(np.count_nonzero(matches.score >= working_score))
     has_detections = n_used > 0
     reached = [recall[0][precision[0] >= least] for least in PRECISIONS]
     return {
-        "recall_at": tuple(float(r.max(initial=0.0)) if matches.n_boxes else np.nan for r in reached),
+        "recall_at": tuple(
+            float(r.max(initial=0.0)) if matches.n_boxes else np.nan for r in reached
+        ),
         "ap50": float(average[0]),
         "ap50_95": float(np.mean(average)),
         "precision": float(precision[0, n_used - 1]) if has_detections else np.nan,
-        "recall": (float(recall[0, n_used - 1]) if has_detections else 0.0) if matches.n_boxes else np.nan,
+        "recall": (float(recall[0, n_used - 1]) if has_detections else 0.0)
+        if matches.n_boxes
+        else np.nan,
         "best_score": float(matches.score[f1.argmax()]) if len(f1) and matches.n_boxes else np.nan,
     }
 

@@ -1,8 +1,8 @@
 """Copies of ONNX detectors with calibrated scores: s' = sigma(a_c logit(s) + b_c) for each class c.
 
-Where the network computes its scores as s = sigma(x), the copy computes sigma(a_c x + b_c), which costs two operations
-per score. Where another operation follows the sigmoid, the copy computes the logit of the outputs. A calibrated copy
-can be calibrated again.
+Where the network computes its scores as s = sigma(x), the copy computes sigma(a_c x + b_c), which
+costs two operations per score. Where another operation follows the sigmoid, the copy computes the
+logit of the outputs. A calibrated copy can be calibrated again.
 """
 
 import itertools
@@ -21,41 +21,51 @@ from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.output_files import OutputError, write_bytes
 
-_SMALLEST = 1e-6  # distance from 0 and 1 of a score whose logit is computed; in half precision, its resolution
+# distance from 0 and 1 of a score whose logit is computed; in half precision, its resolution
+_SMALLEST = 1e-6
 
 
 def score_outputs(detector: YoloDetector) -> tuple[int, ...]:
-    """Indices of the network's outputs that are class scores; ModelError if scores are not separate outputs."""
+    """Indices of the network's outputs that are class scores; ModelError if scores are not separate
+    outputs.
+    """
     if detector.model.score_outputs:
         return detector.model.score_outputs
     raise ModelError(
-        f"{detector.session.path}: expected a detector with separate outputs for the class scores, such as RoadNet, "
-        f"found {detector.model.layout}; export it with separate outputs if its exporter can."
+        f"{detector.session.path}: expected a detector with separate outputs for the class scores, "
+        f"such as RoadNet, found {detector.model.layout}; export it with separate outputs if its "
+        "exporter can."
     )
 
 
 def check_attributes(model: Path, out: Path) -> bytes | None:
-    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has other attributes."""
+    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has
+    other attributes.
+    """
     source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
     content = source.read_bytes() if source.is_file() else None
     if target.is_file() and target.read_bytes() != content:
         raise OutputError(
-            f"{target}: expected no file, or the attributes of {model.name}, found other attributes; choose another "
-            "--out."
+            f"{target}: expected no file, or the attributes of {model.name}, found other "
+            "attributes; choose another --out."
         )
     return content
 
 
-def write_calibrated_copy(detector: YoloDetector, fit: ScoreFit, out: Path, *, images: Path) -> None:
-    """Write a copy of a detector with scores calibrated on `images`, and its attributes; ModelError if this fails."""
+def write_calibrated_copy(
+    detector: YoloDetector, fit: ScoreFit, out: Path, *, images: Path
+) -> None:
+    """Write a copy of a detector with scores calibrated on `images`, and its attributes; ModelError
+    if this fails.
+    """
     known = detector.known_class_id
     background = fit.probability(np.full(len(known), BACKGROUND_SCORE), known)
     if background.max() > LOWEST_SCORE:
         name = ROAD_CLASSES[known[background.argmax()]]
         raise ModelError(
-            f"{images}: expected scores that are clearly higher for detections that match a label, but with the scores "
-            f"of {name}, background would get a probability of {background.max():.2f}; check the labels, or give more "
-            "images."
+            f"{images}: expected scores that are clearly higher for detections that match a label, "
+            f"but with the scores of {name}, background would get a probability of "
+            f"{background.max():.2f}; check the labels, or give more images."
         )
     model = detector.session.path
     content = check_attributes(model, out)
@@ -72,15 +82,18 @@ def write_calibrated_copy(detector: YoloDetector, fit: ScoreFit, out: Path, *, i
 def write_calibrated(
     path: Path, out: Path, *, score_outputs: Sequence[int], slope: FloatArray, offset: FloatArray
 ) -> None:
-    """Write a copy of the network at `path` with calibrated scores; ModelError if it cannot be read, written or loaded.
+    """Write a copy of the network at `path` with calibrated scores; ModelError if it cannot be
+    read, written or loaded.
 
-    `score_outputs` are outputs (B, n, C) of scores of n cells and C classes, all in float32 or in float16; `slope` (C,)
-    is a_c and `offset` (C,) b_c.
+    `score_outputs` are outputs (B, n, C) of scores of n cells and C classes, all in float32 or in
+    float16; `slope` (C,) is a_c and `offset` (C,) b_c.
     """
     try:
         model = onnx.load(path)
     except Exception as error:  # onnx and protobuf raise unrelated types
-        raise ModelError(f"{path}: this is not a readable ONNX model ({type(error).__name__}).") from error
+        raise ModelError(
+            f"{path}: this is not a readable ONNX model ({type(error).__name__})."
+        ) from error
     graph = model.graph
     outputs = [graph.output[index] for index in score_outputs]
     dtype = helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type)
@@ -97,7 +110,8 @@ def write_calibrated(
     )
     with atomic_output(out) as folder:
         onnx.save(model, folder / out.name)
-        OnnxSession(folder / out.name, Runtime(device="cpu"))  # raises a ModelError if it cannot be loaded
+        # raises a ModelError if it cannot be loaded
+        OnnxSession(folder / out.name, Runtime(device="cpu"))
 
 
 def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:

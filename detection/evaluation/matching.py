@@ -1,11 +1,13 @@
-"""Matches of detections with labels by COCO's protocol (pycocotools' COCOeval, 100 boxes per image and class).
+"""Matches of detections with labels by COCO's protocol (pycocotools' COCOeval, 100 boxes per image
+and class).
 
-In each image and class, detections are matched greedily in order of decreasing score, each with the unmatched label of
-the largest IoU; labels to ignore are matched only if no other label is left. A detection matched with such a label is
-neither a true nor a false positive.
+In each image and class, detections are matched greedily in order of decreasing score, each with the
+unmatched label of the largest IoU; labels to ignore are matched only if no other label is left. A
+detection matched with such a label is neither a true nor a false positive.
 
-In a bin of sizes, labels outside the bin are ignored, and unmatched detections outside the bin are neither true
-nor false positives. (Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
+In a bin of sizes, labels outside the bin are ignored, and unmatched detections outside the bin are
+neither true nor false positives. (Lin et al., "Microsoft COCO", ECCV 2014;
+cocodataset.org/#detection-eval.)
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ SizeMeasure = Literal["area", "height"]  # area in square pixels or height in pi
 
 @dataclass(frozen=True, slots=True)
 class SizeBin:
-    """Range of sizes of boxes, low <= size < high, in square pixels of the image for areas, else in pixels."""
+    """Range of sizes of boxes, low <= size < high, in square pixels of the image for areas, else in
+    pixels.
+    """
 
     name: str
     measure: SizeMeasure
@@ -46,11 +50,14 @@ ANY_SIZE = SizeBin("all", "area", 0.0, np.inf)  # bin of all sizes
 
 @dataclass(frozen=True, slots=True)
 class ClassMatches:
-    """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold."""
+    """The K detections of one class in order of decreasing score, and how they were matched at each
+    IoU threshold.
+    """
 
     score: FloatArray  # (K,) confidence
     is_hit: BoolArray  # (10, K) true positive: matched with a label
-    is_void: BoolArray  # (10, K) not counted: matched with a label to ignore, or unmatched and outside the size bin
+    # (10, K) not counted: matched with a label to ignore, or unmatched and outside the size bin
+    is_void: BoolArray
     n_boxes: int  # number of labels, without those to ignore
 
     @classmethod
@@ -76,21 +83,31 @@ def match_class(
 ) -> list[ClassMatches]:
     """The matches of one class in the images in which it is labelled completely, for each bin.
 
-    `min_height_px`: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
-    ValueError: `detections` and `truth` differ in length.
+    `min_height_px`: labels below this height are ignored, and so are unmatched detections below it
+    (KITTI's rule). ValueError: `detections` and `truth` differ in length.
     """
     if len(detections) != len(truth):
-        raise ValueError(f"detections: expected {len(truth)} images, as many as in truth, got {len(detections)}")
+        raise ValueError(
+            f"detections: expected {len(truth)} images, as many as in truth, got {len(detections)}"
+        )
     by_image = [
         _match_image(d, t, class_id, min_height_px=min_height_px, bins=bins)
         for d, t in zip(detections, truth, strict=True)
-        if t.is_complete[class_id] and (class_id in d.class_id or class_id in t.class_id or ANY_CLASS in t.class_id)
+        if t.is_complete[class_id]
+        and (class_id in d.class_id or class_id in t.class_id or ANY_CLASS in t.class_id)
     ]
-    return [ClassMatches.concatenate([matches[i] for matches in by_image]) for i in range(len(bins))]
+    return [
+        ClassMatches.concatenate([matches[i] for matches in by_image]) for i in range(len(bins))
+    ]
 
 
 def _match_image(
-    detections: Detections, truth: ImageTruth, class_id: int, *, min_height_px: float, bins: Sequence[SizeBin]
+    detections: Detections,
+    truth: ImageTruth,
+    class_id: int,
+    *,
+    min_height_px: float,
+    bins: Sequence[SizeBin],
 ) -> list[ClassMatches]:
     chosen = np.flatnonzero(detections.class_id == class_id)
     chosen = chosen[np.argsort(-detections.score[chosen], kind="stable")][:MAX_DETECTIONS]
@@ -105,7 +122,9 @@ def _match_image(
         is_hit = np.zeros((len(IOU_THRESHOLDS), len(boxes)), np.bool_)
         is_void = np.zeros_like(is_hit)
         if len(labels):
-            _match(overlap, is_ignored=is_ignored, is_region=is_region, is_hit=is_hit, is_void=is_void)
+            _match(
+                overlap, is_ignored=is_ignored, is_region=is_region, is_hit=is_hit, is_void=is_void
+            )
         is_void |= ~is_hit & ~(size_bin.contains(boxes) & (height_px(boxes) >= min_height_px))
         n_boxes = int(np.count_nonzero(~is_ignored))
         matches.append(ClassMatches(detections.score[chosen], is_hit, is_void, n_boxes))
@@ -118,11 +137,18 @@ def height_px(xyxy_px: FloatArray) -> FloatArray:
 
 
 def _match(
-    overlap: FloatArray, *, is_ignored: BoolArray, is_region: BoolArray, is_hit: BoolArray, is_void: BoolArray
+    overlap: FloatArray,
+    *,
+    is_ignored: BoolArray,
+    is_region: BoolArray,
+    is_hit: BoolArray,
+    is_void: BoolArray,
 ) -> None:
-    """Set `is_hit` and `is_void` (10, K) in place, from the overlaps (K, M) of detections (best first) and labels.
+    """Set `is_hit` and `is_void` (10, K) in place, from the overlaps (K, M) of detections (best
+    first) and labels.
 
-    A region (M,) can be matched more than once. Of equal overlaps the last label is matched, as in pycocotools.
+    A region (M,) can be matched more than once. Of equal overlaps the last label is matched, as in
+    pycocotools.
     """
     is_enough = overlap[:, None, :] >= np.minimum(IOU_THRESHOLDS, 1 - 1e-10)[:, None]
     is_free = np.ones((len(IOU_THRESHOLDS), overlap.shape[1]), np.bool_)

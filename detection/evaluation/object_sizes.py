@@ -1,12 +1,13 @@
-"""Average precision and recall by size of object: COCO's three bins of area, and four bins of height.
+"""Average precision and recall by size of object: COCO's three bins of area, and four bins of
+height.
 
-As in pycocotools, labels outside a bin are ignored, and unmatched detections outside the bin count neither as
-true nor as false positives. The area is the area of the box (COCO's own labels have the area of the object's outline)
-in square pixels of the image, before it is scaled to the network's input. An object at the limit of two bins is in the
-upper one; pycocotools counts it in both.
+As in pycocotools, labels outside a bin are ignored, and unmatched detections outside the bin count
+neither as true nor as false positives. The area is the area of the box (COCO's own labels have the
+area of the object's outline) in square pixels of the image, before it is scaled to the network's
+input. An object at the limit of two bins is in the upper one; pycocotools counts it in both.
 
-Heights are used because a distance by size follows from the height in pixels: at a focal length of 1000 px, a car of
-1.5 m is 25 px high at 60 m, 50 px at 30 m and 100 px at 15 m.
+Heights are used because a distance by size follows from the height in pixels: at a focal length of
+1000 px, a car of 1.5 m is 25 px high at 60 m, 50 px at 30 m and 100 px at 15 m.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +23,8 @@ from track_range.detection.evaluation.matching import SizeBin, SizeMeasure, matc
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import FloatArray, IntArray
 
-SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {  # bins by measure; those of area are COCO's
+# bins by measure; those of area are COCO's
+SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {
     "area": (
         SizeBin("small", "area", 0.0, 32.0**2),
         SizeBin("medium", "area", 32.0**2, 96.0**2),
@@ -35,7 +37,8 @@ SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {  # bins by measure; tho
         SizeBin(">= 100 px", "height", 100.0, np.inf),
     ),
 }
-MIN_BIN_BOXES = 10  # minimum number of labels of a class in a bin that is included in the bin's means
+# minimum number of labels of a class in a bin that is included in the bin's means
+MIN_BIN_BOXES = 10
 
 _FIGURES = ("ap50", "ap50_95", "recall")
 
@@ -53,18 +56,26 @@ class SizeClassScores:
 
 @dataclass(frozen=True, slots=True)
 class SizeScores:
-    """Scores of one detector in one bin by road class id, and their unweighted means over the averaged classes."""
+    """Scores of one detector in one bin by road class id, and their unweighted means over the
+    averaged classes.
+    """
 
     size_bin: SizeBin
     by_class: Mapping[int, SizeClassScores]
 
     def mean(self, figure: str) -> float:
-        """Mean of a figure of `SizeClassScores` over the averaged classes; NaN if there are none."""
-        values = [getattr(scores, figure) for scores in self.by_class.values() if scores.is_averaged]
+        """Mean of a figure of `SizeClassScores` over the averaged classes; NaN if there are
+        none.
+        """
+        values = [
+            getattr(scores, figure) for scores in self.by_class.values() if scores.is_averaged
+        ]
         return float(np.mean(values)) if values else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
-        """Bin, means, number of labels and names of the averaged classes, all scores by class name, for JSON."""
+        """Bin, means, number of labels and names of the averaged classes, all scores by class name,
+        for JSON.
+        """
         unit = "px2" if self.size_bin.measure == "area" else "px"
         averaged = {i: scores for i, scores in self.by_class.items() if scores.is_averaged}
         return {
@@ -76,7 +87,8 @@ class SizeScores:
             "averaged_classes": [ROAD_CLASSES[i] for i in averaged],
             "classes": {
                 ROAD_CLASSES[i]: {
-                    name: json_number(getattr(row, name)) for name in SizeClassScores.__dataclass_fields__
+                    name: json_number(getattr(row, name))
+                    for name in SizeClassScores.__dataclass_fields__
                 }
                 for i, row in self.by_class.items()
             },
@@ -110,7 +122,8 @@ def evaluate_by_size(
         detections: the detections of each image, down to very low scores.
         truth: the labels of each image, in the same order.
         working_score: (8,) score threshold by road class at which the recall is computed.
-        known_class_id: road classes that the detector has a name for; other classes are excluded from the means.
+        known_class_id: road classes that the detector has a name for; other classes are excluded
+            from the means.
         measure: "area" in square pixels or "height" in pixels of the image.
         min_boxes: classes with fewer labels of any size are excluded from the means.
         min_bin_boxes: classes with fewer labels in a bin are excluded from its means.

@@ -1,19 +1,22 @@
-"""Calibration of detection scores: does a box with a score of 0.7 match an object in 70 % of the cases?
+"""Calibration of detection scores: does a box with a score of 0.7 match an object in 70 % of the
+cases?
 
-The detections D of a detector, after its non-maximum suppression and down to a lowest score, are grouped into M bins
-B_1 ... B_M of equal width by their score:
+The detections D of a detector, after its non-maximum suppression and down to a lowest score, are
+grouped into M bins B_1 ... B_M of equal width by their score:
 
     conf(m) = mean score in B_m        prec(m) = fraction of B_m that matches a label at IoU >= 0.5
     ECE = sum over m of |B_m| / |D| |prec(m) - conf(m)|        MCE = max over m of |prec(m) - conf(m)|
 
-This is the expected calibration error of Guo et al., "On Calibration of Modern Neural Networks" (ICML 2017), with the
-precision of detections in place of the accuracy of a classifier: the D-ECE of Küppers et al., "Multivariate Confidence
-Calibration for Object Detection" (CVPR Workshops 2020), for bins of the score alone. A plot of prec over conf is the
-reliability diagram. Objects without a detection do not count: calibration is no measure of recall.
+This is the expected calibration error of Guo et al., "On Calibration of Modern Neural Networks"
+(ICML 2017), with the precision of detections in place of the accuracy of a classifier: the D-ECE of
+Küppers et al., "Multivariate Confidence Calibration for Object Detection" (CVPR Workshops 2020),
+for bins of the score alone. A plot of prec over conf is the reliability diagram. Objects without a
+detection do not count: calibration is no measure of recall.
 
-The ECE of few detections is above zero even if their scores are calibrated, by chance. With score s_i the probability
-of a match, prec(m) - conf(m) has the variance v_m = sum over B_m of s_i (1 - s_i) / |B_m|^2 and, if it is normal, the
-mean magnitude sqrt(2 v_m / pi); the weighted sum of these is the expected ECE of a calibrated detector.
+The ECE of few detections is above zero even if their scores are calibrated, by chance. With score
+s_i the probability of a match, prec(m) - conf(m) has the variance v_m = sum over B_m of s_i (1 -
+s_i) / |B_m|^2 and, if it is normal, the mean magnitude sqrt(2 v_m / pi); the weighted sum of these
+is the expected ECE of a calibrated detector.
 """
 
 from __future__ import annotations
@@ -32,25 +35,32 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 N_BINS = 10
-MIN_SCORE = 0.05  # of the detections: the many boxes below it, which no tracker uses, would dominate the ECE
+# of the detections: the many boxes below it, which no tracker uses, would dominate the ECE
+MIN_SCORE = 0.05
 MIN_IOU = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal parts."""
+    """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal
+    parts.
+    """
 
     n: IntArray  # (M,) number of detections
     n_true: IntArray  # (M,) number of those that match a label
     mean_score: FloatArray  # (M,) mean score; NaN in empty bins
-    variance: FloatArray  # (M,) of the number of matches if the scores are their probabilities: sum of s (1 - s)
+    # (M,) of the number of matches if the scores are their probabilities: sum of s (1 - s)
+    variance: FloatArray
 
     @classmethod
     def of(cls, score: FloatArray, is_true: BoolArray, *, n_bins: int = N_BINS) -> Reliability:
-        """Reliability of detections with scores (K,) in [0, 1], some of which, in the mask (K,), match a label."""
+        """Reliability of detections with scores (K,) in [0, 1], some of which, in the mask (K,),
+        match a label.
+        """
         if n_bins < 1:
             raise ValueError(f"n_bins: expected at least 1, got {n_bins}")
-        index = np.minimum((score * n_bins).astype(np.int64), n_bins - 1)  # a score of 1 is in the last bin
+        # a score of 1 is in the last bin
+        index = np.minimum((score * n_bins).astype(np.int64), n_bins - 1)
         n = np.bincount(index, minlength=n_bins)
         with np.errstate(invalid="ignore"):
             mean_score = np.bincount(index, weights=score, minlength=n_bins) / n
@@ -58,7 +68,9 @@ class Reliability:
             n,
             np.bincount(index[is_true], minlength=n_bins),
             mean_score,
-            np.asarray(np.bincount(index, weights=score * (1.0 - score), minlength=n_bins), np.float64),
+            np.asarray(
+                np.bincount(index, weights=score * (1.0 - score), minlength=n_bins), np.float64
+            ),
         )
 
     @property
@@ -79,13 +91,17 @@ class Reliability:
 
     @property
     def mce(self) -> float:
-        """Maximum calibration error over the bins, 0 to 1; NaN without detections. Bins of few detections dominate."""
+        """Maximum calibration error over the bins, 0 to 1; NaN without detections. Bins of few
+        detections dominate.
+        """
         gaps = np.abs(self.precision - self.mean_score)[self.n > 0]
         return float(gaps.max()) if len(gaps) else float("nan")
 
     @property
     def ece_if_calibrated(self) -> float:
-        """ECE expected by chance for the same number of calibrated scores; NaN without detections."""
+        """ECE expected by chance for the same number of calibrated scores; NaN without
+        detections.
+        """
         with np.errstate(invalid="ignore"):
             return self._weighted_mean(np.sqrt(2.0 / np.pi * self.variance) / self.n)
 
@@ -100,7 +116,14 @@ class Reliability:
 
     def as_dict(self) -> dict[str, Any]:
         """The errors and the bins, for JSON; None instead of NaN."""
-        columns = (self.edges[:-1], self.edges[1:], self.n, self.n_true, self.mean_score, self.precision)
+        columns = (
+            self.edges[:-1],
+            self.edges[1:],
+            self.n,
+            self.n_true,
+            self.mean_score,
+            self.precision,
+        )
         keys = ("from", "to", "n", "n_true", "mean_score", "precision")
         bins = zip(*(map(json_number, column.tolist()) for column in columns), strict=True)
         return {
@@ -129,7 +152,9 @@ class ScoreCalibration:
             "min_score": self.min_score,
             "min_iou": MIN_IOU,
             "all": self.overall.as_dict(),
-            "classes": {ROAD_CLASSES[i]: reliability.as_dict() for i, reliability in self.by_class.items()},
+            "classes": {
+                ROAD_CLASSES[i]: reliability.as_dict() for i, reliability in self.by_class.items()
+            },
         }
 
 
@@ -144,7 +169,8 @@ def evaluate_calibration(
 ) -> ScoreCalibration:
     """Calibration of the scores of one detector on labelled images.
 
-    Detections are matched as for the average precision; detections matched with labels to ignore are left out.
+    Detections are matched as for the average precision; detections matched with labels to ignore
+    are left out.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -173,7 +199,10 @@ def evaluate_calibration(
     return ScoreCalibration(
         min_score,
         _reliability(ClassMatches.concatenate(list(matches.values())), min_score, n_bins),
-        {class_id: _reliability(by_class, min_score, n_bins) for class_id, by_class in matches.items()},
+        {
+            class_id: _reliability(by_class, min_score, n_bins)
+            for class_id, by_class in matches.items()
+        },
     )
 
 

@@ -1,7 +1,9 @@
-"""BoxTable: the boxes of one video with classes, identities and distances, for label files of every format.
+"""BoxTable: the boxes of one video with classes, identities and distances, for label files of every
+format.
 
-Boxes have track-range's convention: frames from 0, pixel centres at integers, outer edges of the box. The corner
-convention of COCO, CVAT and YOLO, where the left edge of the image is 0, is larger by half a pixel (`HALF_PIXEL_PX`).
+Boxes have track-range's convention: frames from 0, pixel centres at integers, outer edges of the
+box. The corner convention of COCO, CVAT and YOLO, where the left edge of the image is 0, is larger
+by half a pixel (`HALF_PIXEL_PX`).
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-HALF_PIXEL_PX = 0.5  # coordinate in the corner convention minus the coordinate with pixel centres at integers
+# coordinate in the corner convention minus the coordinate with pixel centres at integers
+HALF_PIXEL_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +30,17 @@ class VideoFacts:
 
     name: str = ""  # name of the video or sequence; "" = unknown
     n_frames: int | None = None
-    # number of the first frame that has labels if there are any objects in it; for a reader: of the video, if not 0
+    # number of the first frame that has labels if there are any objects in it; for a reader: of the
+    # video, if not 0
     first_frame: int = 0
     size_px: tuple[int, int] | None = None  # (width, height) of its images
     fps: float | None = None
-    is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video
-    provenance: Mapping[str, str] = field(default_factory=dict)  # program, model, ..., for metadata of files
-    frames: Sequence[int] | None = None  # numbers of the frames that a written file lists; None = all
+    # boxes are in rectified pixels, as in the results of a run, not in those of the video
+    is_rectified: bool = False
+    # program, model, ..., for metadata of files
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    # numbers of the frames that a written file lists; None = all
+    frames: Sequence[int] | None = None
 
     @property
     def pixels(self) -> str:
@@ -41,11 +48,16 @@ class VideoFacts:
         return "rectified" if self.is_rectified else "original"
 
     def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
-        """These properties, completed by properties from a file; LabelFileError if its images have another size."""
+        """These properties, completed by properties from a file; LabelFileError if its images have
+        another size.
+        """
         if stated.size_px is not None and self.size_px not in (None, stated.size_px):
-            video_size, file_size = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
+            video_size, file_size = (
+                "x".join(map(str, size or ())) for size in (self.size_px, stated.size_px)
+            )
             raise LabelFileError(
-                f"{path}: expected boxes in images of {video_size} px as in the video, found {file_size} px."
+                f"{path}: expected boxes in images of {video_size} px as in the video, found "
+                f"{file_size} px."
             )
         return VideoFacts(
             name=self.name or stated.name,
@@ -63,8 +75,12 @@ _MAX_NAME_BYTES = 100  # of a video's name in file names, which have at most 255
 
 
 def file_name_part(name: str) -> str:
-    """A name as part of a file name: letters, digits and "-_." only, so that no name leads to another folder."""
-    safe = "".join(character if character.isalnum() or character in "-_." else "_" for character in name)
+    """A name as part of a file name: letters, digits and "-_." only, so that no name leads to
+    another folder.
+    """
+    safe = "".join(
+        character if character.isalnum() or character in "-_." else "_" for character in name
+    )
     return safe.lstrip(".").encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
 
 
@@ -74,7 +90,9 @@ def image_name(video: VideoFacts, frame: int) -> str:
 
 
 class Written(NamedTuple):
-    """Result of writing a table: the number of boxes in the file, and notes for the user on omitted content."""
+    """Result of writing a table: the number of boxes in the file, and notes for the user on omitted
+    content.
+    """
 
     n_boxes: int
     notes: tuple[str, ...] = ()
@@ -86,14 +104,18 @@ class BoxTable:
 
     frame: IntArray  # (N,) int64 frame number from 0
     track_id: IntArray  # (N,) int64 identity from 0; -1 = no identity
-    class_name: npt.NDArray[np.str_]  # (N,) str class in the file, in lower case; "" = the format has no classes
-    class_id: IntArray  # (N,) int64 road class; -1 = not a road class, or a region that is not evaluated
+    # (N,) str class in the file, in lower case; "" = the format has no classes
+    class_name: npt.NDArray[np.str_]
+    # (N,) int64 road class; -1 = not a road class, or a region that is not evaluated
+    class_id: IntArray
     xyxy_px: FloatArray  # (N, 4) float64
     score: FloatArray  # (N,) float64 confidence; NaN = unknown
     observed: BoolArray  # (N,) bool, False where the box is predicted or interpolated
-    distance_m: FloatArray  # (N,) float64 z of the visible surface in the camera's frame; NaN = unknown
+    # (N,) float64 z of the visible surface in the camera's frame; NaN = unknown
+    distance_m: FloatArray
     sigma_m: FloatArray  # (N,) float64 standard deviation of the distance; NaN = unknown
-    location_m: FloatArray  # (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown
+    # (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown
+    location_m: FloatArray
     video: VideoFacts = NO_FACTS
     notes: tuple[str, ...] = ()  # notes for the user about the file
 
@@ -125,7 +147,8 @@ class BoxTable:
     ) -> BoxTable:
         """A table from arrays or lists with rows in any order, or from one value for all rows.
 
-        Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class nor an identity.
+        Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class
+        nor an identity.
         """
         frames = np.asarray(frame, np.int64).reshape(-1)
         n = len(frames)
@@ -154,14 +177,20 @@ class BoxTable:
 
     @property
     def all_labels(self) -> list[str]:
-        """Names of the classes in written files, in the order of their numbers: the road classes, then other names."""
+        """Names of the classes in written files, in the order of their numbers: the road classes,
+        then other names.
+        """
         return list(dict.fromkeys((*ROAD_CLASSES, *sorted(set(self.label)))))
 
     @property
     def is_region(self) -> BoolArray:
-        """(N,) mask of the regions that are not evaluated: named "dontcare", or a road class without its class id."""
+        """(N,) mask of the regions that are not evaluated: named "dontcare", or a road class
+        without its class id.
+        """
         named = map_to_road_classes([str(name) for name in self.class_name]) >= 0
-        return np.asarray((self.class_id < 0) & (self.track_id < 0) & (named | (self.class_name == "dontcare")))
+        return np.asarray(
+            (self.class_id < 0) & (self.track_id < 0) & (named | (self.class_name == "dontcare"))
+        )
 
     def select(self, rows: BoolArray | IntArray) -> BoxTable:
         """The rows that a mask or an index array selects, in its order."""
@@ -175,7 +204,9 @@ class BoxTable:
         return replace(self, class_name=names, class_id=np.where(is_empty, class_id, self.class_id))
 
 
-_COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not in ("video", "notes"))
+_COLUMNS = tuple(
+    column.name for column in fields(BoxTable) if column.name not in ("video", "notes")
+)
 
 
 def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]:
@@ -184,7 +215,9 @@ def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]
 
 
 def frames_listed(table: BoxTable) -> Sequence[int]:
-    """Numbers of the frames that a written file lists, by default from the first labelled frame to the last frame."""
+    """Numbers of the frames that a written file lists, by default from the first labelled frame to
+    the last frame.
+    """
     if table.video.frames is not None:
         return table.video.frames
     n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)

@@ -1,8 +1,9 @@
 """Reader of files with recorded detections.
 
-The format is recognised from the content: KITTI, rows of numbers (`video_labels.mot`: MOTChallenge's det.txt, plain
-`frame,x1,y1,x2,y2,score` (RRC) and others), track-range's tracks.csv, or one of `label_formats`. A feat.npy next to a
-MOTChallenge file has the same rows, each with an appended embedding (the format of nwojke/deep_sort).
+The format is recognised from the content: KITTI, rows of numbers (`video_labels.mot`:
+MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC) and others), track-range's tracks.csv,
+or one of `label_formats`. A feat.npy next to a MOTChallenge file has the same rows, each with an
+appended embedding (the format of nwojke/deep_sort).
 """
 
 import os
@@ -21,7 +22,11 @@ from track_range.detection.formats.box_table import NO_FACTS, VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
-from track_range.detection.formats.table_checks import first_frame_number, names_with_counts, other_labels_note
+from track_range.detection.formats.table_checks import (
+    first_frame_number,
+    names_with_counts,
+    other_labels_note,
+)
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import mot_rows, read_number_rows
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -31,13 +36,17 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line
 
 _MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
 _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
-_MIN_PER_CENT, _MAX_PER_CENT = 10, 100  # largest of scores that are read as per cent; margins hardly reach 10
+# largest of scores that are read as per cent; margins hardly reach 10
+_MIN_PER_CENT, _MAX_PER_CENT = 10, 100
 _MAX_INVALID = 0.5  # fraction of invalid rows above which a file has another format
-DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]  # rrc: plain rows; tracks: a tracks.csv
+# rrc: plain rows; tracks: a tracks.csv
+DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
 
 
 class _Rows(NamedTuple):
-    """All N rows of a file, including rows without a valid frame number, box, score or road class."""
+    """All N rows of a file, including rows without a valid frame number, box, score or road
+    class.
+    """
 
     form: DetectionFormat
     description: str
@@ -60,7 +69,8 @@ class RecordedDetections:
     detections: Detections  # the N boxes in the same order
     form: DetectionFormat  # format of the file
     notes: tuple[str, ...]  # notes for the user on the recognised format and on dropped rows
-    is_rectified: bool = False  # whether the boxes are in rectified pixels, not in pixels of the original video
+    # whether the boxes are in rectified pixels, not in pixels of the original video
+    is_rectified: bool = False
     has_classes: bool = False  # whether the file has a class for each box
 
     def at(self, frame_index: int) -> Detections:
@@ -76,36 +86,54 @@ def read_detections(
     form: DetectionFormat | None = None,
     video: VideoFacts = NO_FACTS,
 ) -> RecordedDetections:
-    """The detections in a file, or in a folder with a file for each image; an empty file has no boxes.
+    """The detections in a file, or in a folder with a file for each image; an empty file has no
+    boxes.
 
-    `default_class_id` is the class of boxes in formats without classes (MOTChallenge and plain rows), `form` the
-    expected format (None = any), and `video` has the known number of images and their size, which YOLO labels need.
-    Raises LabelFileError if the file cannot be read, its format is unknown or not `form`, or most rows are invalid.
+    `default_class_id` is the class of boxes in formats without classes (MOTChallenge and plain
+    rows), `form` the expected format (None = any), and `video` has the known number of images and
+    their size, which YOLO labels need. Raises LabelFileError if the file cannot be read, its format
+    is unknown or not `form`, or most rows are invalid.
     """
     if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name}: 0 boxes.", f"{path.name} is empty: there are no boxes."]
-        return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes))
+        return RecordedDetections(
+            np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes)
+        )
     rows = _rows(path, default_class_id, video, form)
     if form not in (None, rows.form):
-        raise LabelFileError(f"{path}: expected the format {form}, got {rows.form} ({rows.description}).")
-    score, score_note = _as_probability(np.where(np.abs(rows.score) <= _MAX_SCORE, rows.score, np.nan))
-    is_valid = are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px) & np.isfinite(score)
+        raise LabelFileError(
+            f"{path}: expected the format {form}, got {rows.form} ({rows.description})."
+        )
+    score, score_note = _as_probability(
+        np.where(np.abs(rows.score) <= _MAX_SCORE, rows.score, np.nan)
+    )
+    is_valid = (
+        are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px) & np.isfinite(score)
+    )
     is_valid &= rows.frame >= 0
     is_road = rows.class_id >= 0
     if (n_invalid := np.count_nonzero(~is_valid)) > _MAX_INVALID * len(is_valid):
         raise LabelFileError(
-            f"{path}: expected valid boxes in rows read as {rows.description}, found {n_invalid} of {len(is_valid)} "
-            "rows invalid; check the columns and their order."
+            f"{path}: expected valid boxes in rows read as {rows.description}, found {n_invalid} "
+            f"of {len(is_valid)} rows invalid; check the columns and their order."
         )
     if np.any(rows.frame > MAX_FRAME):
-        raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}.")
+        raise LabelFileError(
+            f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}."
+        )
     order = np.flatnonzero(is_valid & is_road)
     order = order[np.argsort(rows.frame[order], kind="stable")]
     notes = [f"Read {path.name} as {rows.description}: {len(order)} boxes."]
     if len(order) < len(rows.frame):
-        n_dropped, others = len(rows.frame) - len(order), names_with_counts(rows.class_name[~is_road])
+        n_dropped, others = (
+            len(rows.frame) - len(order),
+            names_with_counts(rows.class_name[~is_road]),
+        )
         suffix = f"; other classes: {others}" if others else ""
-        notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class{suffix}.")
+        notes.append(
+            f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road "
+            f"class{suffix}."
+        )
     detections = Detections.of(rows.xyxy_px[order], score[order], rows.class_id[order])
     if rows.descriptor is not None:
         detections = replace(detections, descriptor=rows.descriptor[order])
@@ -113,14 +141,18 @@ def read_detections(
     if rows.form in ("kitti", "labels") and first_frame_number(frame, 0, video.n_frames) == 1:
         frame = frame - 1
         notes.append(
-            f"{path.name}: the last frame number is {video.n_frames}, the number of images, so frame numbers start at "
-            "1."
+            f"{path.name}: the last frame number is {video.n_frames}, the number of images, so "
+            "frame numbers start at 1."
         )
     notes += [*rows.notes, *score_note]
-    return RecordedDetections(frame, detections, rows.form, tuple(notes), rows.is_rectified, rows.has_classes)
+    return RecordedDetections(
+        frame, detections, rows.form, tuple(notes), rows.is_rectified, rows.has_classes
+    )
 
 
-def _rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None) -> _Rows:
+def _rows(
+    path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None
+) -> _Rows:
     label_format = label_format_of(path, "detections")
     if label_format.is_general or label_format.name == "csv":
         table = label_format.read(path, video)
@@ -134,9 +166,15 @@ def _rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionF
         labels = read_kitti(path)
         score = np.where(np.isfinite(labels.score), labels.score, 1.0)
         class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
-        return _Rows("kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id, labels.kitti_type)
-    is_tracks = not os.path.isdir(path) and first_line(path, LabelFileError, "detections").startswith("frame,")
-    return _tracks_csv_rows(path) if is_tracks else _number_rows(path, default_class_id, video, form)
+        return _Rows(
+            "kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id, labels.kitti_type
+        )
+    is_tracks = not os.path.isdir(path) and first_line(
+        path, LabelFileError, "detections"
+    ).startswith("frame,")
+    return (
+        _tracks_csv_rows(path) if is_tracks else _number_rows(path, default_class_id, video, form)
+    )
 
 
 def _tracks_csv_rows(path: Path) -> _Rows:
@@ -149,11 +187,19 @@ def _tracks_csv_rows(path: Path) -> _Rows:
     observed = cells[:, 6] == 1
     names = np.array(table.texts("class"), np.str_)[observed]
     cells = cells[observed]
-    columns = (cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], map_to_road_classes(names.tolist()), names)
+    columns = (
+        cells[:, 0].astype(np.int64),
+        cells[:, 1:5],
+        cells[:, 5],
+        map_to_road_classes(names.tolist()),
+        names,
+    )
     return _Rows("tracks", "the observed rows of a tracks.csv", *columns, is_rectified=True)
 
 
-def _number_rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None) -> _Rows:
+def _number_rows(
+    path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None
+) -> _Rows:
     """Rows of numbers; rows without a class get the default class."""
     table = read_number_rows(path, LabelFileError, "detections")
     if not table.lines:
@@ -165,12 +211,16 @@ def _number_rows(path: Path, default_class_id: int, video: VideoFacts, form: Det
     class_id[~is_named] = default_class_id
     descriptor = _descriptors(path, table.values, int(table.n_columns[0]))
     default = "" if is_named.any() else f" of class {ROAD_CLASSES[default_class_id]}"
-    with_embeddings = "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
+    with_embeddings = (
+        "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
+    )
     score = np.where(rows.score == -1, 1.0, rows.score)  # -1 = no score in MOTChallenge
     form_found: DetectionFormat = "rrc" if rows.form == "rrc" else "mot"
     description = f"{rows.title}{default}{with_embeddings}"
     columns = (rows.frame, rows.xyxy_px, score, class_id, np.array(names, np.str_))
-    return _Rows(form_found, description, *columns, descriptor, rows.notes, has_classes=bool(is_named.any()))
+    return _Rows(
+        form_found, description, *columns, descriptor, rows.notes, has_classes=bool(is_named.any())
+    )
 
 
 def _text(path: Path) -> str:
@@ -178,19 +228,27 @@ def _text(path: Path) -> str:
 
 
 def _descriptors(path: Path, table: FloatArray, n_columns: int) -> Descriptors | None:
-    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such file."""
+    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such
+    file.
+    """
     features_path = path.with_name("feat.npy")
     if not os.path.lexists(features_path):
         return None
-    features = np.asarray(read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64)
+    features = np.asarray(
+        read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64
+    )
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
         raise LabelFileError(
-            f"{features_path}: expected {len(table)} rows as in {path.name}, each with {n_columns} numbers and an "
-            f"embedding, got shape {features.shape}."
+            f"{features_path}: expected {len(table)} rows as in {path.name}, each with {n_columns} "
+            f"numbers and an embedding, got shape {features.shape}."
         )
-    if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not (np.abs(features) <= _MAX_FEATURE).all():
+    if (
+        not np.allclose(features[:, :6], table[:, :6], atol=0.01)
+        or not (np.abs(features) <= _MAX_FEATURE).all()
+    ):
         raise LabelFileError(
-            f"{features_path}: expected finite numbers up to {_MAX_FEATURE:g} and the same boxes as in {path.name}."
+            f"{features_path}: expected finite numbers up to {_MAX_FEATURE:g} and the same boxes "
+            f"as in {path.name}."
         )
     return features[:, n_columns:].astype(np.float32)
 
@@ -203,5 +261,9 @@ def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     span = f"{known.min():.2f} to {known.max():.2f}"
     if known.min() >= 0 and _MIN_PER_CENT < known.max() <= _MAX_PER_CENT:
         return score / 100, (f"Scores from {span} were read as per cent.",)
-    probability = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
-    return probability, (f"Scores from {span} were converted to probabilities with the sigmoid (0 becomes 0.5).",)
+    probability = np.where(
+        np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan
+    )
+    return probability, (
+        f"Scores from {span} were converted to probabilities with the sigmoid (0 becomes 0.5).",
+    )

@@ -1,6 +1,7 @@
 """The label formats: how each is recognised from its content, read as a `BoxTable`, and written.
 
-A format is one row of `LABEL_FORMATS`. Files are recognised by their first bytes or line, never by their names.
+A format is one row of `LABEL_FORMATS`. Files are recognised by their first bytes or line, never by
+their names.
 """
 
 import os
@@ -17,7 +18,11 @@ from track_range.detection.formats.video_labels.csv_labels import has_label_colu
 from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
 from track_range.detection.formats.video_labels.mot import is_number_row
 from track_range.detection.formats.video_labels.tool_labels import LAYOUTS, read_layout, start_of
-from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
+from track_range.detection.formats.video_labels.yolo_tracks import (
+    is_yolo_folder,
+    read_yolo_folder,
+    write_yolo,
+)
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
 _PARQUET_MARK = "PAR1"  # first bytes of a Parquet file
@@ -29,15 +34,21 @@ class LabelFormat:
 
     name: str
     title: str
-    is_format: Callable[[Path, str], bool]  # of a path and its first line ("" = a folder), or first bytes of Parquet
-    read: Callable[[Path, VideoFacts], BoxTable]  # facts about the video fill in what the file does not state
-    write: Callable[[BoxTable, Path], Written] | None = None  # writes a table to a path; None = not written
+    # of a path and its first line ("" = a folder), or first bytes of Parquet
+    is_format: Callable[[Path, str], bool]
+    # facts about the video fill in what the file does not state
+    read: Callable[[Path, VideoFacts], BoxTable]
+    # writes a table to a path; None = not written
+    write: Callable[[BoxTable, Path], Written] | None = None
     has_classes: bool = True  # whether a box has a class
-    is_general: bool = False  # whether detections and ground truth are read with `read`, without rules of a benchmark
+    # whether detections and ground truth are read with `read`, without rules of a benchmark
+    is_general: bool = False
     is_folder: bool = False  # whether it is a folder with one file per frame
     is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
-    mark: str = ""  # regular expression that the first 64 kB match, of a folder those of its first file
-    precision_px: float | None = None  # largest difference of an edge read again; None = depends on the image size
+    # regular expression that the first 64 kB match, of a folder those of its first file
+    mark: str = ""
+    # largest difference of an edge read again; None = depends on the image size
+    precision_px: float | None = None
 
 
 def _starts(*starts: str) -> Callable[[Path, str], bool]:
@@ -78,12 +89,15 @@ _FORMATS += tuple(
     )
     for name, layout in LAYOUTS.items()
 )
-LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}  # the last that recognises a file
+# the last that recognises a file
+LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}
 _MARKED = [label_format for label_format in _FORMATS if label_format.mark]
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
-    """The format of a file or folder, recognised from its content; LabelFileError if it cannot be read, or is empty."""
+    """The format of a file or folder, recognised from its content; LabelFileError if it cannot be
+    read, or is empty.
+    """
     first = ""
     if not os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         is_parquet = _starts_as_parquet(path, expected)
@@ -100,13 +114,16 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
 def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "labels") -> BoxTable:
     """The boxes of a file or folder in any format; LabelFileError if it is invalid.
 
-    `video` has facts that the file may lack, such as the image size for YOLO; messages call the content `expected`.
+    `video` has facts that the file may lack, such as the image size for YOLO; messages call the
+    content `expected`.
     """
     return label_format_of(path, expected).read(path, video)
 
 
 def is_label_folder(path: Path) -> bool:
-    """Whether a folder is one sequence with one label file for each image; False for KITTI's object files."""
+    """Whether a folder is one sequence with one label file for each image; False for KITTI's object
+    files.
+    """
     return os.path.isdir(path) and label_format_of(path).name != "kitti"
 
 

@@ -1,7 +1,8 @@
 """Conversion of boxes from and to supervision's `Detections` or objects with the same attributes.
 
-supervision does not have to be installed. It uses the corner convention (the image's left edge is 0), while track-range
-has pixel centres at integers (the left edge is -0.5), so boxes are shifted by half a pixel.
+supervision does not have to be installed. It uses the corner convention (the image's left edge is
+0), while track-range has pixel centres at integers (the left edge is -0.5), so boxes are shifted by
+half a pixel.
 """
 
 import importlib.util
@@ -19,7 +20,9 @@ from track_range.foundation.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class SupervisionBoxes:
-    """Substitute for supervision's `Detections` with the same attributes, if supervision is not installed."""
+    """Substitute for supervision's `Detections` with the same attributes, if supervision is not
+    installed.
+    """
 
     xyxy: npt.NDArray[np.float32]  # (N, 4) float32 boxes in pixels, corner convention
     confidence: npt.NDArray[np.float32]  # (N,) float32 in [0, 1]
@@ -36,13 +39,13 @@ def read_supervision(
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray | None]:
     """The M boxes of road classes among `boxes`.
 
-    `boxes` has `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`. The names of the
-    class ids are `class_names`, else the names in `data["class_name"]`, else COCO's. ValueError for arrays of unequal
-    length, or a class id without a name.
+    `boxes` has `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`.
+    The names of the class ids are `class_names`, else the names in `data["class_name"]`, else
+    COCO's. ValueError for arrays of unequal length, or a class id without a name.
 
     Returns:
-        (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have none, (M,) class id, and (M,)
-        identities or None.
+        (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have none, (M,)
+        class id, and (M,) identities or None.
     """
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)
@@ -58,7 +61,9 @@ def read_supervision(
 def supervision_boxes(
     xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, tracker_id: IntArray | None = None
 ) -> Any:
-    """The boxes (N, 4), pixel centres at integers, as supervision's `Detections` or, without it, `SupervisionBoxes`."""
+    """The boxes (N, 4), pixel centres at integers, as supervision's `Detections` or, without it,
+    `SupervisionBoxes`.
+    """
     attributes: dict[str, Any] = {
         "xyxy": (xyxy_px + HALF_PIXEL_PX).astype(np.float32),
         "confidence": score.astype(np.float32),
@@ -83,7 +88,9 @@ def _class_names(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[
     names = COCO_CLASSES if class_names is None else class_names
     unknown = [int(i) for i in class_id if not 0 <= i < len(names)]
     if unknown:
-        raise ValueError(f"class_id: expected 0 to {len(names) - 1}, got {unknown[0]}; specify class_names")
+        raise ValueError(
+            f"class_id: expected 0 to {len(names) - 1}, got {unknown[0]}; specify class_names"
+        )
     return [names[int(i)] for i in class_id]
 
 

@@ -4,9 +4,9 @@ r"""EdgeLaneFinder: detection of the ego lane's lines without a network, from pa
              ____|    |____    min(I(x) - I(x - s), I(x) - I(x + s)), with s a little more than the width of the bar,
                  <-- s -->     which grows with the row below the horizon. The strongest bars of each row are markings.
 
-The Hough transform and the least-squares fit are the same as for networks. Yellow paint on pale concrete is detected in
-the yellow channel, (R + G) / 2 - B, instead of grey. Without paint, or if shadows have more contrast than the paint, no
-lines are found; use a network in such scenes.
+The Hough transform and the least-squares fit are the same as for networks. Yellow paint on pale
+concrete is detected in the yellow channel, (R + G) / 2 - B, instead of grey. Without paint, or if
+shadows have more contrast than the paint, no lines are found; use a network in such scenes.
 """
 
 from typing import Any
@@ -23,13 +23,16 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_sh
 from track_range.foundation.robust_statistics import median_of
 
 Float32Array = npt.NDArray[np.float32]
-_WIDTH_PX = 640  # approximate width of the downscaled image, by an integer factor: others take ten times as long
+# approximate width of the downscaled image, by an integer factor: others take ten times as long
+_WIDTH_PX = 640
 _ROW_STEP = 2  # every second row is searched
-_MIN_DEPTH = 0.05  # first row, in image heights below the horizon; closer to it, paint is one pixel wide
+# first row, in image heights below the horizon; closer to it, paint is one pixel wide
+_MIN_DEPTH = 0.05
 _N_BANDS = 5  # number of bands of rows, each with one value of s
 _PAINT_SLOPE = 0.13  # s per row below the horizon, for a line of 0.2 m seen from a height of 1.5 m
 _MIN_CONTRAST = 14.0  # smallest response of a bar, in grey levels
-_MIN_TEXTURE_RATIO = 4.0  # smallest response of a bar, in robust standard deviations of differences over s in its row
+# smallest response of a bar, in robust standard deviations of differences over s in its row
+_MIN_TEXTURE_RATIO = 4.0
 _SIGMA_PX = 1.0  # standard deviation of a marking's x, in pixels of the downscaled image
 _GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)  # weights of BGR
 
@@ -42,24 +45,32 @@ class EdgeLaneFinder:
         self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another shape."""
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another
+        shape.
+        """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
         shrink = max(min(round(image_hw[1] / _WIDTH_PX), image_hw[0]), 1)
-        horizon_px = HORIZON * image_hw[0] if self._lane.state is None else self._lane.state.horizon_px
+        horizon_px = (
+            HORIZON * image_hw[0] if self._lane.state is None else self._lane.state.horizon_px
+        )
         top = shrink * _first_row(horizon_px / shrink, image_hw[0] // shrink)
         searched = image[top:]
         if shrink > 1:  # a remainder at the right and bottom is cropped
             height, width = len(searched) // shrink, image_hw[1] // shrink
             cropped = searched[: height * shrink, : width * shrink]
-            searched = np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+            searched = np.asarray(
+                cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA), np.uint8
+            )
         xy_px = paint_points(searched, (horizon_px - top + 0.5) / shrink - 0.5)
         xy_px = (xy_px + 0.5) * shrink - 0.5 + np.array([0.0, top])
         return self._lane.update(Markings.unnumbered(xy_px, _SIGMA_PX * shrink), time_s, image_hw)
 
 
 def paint_points(image: Image, horizon_px: float) -> FloatArray:
-    """(N, 2) centres of bright bars in every second row below the horizon, which may be above the image."""
+    """(N, 2) centres of bright bars in every second row below the horizon, which may be above the
+    image.
+    """
     first = _first_row(horizon_px, len(image))
     both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
     grey, yellow = cv2.split(cv2.blur(both, (3, 1)))  # smoothed along the rows
@@ -69,7 +80,9 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
             continue
         band = slice(rows[0], rows[-1] + 1)
         reach = max(round(_PAINT_SLOPE * (first + _ROW_STEP * float(rows.mean()) - horizon_px)), 3)
-        row, x = run_middles(_peaks(np.maximum(_bars(grey[band], reach), _bars(yellow[band], reach)), reach))
+        row, x = run_middles(
+            _peaks(np.maximum(_bars(grey[band], reach), _bars(yellow[band], reach)), reach)
+        )
         points.append(np.stack([x, first + _ROW_STEP * rows[row]], axis=1))
     return np.concatenate(points) if points else np.zeros((0, 2))
 
@@ -79,7 +92,9 @@ def _first_row(horizon_px: float, height_px: int) -> int:
 
 
 def _bars(channel: npt.NDArray[Any], reach: int) -> Float32Array:
-    """(H, W) difference of each pixel from the brighter of its neighbours at `reach` pixels; 0 below a threshold."""
+    """(H, W) difference of each pixel from the brighter of its neighbours at `reach` pixels; 0
+    below a threshold.
+    """
     response = np.zeros_like(channel)
     if channel.shape[1] <= 2 * reach:
         return response
@@ -87,7 +102,9 @@ def _bars(channel: npt.NDArray[Any], reach: int) -> Float32Array:
     # Paint must exceed the texture of its row, for example the pattern of shade on asphalt.
     texture = 1.48 * median_of(np.abs(step[:, ::3]))[:, None]
     inner = np.minimum(step[:, :-reach], -step[:, reach:])
-    response[:, reach:-reach] = inner * (inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture))
+    response[:, reach:-reach] = inner * (
+        inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture)
+    )
     return response
 
 

@@ -2,24 +2,28 @@
 
 In each image, two of the proposed straight lines are chosen, by the score
 
-    score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a typical lane)
+    score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a
+    typical lane)
                                           - cost * (squared distance in sigmas from the tracked lane)
 
-with the deviations of lane width / camera height, horizon, vanishing point and lateral camera position. The lane is
-then fitted with the prediction as the prior. The fit updates the state; if several images in a row contradict the
-state, it is reset. Lines that have not been seen for a while are not reported.
+with the deviations of lane width / camera height, horizon, vanishing point and lateral camera
+position. The lane is then fitted with the prediction as the prior. The fit updates the state; if
+several images in a row contradict the state, it is reset. Lines that have not been seen for a while
+are not reported.
 
-The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both is learnt. Then,
-where a line of the lane is hidden, the line of the neighbouring lane is not mistaken for it, since the lane would be
-twice as wide.
+The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both
+is learnt. Then, where a line of the lane is hidden, the line of the neighbouring lane is not
+mistaken for it, since the lane would be twice as wide.
 
-Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's biweight.
+Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's
+biweight.
 
     minimise over s  sum_i rho((x_i - x(y_i; s)) / sigma_i) + (s - s0)' P^-1 (s - s0)
 
-s is the lane state, s0 and P are the mean and covariance of the expected state. The minimum is found by iterative
-reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are correlated, so the pixels of a line have the
-weight of only a few independent ones. If only one line is visible, the other follows from the expected width.
+s is the lane state, s0 and P are the mean and covariance of the expected state. The minimum is
+found by iterative reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are
+correlated, so the pixels of a line have the weight of only a few independent ones. If only one line
+is visible, the other follows from the expected width.
 """
 
 import math
@@ -29,17 +33,26 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.markings import Markings, Proposals, proposals
-from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA, LaneState
+from track_range.detection.lanes.model import (
+    HORIZON,
+    HORIZON_SIGMA,
+    WIDTH_SLOPE,
+    WIDTH_SLOPE_LOG_SIGMA,
+    LaneState,
+)
 from track_range.foundation.arrays import BoolArray, FloatArray
 
 SIDES = (-1.0, 1.0)  # `side` of the left and the right line in `LaneState`'s methods
 _N_ROUNDS = 4  # of reweighting
-_FIRST_GATE, _LAST_GATE = 0.10, 0.03  # distance of a line's pixels from it in the first and last round, in lane widths
+# distance of a line's pixels from it in the first and last round, in lane widths
+_FIRST_GATE, _LAST_GATE = 0.10, 0.03
 _TUKEY = 4.0  # residual in sigmas above which pixels have no weight (Tukey's constant)
-_PAINT_SIGMA = 0.01  # in lane widths, of the detected centre of a painted line, which is 0.1 to 0.3 m wide
+# in lane widths, of the detected centre of a painted line, which is 0.1 to 0.3 m wide
+_PAINT_SIGMA = 0.01
 _MAX_INDEPENDENT = 8.0  # total weight of a line's pixels, in independent pixels
 _MIN_PIXELS = 6  # of a visible line
-_MARGIN = 0.12  # from the lines in lane widths, within which markings are not clutter, for double lines
+# from the lines in lane widths, within which markings are not clutter, for double lines
+_MARGIN = 0.12
 _MIN_SPAN = 0.06  # extent in y of a visible line, in image heights
 
 
@@ -50,13 +63,15 @@ class LaneFit:
     state: LaneState  # the fitted lane
     # top and bottom row of the pixels of the left and of the right line; None = line not visible
     seen_px: tuple[tuple[float, float] | None, tuple[float, float] | None]
-    clutter: float  # number of markings between the lines divided by the number on them, in the rows of the lines
+    # number of markings between the lines divided by the number on them, in the rows of the lines
+    clutter: float
 
 
 def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (-1, -1)) -> LaneFit:
     """The lane fitted to the markings near `expected`, the prior and first value of the fit.
 
-    `lines` are the numbers of the left and the right line among the markings; -1 = all markings near the line.
+    `lines` are the numbers of the left and the right line among the markings; -1 = all markings
+    near the line.
     """
     state = expected
     prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
@@ -68,13 +83,23 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
     on_lines, clutter = left | right, 0.0
     if on_lines.any():
         across = (x - state.x_px(y, SIDES[0])) / np.maximum(state.width_px(y), 1.0)
-        between = (across > _MARGIN) & (across < 1 - _MARGIN) & (y >= y[on_lines].min()) & (y <= y[on_lines].max())
+        between = (
+            (across > _MARGIN)
+            & (across < 1 - _MARGIN)
+            & (y >= y[on_lines].min())
+            & (y <= y[on_lines].max())
+        )
         clutter = float(between.sum() / on_lines.sum())
-    left_px, right_px = ((float(y[seen].min()), float(y[seen].max())) if seen.any() else None for seen in (left, right))
+    left_px, right_px = (
+        (float(y[seen].min()), float(y[seen].max())) if seen.any() else None
+        for seen in (left, right)
+    )
     return LaneFit(state, (left_px, right_px), clutter)
 
 
-def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate: float) -> BoolArray:
+def _pixels(
+    markings: Markings, state: LaneState, side: float, number: int, gate: float
+) -> BoolArray:
     """(N,) mask of the markings that belong to a line; none if there are too few."""
     x, y = markings.xy_px.T
     width_px = state.width_px(y)
@@ -82,14 +107,23 @@ def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate
     is_on_line = (width_px > 0) & (off_px < gate * width_px + 2 * markings.sigma_px)
     if number >= 0:
         is_on_line &= markings.line == number
-    is_visible = is_on_line.sum() >= _MIN_PIXELS and np.ptp(y[is_on_line]) >= _MIN_SPAN * state.image_hw[0]
+    is_visible = (
+        is_on_line.sum() >= _MIN_PIXELS and np.ptp(y[is_on_line]) >= _MIN_SPAN * state.image_hw[0]
+    )
     return np.asarray(is_on_line & is_visible)
 
 
 def _updated(
-    markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: tuple[BoolArray, BoolArray]
+    markings: Markings,
+    expected: LaneState,
+    prior: FloatArray,
+    *,
+    about: LaneState,
+    seen: tuple[BoolArray, BoolArray],
 ) -> LaneState:
-    """One iteration: the state from the prior (information `prior`) and pixels weighted by residuals at `about`."""
+    """One iteration: the state from the prior (information `prior`) and pixels weighted by
+    residuals at `about`.
+    """
     information = prior
     pull = information @ expected.mean
     for side, is_on_line in zip(SIDES, seen, strict=True):
@@ -108,12 +142,14 @@ def _updated(
 
 
 _MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer reported
-_MAX_CONTRADICTED_S = 0.25  # of observations that contradict the state, after which the observed lane replaces it
+# of observations that contradict the state, after which the observed lane replaces it
+_MAX_CONTRADICTED_S = 0.25
 _MAX_JUMP = 0.25  # of the lane between images, in lane widths in a near row
 _WIDTH_SLOPE_LIMITS = (0.8, 6.0)  # plausible lane width / camera height
 _LEARNT_SIGMA = 0.13  # of the logarithm of that ratio in a drive: lanes are 3.0 to 3.75 m wide
 _OBSERVED_SIGMA = 1.0  # of it as one image shows it: a wrong lane stays wrong in many images
-_MAX_CLUTTER = 1.2  # largest `LaneFit.clutter`: 0 to 0.7 on roads, 2 to 3 in tree shade, which has edges all over
+# largest `LaneFit.clutter`: 0 to 0.7 on roads, 2 to 3 in tree shade, which has edges all over
+_MAX_CLUTTER = 1.2
 _MIN_SUPPORT = 0.3  # of a line, relative to the one with the largest support in the image
 _MAX_SIGMAS = 3.0  # deviation of a pair in each of the quantities of a typical lane
 _OFFSET_SIGMA = 0.25  # of the camera's lateral offset from the lane centre, in lane widths
@@ -121,15 +157,19 @@ _CENTRE_SIGMA = 0.15  # of the vanishing point's x from the image centre, in ima
 _COST = 0.2  # of a deviation of one sigma, in units of support
 _MIN_SCORE = 0.3  # of a pair: two lines of full support (2) may deviate by a total of 3 sigmas
 _TRACKED_SIGMA = 0.12  # of a line's x from the tracked lane, in lane widths
-_MAX_DEPARTURE = 1.5  # from the tracked lane, in sigmas squared, large enough to recover from a wrong lane
+# from the tracked lane, in sigmas squared, large enough to recover from a wrong lane
+_MAX_DEPARTURE = 1.5
 
 
 class EgoLane:
-    """Tracker of the ego lane in one video; `state` is the lane after the latest image, None = no lane."""
+    """Tracker of the ego lane in one video; `state` is the lane after the latest image, None = no
+    lane.
+    """
 
     def __init__(self) -> None:
         self.state: LaneState | None = None
-        self._width_slope = math.log(WIDTH_SLOPE), WIDTH_SLOPE_LOG_SIGMA  # mean and sigma in this drive
+        # mean and sigma in this drive
+        self._width_slope = math.log(WIDTH_SLOPE), WIDTH_SLOPE_LOG_SIGMA
         self._time_s = -np.inf
         self._agreed_s = -np.inf
         self._seen_s = [-np.inf, -np.inf]
@@ -165,9 +205,14 @@ class EgoLane:
     def _learn_width(self, log_slope: float) -> None:
         mean, sigma = self._width_slope
         gain = sigma**2 / (sigma**2 + _OBSERVED_SIGMA**2)
-        self._width_slope = mean + gain * (log_slope - mean), max(sigma * math.sqrt(1.0 - gain), _LEARNT_SIGMA)
+        self._width_slope = (
+            mean + gain * (log_slope - mean),
+            max(sigma * math.sqrt(1.0 - gain), _LEARNT_SIGMA),
+        )
 
-    def _fit(self, markings: Markings, expected: LaneState | None, image_hw: tuple[int, int]) -> LaneFit | None:
+    def _fit(
+        self, markings: Markings, expected: LaneState | None, image_hw: tuple[int, int]
+    ) -> LaneFit | None:
         proposed = proposals(markings, image_hw)
         pair = own_pair(proposed, image_hw, expected, self._width_slope)
         observed, numbers = None, (-1, -1)
@@ -190,12 +235,16 @@ class EgoLane:
 
 
 def _is_lane(fit: LaneFit) -> bool:
-    """Whether the lane has a plausible width and little clutter, and its lines do not cross where they are seen."""
+    """Whether the lane has a plausible width and little clutter, and its lines do not cross where
+    they are seen.
+    """
     opening = fit.state.mean[3] / fit.state.image_hw[0]
     if not _WIDTH_SLOPE_LIMITS[0] < opening < _WIDTH_SLOPE_LIMITS[1]:
         return False
     horizon_px, (left, right) = fit.state.horizon_px, fit.seen_px
-    is_below_horizon = (left is None or horizon_px < left[0]) and (right is None or horizon_px < right[0])
+    is_below_horizon = (left is None or horizon_px < left[0]) and (
+        right is None or horizon_px < right[0]
+    )
     return is_below_horizon and fit.clutter < _MAX_CLUTTER
 
 
@@ -203,7 +252,10 @@ def _jump(state: LaneState, expected: LaneState) -> float:
     """Distance between two lanes in a near row, in lane widths."""
     y_px: FloatArray = np.array([0.9 * state.image_hw[0]])
     width_px = max(float(expected.width_px(y_px)[0]), 1.0)
-    return max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES) / width_px
+    return (
+        max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES)
+        / width_px
+    )
 
 
 def own_pair(
@@ -212,7 +264,8 @@ def own_pair(
     tracked: LaneState | None,
     log_width_slope: tuple[float, float] = (math.log(WIDTH_SLOPE), WIDTH_SLOPE_LOG_SIGMA),
 ) -> tuple[int, int] | None:
-    """Numbers of the proposals that are the lane's left and right line, given a `tracked` lane; None = no such pair.
+    """Numbers of the proposals that are the lane's left and right line, given a `tracked` lane;
+    None = no such pair.
 
     `log_width_slope` is the logarithm of lane width / camera height and its standard deviation.
     """
@@ -230,8 +283,12 @@ def own_pair(
     return (int(left), int(right)) if np.isfinite(score[left, right]) else None
 
 
-def _deviations(proposed: Proposals, image_hw: tuple[int, int], log_width_slope: tuple[float, float]) -> FloatArray:
-    """(4, K, K) deviations of each pair (left, right) from a typical lane, in sigmas; inf if it cannot be a lane."""
+def _deviations(
+    proposed: Proposals, image_hw: tuple[int, int], log_width_slope: tuple[float, float]
+) -> FloatArray:
+    """(4, K, K) deviations of each pair (left, right) from a typical lane, in sigmas; inf if it
+    cannot be a lane.
+    """
     height, width = image_hw
     slope_left, slope_right = proposed.slope[:, None], proposed.slope[None, :]
     opening = slope_right - slope_left
@@ -252,10 +309,14 @@ def _deviations(proposed: Proposals, image_hw: tuple[int, int], log_width_slope:
 
 
 def _departure(proposed: Proposals, tracked: LaneState) -> FloatArray:
-    """(K, K) squared distance in sigmas of each pair from the tracked lane, mean of a near and a middle row."""
+    """(K, K) squared distance in sigmas of each pair from the tracked lane, mean of a near and a
+    middle row.
+    """
     y_px = tracked.image_hw[0] * np.array([0.95, 0.75])
     x_px = proposed.constant[:, None] + proposed.slope[:, None] * y_px
     width_px = np.maximum(tracked.width_px(y_px), 1.0)
-    left, right = (((x_px - tracked.x_px(y_px, side)) / width_px / _TRACKED_SIGMA) ** 2 for side in SIDES)
+    left, right = (
+        ((x_px - tracked.x_px(y_px, side)) / width_px / _TRACKED_SIGMA) ** 2 for side in SIDES
+    )
     both = (left.mean(axis=1)[:, None] + right.mean(axis=1)[None, :]) / 2
     return np.asarray(np.minimum(both, _MAX_DEPARTURE), np.float64)

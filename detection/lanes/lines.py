@@ -30,7 +30,9 @@ class LaneLine:
         check_shape("coefficients", self.coefficients, (3,))
         check_shape("covariance", self.covariance, (3, 3))
         if not self.y_top_px <= self.y_bottom_px:
-            raise ValueError(f"expected y_top_px <= y_bottom_px, got {self.y_top_px} and {self.y_bottom_px}")
+            raise ValueError(
+                f"expected y_top_px <= y_bottom_px, got {self.y_top_px} and {self.y_bottom_px}"
+            )
 
     def x_px(self, y_px: FloatArray) -> FloatArray:
         """X of the line in the given rows."""
@@ -50,7 +52,9 @@ class LaneLines:
     right: LaneLine | None = None
 
     def horizon_px(self) -> tuple[float, float] | None:
-        """Row of the vanishing point and its sigma, sigma_w / (dw/dy) with the distance w of the lines, if any."""
+        """Row of the vanishing point and its sigma, sigma_w / (dw/dy) with the distance w of the
+        lines, if any.
+        """
         point = self.vanishing_point_px()
         if point is None or self.left is None or self.right is None:
             return None
@@ -80,13 +84,17 @@ class LaneFinder(Protocol):
     notes: tuple[str, ...]  # notes for the user
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call to call."""
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call
+        to call.
+        """
 
 
 def _variance_px2(covariance: FloatArray, y_px: _Real) -> _Real:
     """Variance of x in the given rows, from the (3, 3) covariance of the coefficients."""
     (c00, c01, c02), (_, c11, c12), (_, _, c22) = covariance.tolist()
-    variance: _Real = c00 + y_px * (2 * c01 + y_px * (2 * c02 + c11 + y_px * (2 * c12 + y_px * c22)))
+    variance: _Real = c00 + y_px * (
+        2 * c01 + y_px * (2 * c02 + c11 + y_px * (2 * c12 + y_px * c22))
+    )
     return variance
 
 

@@ -1,7 +1,8 @@
 """Markings: pixels on painted lines, and proposals of straight lines through them.
 
-Networks that distinguish lines number their pixels, and each number gives one proposal. Otherwise lines are proposed by
-a Hough transform, which bridges the gaps of dashed lines. A proposal is x = a + b y with a support from 0 to 1.
+Networks that distinguish lines number their pixels, and each number gives one proposal. Otherwise
+lines are proposed by a Hough transform, which bridges the gaps of dashed lines. A proposal is x = a
++ b y with a support from 0 to 1.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class Proposals:
 
     constant: FloatArray  # (K,) a in pixels
     slope: FloatArray  # (K,) b
-    support: FloatArray  # (K,) square root of the number of pixels on the line relative to the best line, 0..1
+    # (K,) square root of the number of pixels on the line relative to the best line, 0..1
+    support: FloatArray
     line: IntArray  # (K,) line number of the markings; -1 = unknown
 
     def __len__(self) -> int:
@@ -56,19 +58,25 @@ class Proposals:
 def proposals(markings: Markings, image_hw: tuple[int, int]) -> Proposals:
     """Straight lines through the markings of an image, (height, width) `image_hw`; K may be 0."""
     is_numbered = bool((markings.line >= 0).any())
-    constant, slope, line = _numbered_lines(markings) if is_numbered else _hough_lines(markings.xy_px, image_hw)
+    constant, slope, line = (
+        _numbered_lines(markings) if is_numbered else _hough_lines(markings.xy_px, image_hw)
+    )
     if not len(line):
         return Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
     x, y = markings.xy_px.T
-    # The distance is perpendicular to the line, so that flat lines at the side are not at a disadvantage.
+    # The distance is perpendicular to the line, so that flat lines at the side are not at a
+    # disadvantage.
     distance_px = np.abs(x - constant[:, None] - slope[:, None] * y) / np.hypot(1.0, slope)[:, None]
-    is_candidate = (line[:, None] < 0) | (line[:, None] == markings.line)  # numbered lines: pixels with their number
+    # numbered lines: pixels with their number
+    is_candidate = (line[:, None] < 0) | (line[:, None] == markings.line)
     n_pixels = (is_candidate & (distance_px < _TOLERANCE * image_hw[1])).sum(axis=1)
     return Proposals(constant, slope, np.sqrt(n_pixels / max(float(n_pixels.max()), 1.0)), line)
 
 
 def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[IntArray, FloatArray]:
-    """Row and centre column of each run of marked pixels in a mask (h, w), without runs wider than `widest_px`."""
+    """Row and centre column of each run of marked pixels in a mask (h, w), without runs wider than
+    `widest_px`.
+    """
     padded = np.zeros((len(is_marked), is_marked.shape[1] + 2), np.int8)
     padded[:, 1:-1] = is_marked
     step = np.diff(padded, axis=1)
@@ -90,13 +98,19 @@ def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArra
     return table[:, 0], table[:, 1], table[:, 2].astype(np.int64)
 
 
-def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
+def _hough_lines(
+    xy_px: FloatArray, image_hw: tuple[int, int]
+) -> tuple[FloatArray, FloatArray, IntArray]:
     scale = _CANVAS_WIDTH_PX / image_hw[1]
     canvas = np.zeros((round(image_hw[0] * scale) + 1, _CANVAS_WIDTH_PX + 1), np.uint8)
     x, y = np.rint(xy_px.T * scale).astype(np.int64)
     canvas[np.clip(y, 0, canvas.shape[0] - 1), np.clip(x, 0, _CANVAS_WIDTH_PX)] = 1
     detected = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
-    lines = np.zeros((0, 2)) if detected is None else np.asarray(detected, np.float64).reshape(-1, detected.shape[-1])
+    lines = (
+        np.zeros((0, 2))
+        if detected is None
+        else np.asarray(detected, np.float64).reshape(-1, detected.shape[-1])
+    )
     rho, theta = lines.T[:2]
     steep = np.abs(np.tan(theta)) < _MAX_SLOPE
     rho, theta = rho[steep][:_MAX_HOUGH_LINES], theta[steep][:_MAX_HOUGH_LINES]
@@ -107,7 +121,9 @@ def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArr
 
 
 def _strongest(x_px: FloatArray, min_distance_px: float) -> IntArray:
-    """Indices of the lines, given by x in two rows (L, 2) and strongest first, that are not close to a stronger one."""
+    """Indices of the lines, given by x in two rows (L, 2) and strongest first, that are not close
+    to a stronger one.
+    """
     kept: list[int] = []
     is_left = np.ones(len(x_px), np.bool_)
     while is_left.any() and len(kept) < _MAX_PROPOSALS:

@@ -1,20 +1,23 @@
 """NetLaneFinder: detection of the ego lane's lines with an ONNX network.
 
-Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple
-heads), which are recognised by the shapes of their outputs (see below). The network's input is the
-part of the image that is most similar to its training images. Otherwise LSTR, which was trained with one camera, draws
-lines towards the horizon of that camera, with errors of 10 % of the lane width, and TwinLiteNet misses thin lines in
-images wider than 16:9.
+Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection,
+CULane and TuSimple heads), which are recognised by the shapes of their outputs (see below). The
+network's input is the part of the image that is most similar to its training images. Otherwise
+LSTR, which was trained with one camera, draws lines towards the horizon of that camera, with errors
+of 10 % of the lane width, and TwinLiteNet misses thin lines in images wider than 16:9.
 
 Decoders of lane networks' outputs into pixels on lines.
 
     segmentation  [1, 2, h, w] or [1, 1, h, w]      a pixel is on a line if the score of the last channel is the larger
     curves        [1, K, 2] scores, [1, K, 8] rows  LSTR (Liu et al., WACV 2021): y0, y1, k, f, m, n, b, b' with
-                                                    x = k / (y - f)^2 + m / (y - f) + n + b y - b', all in 0..1
+                                                    x = k / (y - f)^2 + m / (y - f) + n + b y - b',
+                                                    all in 0..1
     row anchors   [1, cells + 1, rows, 4]           Ultra Fast Lane Detection (Qin et al., ECCV 2020): in each of a few
-                                                    fixed rows, scores of the cells of four lines; the last = no line
+                                                    fixed rows, scores of the cells of four lines;
+                                                    the last = no line
 
-Decoders return pixels of the network's input, with pixel centres at integers, and the line number of each pixel.
+Decoders return pixels of the network's input, with pixel centres at integers, and the line number
+of each pixel.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,10 +35,13 @@ from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray, check_shape
 
-Points = tuple[FloatArray, IntArray]  # (N, 2) pixels on lines and (N,) their line numbers, -1 = unknown
-ROW_ANCHORS: Mapping[int, FloatArray] = {  # of CULane and TuSimple heads in 288 rows, as in the official implementation
+# (N, 2) pixels on lines and (N,) their line numbers, -1 = unknown
+Points = tuple[FloatArray, IntArray]
+# of CULane and TuSimple heads in 288 rows, as in the official implementation
+ROW_ANCHORS: Mapping[int, FloatArray] = {
     18: np.array(
-        [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287], np.float64
+        [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287],
+        np.float64,
     ),
     56: np.arange(64.0, 285.0, 4.0),
 }
@@ -44,16 +50,20 @@ _ANCHOR_IMAGE_ROWS = 288.0  # height of the input that `ROW_ANCHORS` refers to
 _N_CURVE_SAMPLES = 40  # pixels per curve
 _MIN_CURVE_SCORE = 0.5  # probability of a curve
 _ROW_STEP = 2  # neighbouring rows of a mask are redundant
-_MAX_RUN = 0.08  # largest width of a run of line pixels, of the mask's width; stop lines and merging lines are wider
+# largest width of a run of line pixels, of the mask's width; stop lines and merging lines are wider
+_MAX_RUN = 0.08
 
 
 def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -> Points:
-    """Centres of the runs of line pixels in every second row of scores (channels, h, w), in pixels of the input.
+    """Centres of the runs of line pixels in every second row of scores (channels, h, w), in pixels
+    of the input.
 
     `input_hw` is the size of the network's input, by default the size of the mask.
     """
     is_probability = len(scores) == 1 and scores.min() >= 0.0 and scores.max() <= 1.0  # else logits
-    on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
+    on_line = (
+        scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
+    )
     rows = np.arange(0, on_line.shape[0], _ROW_STEP)
     row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
     height, width = input_hw or on_line.shape
@@ -63,13 +73,15 @@ def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -
 
 
 def curve_points(logits: FloatArray32, curves: FloatArray32, input_hw: tuple[int, int]) -> Points:
-    """Pixels of the curves (K, 8) whose probability, from logits (K, 2), exceeds `_MIN_CURVE_SCORE`.
+    """Pixels of the curves (K, 8) whose probability, from logits (K, 2), exceeds
+    `_MIN_CURVE_SCORE`.
 
     x = k / (y - f)^2 + m / (y - f) + n + b y - b'        x, y as fractions of the input size `input_hw`
     """
     good = np.flatnonzero(softmax(logits.astype(np.float64), axis=1)[:, 1] > _MIN_CURVE_SCORE)
     first, last, k, f, m, n, b, b_end = curves[good].astype(np.float64).T[:, :, None]
-    # The far 15 % are left out: the curve is least accurate there, and its equation has a pole at y = f.
+    # The far 15 % are left out: the curve is least accurate there, and its equation has a pole at y
+    # = f.
     fraction = np.linspace(0.0, 0.85, _N_CURVE_SAMPLES)
     y = np.maximum(first, last) - fraction * np.abs(last - first)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -84,8 +96,8 @@ def row_anchor_points(scores: FloatArray32, input_hw: tuple[int, int]) -> Points
 
         x = sum over cells c of p(c) (c + 0.5) * cell width,        p = softmax of the scores without the last cell
 
-    Cell c covers x from c to c + 1 cell widths. The official demonstration draws c + 1, which is half a cell to the
-    right of the labels.
+    Cell c covers x from c to c + 1 cell widths. The official demonstration draws c + 1, which is
+    half a cell to the right of the labels.
     """
     n_cells = len(scores) - 1
     cell_px = (input_hw[1] - 1) / (n_cells - 1)
@@ -99,11 +111,18 @@ def row_anchor_points(scores: FloatArray32, input_hw: tuple[int, int]) -> Points
 
 def is_row_anchor_shape(shape: tuple[int, ...]) -> bool:
     """Whether an output of this shape belongs to a row-anchor head."""
-    return len(shape) == 4 and shape[1] > 2 and shape[2] in ROW_ANCHORS and shape[3] == ROW_ANCHOR_LINES
+    return (
+        len(shape) == 4
+        and shape[1] > 2
+        and shape[2] in ROW_ANCHORS
+        and shape[3] == ROW_ANCHOR_LINES
+    )
 
 
-_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))  # mean and sigma of red, green and blue / 255
-_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))  # BGR in LSTR's training
+# mean and sigma of red, green and blue / 255
+_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+# BGR in LSTR's training
+_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))
 
 _UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 _MAX_VIEWS = 5  # of one image while the row of the horizon is unknown
@@ -114,10 +133,13 @@ class _Family:
     """A family of lane networks."""
 
     is_rgb: bool  # the channel order is RGB, otherwise BGR
-    scale: tuple[tuple[float, float, float], tuple[float, float, float]]  # mean and sigma of pixels / 255
+    # mean and sigma of pixels / 255
+    scale: tuple[tuple[float, float, float], tuple[float, float, float]]
     sigma_px: float  # standard deviation of a pixel's x in the network's input
-    horizon: float | None = None  # row in training images, in image heights; None = varied: the whole image is input
-    aim: float = 0.02  # largest distance of the horizon from that row, in image heights, before the view is changed
+    # row in training images, in image heights; None = varied: the whole image is input
+    horizon: float | None = None
+    # largest distance of the horizon from that row, in image heights, before the view is changed
+    aim: float = 0.02
     aspect: float = 16 / 9  # width / height of the view
     input_hw: tuple[int, int] = (360, 640)  # (height, width) of an input of variable size
 
@@ -131,7 +153,9 @@ CLASSICAL = "classical"  # name of the lane finder without a network, `EdgeLaneF
 
 
 class NetLaneFinder:
-    """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known lane network."""
+    """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known
+    lane network.
+    """
 
     def __init__(self, model: Path, runtime: Runtime | None = None) -> None:
         session = OnnxSession(model, runtime)
@@ -141,7 +165,9 @@ class NetLaneFinder:
         self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another shape."""
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another
+        shape.
+        """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
         is_new = self._lane.state is None
@@ -157,12 +183,18 @@ class NetLaneFinder:
         return lines
 
     def _view(self, image_hw: tuple[int, int]) -> tuple[slice, slice]:
-        """Rows and columns of the largest crop with the tracked or typical horizon in the family's row, else of all."""
+        """Rows and columns of the largest crop with the tracked or typical horizon in the family's
+        row, else of all.
+        """
         height, width = image_hw
         horizon, aspect, state = self._family.horizon, self._family.aspect, self._lane.state
         if horizon is None:
             return slice(0, height), slice(0, width)
-        x_px, y_px = (width / 2, horizon * height) if state is None else (state.vanishing_x_px, state.horizon_px)
+        x_px, y_px = (
+            (width / 2, horizon * height)
+            if state is None
+            else (state.vanishing_x_px, state.horizon_px)
+        )
         tallest = min((height - y_px) / (1 - horizon), width / aspect)
         rows = round(float(np.clip(tallest, height / 3, height)))
         columns = min(round(rows * aspect), width)
@@ -176,7 +208,10 @@ class NetLaneFinder:
         mean, deviation = self._family.scale
         for channel in range(3):
             source = pixels[..., 2 - channel if self._family.is_rgb else channel]
-            factor, shift = np.float32(1 / 255 / deviation[channel]), np.float32(mean[channel] / deviation[channel])
+            factor, shift = (
+                np.float32(1 / 255 / deviation[channel]),
+                np.float32(mean[channel] / deviation[channel]),
+            )
             self._network.blob[0, channel] = source * factor - shift
         xy, line = self._decode(self._network.run())
         scale = np.array([part.shape[1] / self._input_hw[1], part.shape[0] / self._input_hw[0]])
@@ -190,11 +225,19 @@ _Decode = Callable[[Sequence[FloatArray32]], Points]
 def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
     _, channels, height, width = session.input_shape
     if channels != 3:
-        shape = "[" + ", ".join("any" if side is None else str(side) for side in session.input_shape) + "]"
-        raise ModelError(f"{session.path}: expected a lane network with an input [1, 3, height, width], got {shape}.")
+        shape = (
+            "["
+            + ", ".join("any" if side is None else str(side) for side in session.input_shape)
+            + "]"
+        )
+        raise ModelError(
+            f"{session.path}: expected a lane network with an input [1, 3, height, "
+            f"width], got {shape}."
+        )
     if height and width:
         return _matched(session, session.bound((height, width)), (height, width))
-    for family in (_SEGMENTATION, _ROW_ANCHORS):  # variable size: the network fails with the size of another family
+    # variable size: the network fails with the size of another family
+    for family in (_SEGMENTATION, _ROW_ANCHORS):
         input_hw = (height or family.input_hw[0], width or family.input_hw[1])
         try:
             return _matched(session, session.bound(input_hw), input_hw)
@@ -208,25 +251,42 @@ def _matched(
 ) -> tuple[_Family, BoundNetwork, _Decode]:
     shapes = network.output_shapes
     names = list(shapes)
-    masks = [name for name, shape in shapes.items() if len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32]
+    masks = [
+        name
+        for name, shape in shapes.items()
+        if len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32
+    ]
     anchors = [i for i, shape in enumerate(shapes.values()) if is_row_anchor_shape(shape)]
     scores = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 2]
     curves = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 8]
     if scores and curves and shapes[names[scores[0]]][1] == shapes[names[curves[0]]][1]:
-        return _CURVES, network, lambda out: curve_points(out[scores[0]][0], out[curves[0]][0], input_hw)
+        return (
+            _CURVES,
+            network,
+            lambda out: curve_points(out[scores[0]][0], out[curves[0]][0], input_hw),
+        )
     if anchors:
         return _ROW_ANCHORS, network, lambda out: row_anchor_points(out[anchors[0]][0], input_hw)
     if masks:
-        named = [name for name in masks if any(word in name.lower() for word in ("lane", "line", "ll"))]
+        named = [
+            name for name in masks if any(word in name.lower() for word in ("lane", "line", "ll"))
+        ]
         mask = names.index((named or masks)[-1])  # the last one is after that of the drivable area
         return _SEGMENTATION, network, lambda out: mask_points(out[mask][0], input_hw)
     outputs = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
     raise ModelError(
-        f"{session.path}: expected a lane network with masks [1, 2, h, w], curves [1, K, 2] and [1, K, 8] (LSTR), or "
-        f"row anchors [1, 201, 18, 4] or [1, 101, 56, 4]; got outputs {outputs}."
+        f"{session.path}: expected a lane network with masks [1, 2, h, w], curves [1, K, 2] and "
+        "[1, K, 8] (LSTR), or row anchors [1, 201, 18, 4] or [1, 101, 56, 4]; got outputs "
+        f"{outputs}."
     )
 
 
 def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:
-    """`EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this path."""
-    return EdgeLaneFinder() if name_or_path == CLASSICAL else NetLaneFinder(Path(name_or_path), runtime)
+    """`EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this
+    path.
+    """
+    return (
+        EdgeLaneFinder()
+        if name_or_path == CLASSICAL
+        else NetLaneFinder(Path(name_or_path), runtime)
+    )

@@ -1,8 +1,10 @@
-"""The catalogue of detectors that can be downloaded: names, addresses, licences and published checksums.
+"""The catalogue of detectors that can be downloaded: names, addresses, licences and published
+checksums.
 
-The models are not part of track-range: `detection/models/download.py` downloads a model from the release of its project
-into the user's cache folder. A model is listed only if the checksums of all its files are published elsewhere (OpenCV's
-opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, Git LFS, or several independent projects).
+The models are not part of track-range: `detection/models/download.py` downloads a model from the
+release of its project into the user's cache folder. A model is listed only if the checksums of all
+its files are published elsewhere (OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo,
+Git LFS, or several independent projects).
 """
 
 from dataclasses import dataclass
@@ -35,12 +37,14 @@ class CatalogueEntry:
     name: str  # the model's name; `NAME.onnx` in the cache folder is the model ready to run
     family: str  # family of the network, as shown by `track-range models info`
     input: str  # size and number type of the network's input, for display
-    files: tuple[ModelFile, ...]  # an ONNX file, or Darknet's cfg and weights, which are imported after the download
+    # an ONNX file, or Darknet's cfg and weights, which are imported after the download
+    files: tuple[ModelFile, ...]
     licence: Licence
     project: str
     release: str
     classes: tuple[str, ...] = COCO_CLASSES  # class names in the network's order
-    size_px: int | None = None  # side of an input of variable size, as in training; None = its own, or the default
+    # side of an input of variable size, as in training; None = its own, or the default
+    size_px: int | None = None
 
     @property
     def is_darknet(self) -> bool:
@@ -54,7 +58,9 @@ class CatalogueEntry:
 
     @property
     def notice(self) -> str:
-        """Notice for the user before the download: size, project, licence and what the licence requires."""
+        """Notice for the user before the download: size, project, licence and what the licence
+        requires.
+        """
         return (
             f"{self.name}: {self.size_bytes / 1e6:.1f} MB from {self.project} ({self.release}), "
             f"licence {self.licence.name}: {self.licence.meaning}"
@@ -75,9 +81,7 @@ PUBLIC_DOMAIN = Licence("public domain", "Darknet's licence permits any use.")
 _YOLOX = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0"
 _DARKNET = "https://github.com/AlexeyAB/darknet/releases/download"
 _DARKNET_TEXT = "https://raw.githubusercontent.com/AlexeyAB/darknet"
-_OPENCV_ZOO = (
-    "https://media.githubusercontent.com/media/opencv/opencv_zoo/47534e27c9851bb1128ccc0102f1145e27f23f98/models"
-)
+_OPENCV_ZOO = "https://media.githubusercontent.com/media/opencv/opencv_zoo/47534e27c9851bb1128ccc0102f1145e27f23f98/models"
 _ONNX_COMMUNITY = "https://huggingface.co/onnx-community"
 
 

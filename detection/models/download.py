@@ -1,7 +1,9 @@
-"""Download of a catalogue model: resumed after an interruption and verified with its published checksum.
+"""Download of a catalogue model: resumed after an interruption and verified with its published
+checksum.
 
-A download is written to NAME.part in the cache folder and renamed to NAME once its checksum is correct. A file NAME is
-therefore always complete, even if the program was killed or two programs download the same file at once.
+A download is written to NAME.part in the cache folder and renamed to NAME once its checksum is
+correct. A file NAME is therefore always complete, even if the program was killed or two programs
+download the same file at once.
 """
 
 import hashlib
@@ -24,19 +26,24 @@ Progress = Callable[[int, int | None], None]  # (bytes so far, total if the serv
 _CHUNK_BYTES = 1 << 18
 _MAX_UNPUBLISHED_BYTES = 1_000_000  # files of unpublished size are text of a few kB
 _TIMEOUT_S = 30.0
-_RANGE_NOT_SATISFIABLE = 416  # HTTP status: the requested range starts at or after the end of the file
+# HTTP status: the requested range starts at or after the end of the file
+_RANGE_NOT_SATISFIABLE = 416
 _PARTIAL_CONTENT = 206  # HTTP status: the answer contains only the requested range
 
 
 class DownloadError(UserError):
-    """Failed download of a model; the message gives the reason, and where to put a file downloaded by other means."""
+    """Failed download of a model; the message gives the reason, and where to put a file downloaded
+    by other means.
+    """
 
 
 def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -> Path:
-    """Path of the entry's ONNX file in the cache folder, downloaded and converted if it is not there yet.
+    """Path of the entry's ONNX file in the cache folder, downloaded and converted if it is not
+    there yet.
 
-    The size of an input of variable size is written to `NAME.yaml` beside it (`detection.models.metadata`).
-    DownloadError: the download failed, or the cache folder cannot be written.
+    The size of an input of variable size is written to `NAME.yaml` beside it
+    (`detection.models.metadata`). DownloadError: the download failed, or the cache folder cannot be
+    written.
     """
     model = cache / f"{entry.name}.onnx"
     if model.is_file() and (entry.is_darknet or _has_checksum(model, entry.files[0].checksum)):
@@ -45,13 +52,17 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DownloadError(
-            f"{cache}: cannot create this folder ({error.strerror}); set TRACK_RANGE_CACHE to another folder."
+            f"{cache}: cannot create this folder ({error.strerror}); set TRACK_RANGE_CACHE to "
+            "another folder."
         ) from error
     sidecar = cache / f"{entry.name}.yaml"
-    if entry.size_px is not None and not sidecar.exists():  # else the user has attributes for this model
+    # else the user has attributes for this model
+    if entry.size_px is not None and not sidecar.exists():
         with writable(sidecar, DownloadError):
             write_text(sidecar, f"size: {entry.size_px}\n")
-    paths = {Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files}
+    paths = {
+        Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files
+    }
     if entry.is_darknet:
         import_darknet(paths[".cfg"], paths[".weights"], model, names=entry.classes)
         paths[".weights"].unlink()
@@ -61,8 +72,8 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
 def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Path:
     """Download one file to `target` and return that path; an earlier partial download is resumed.
 
-    Nothing is downloaded if `target` exists and has the correct checksum. DownloadError if the file cannot be
-    downloaded or written, or its checksum is wrong.
+    Nothing is downloaded if `target` exists and has the correct checksum. DownloadError if the file
+    cannot be downloaded or written, or its checksum is wrong.
     """
     if target.is_file() and _has_checksum(target, file.checksum):
         return target
@@ -74,10 +85,13 @@ def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Pa
         _append(file, part, progress or (lambda done_bytes, total_bytes: None))
     except urllib.error.HTTPError as error:
         raise DownloadError(
-            f"{file.url}: the server responded {error.code} {shortened(str(error.reason))}; {advice}"
+            f"{file.url}: the server responded {error.code} {shortened(str(error.reason))}; "
+            f"{advice}"
         ) from error
     except urllib.error.URLError as error:
-        raise DownloadError(f"{file.url}: cannot connect ({shortened(str(error.reason))}); {advice}") from error
+        raise DownloadError(
+            f"{file.url}: cannot connect ({shortened(str(error.reason))}); {advice}"
+        ) from error
     except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
         reason = shortened(str(error) or type(error).__name__)
         raise DownloadError(f"{file.url}: connection lost ({reason}); {advice}") from error
@@ -87,8 +101,8 @@ def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Pa
     if checksum != file.checksum:
         part.unlink()
         raise DownloadError(
-            f"{file.url}: expected checksum {file.checksum}, got {checksum}; the download was removed: try again, or "
-            f"save the correct file as {target}."
+            f"{file.url}: expected checksum {file.checksum}, got {checksum}; the download was "
+            f"removed: try again, or save the correct file as {target}."
         )
     os.replace(part, target)
     return target

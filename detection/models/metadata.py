@@ -1,8 +1,9 @@
 """Metadata of a model: class names, anchors, letterbox and other attributes, each with its source.
 
-Many ONNX files contain no metadata. Each attribute is read from the first source that has it: the user's options, the
-file's metadata (written by Ultralytics' exporter and `track-range models import`), `MODEL.yaml` next to the file;
-otherwise the family's default is used. All sources use the same keys:
+Many ONNX files contain no metadata. Each attribute is read from the first source that has it: the
+user's options, the file's metadata (written by Ultralytics' exporter and `track-range models
+import`), `MODEL.yaml` next to the file; otherwise the family's default is used. All sources use the
+same keys:
 
     family     name of the family, for display           names      class names, in the network's order
     anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's scale of the centres
@@ -16,7 +17,8 @@ otherwise the family's default is used. All sources use the same keys:
     head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
     box_errors systematic errors of the box sizes, by class (`detection.box_errors`)
 
-RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are used.
+RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are
+used.
 """
 
 import ast
@@ -44,7 +46,8 @@ class ModelOptions:
     """Attributes of a model that the user specifies; None = not specified."""
 
     names: tuple[str, ...] | None = None  # class names in the network's order
-    anchors: str | None = None  # pairs in input px by head, such as `81,82 135,169 344,319 / 23,27 37,58 81,82`
+    # pairs in input px by head, such as `81,82 135,169 344,319 / 23,27 37,58 81,82`
+    anchors: str | None = None
     letterbox: str | None = None  # placement and grey level of the padding, such as `top-left-114`
     layout: str | None = None  # name of the layout of the outputs, such as `yolov8`
 
@@ -69,27 +72,41 @@ class ModelMetadata:
 
 
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
-    """Attributes of the model at `path`, from options, metadata or `MODEL.yaml`; ModelError for an invalid value."""
+    """Attributes of the model at `path`, from options, metadata or `MODEL.yaml`; ModelError for an
+    invalid value.
+    """
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
-    is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")  # as "Ultralytics rtdetr-l model"
+    # as "Ultralytics rtdetr-l model"
+    is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")
     head = {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}
     metadata = {**_rfdetr_metadata(metadata), **head, **metadata}
     sidecar = path.with_suffix(".yaml")
-    sidecar_values: Any = read_yaml(sidecar, ModelError, "the attributes of a model") if sidecar.is_file() else None
-    if sidecar.is_file() and not (isinstance(sidecar_values, dict) and sidecar_values.keys() & _PARSERS.keys()):
+    sidecar_values: Any = (
+        read_yaml(sidecar, ModelError, "the attributes of a model") if sidecar.is_file() else None
+    )
+    if sidecar.is_file() and not (
+        isinstance(sidecar_values, dict) and sidecar_values.keys() & _PARSERS.keys()
+    ):
         raise ModelError(
-            f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add one of them, or remove the file."
+            f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add one of them, or "
+            "remove the file."
         )
     attributes: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
         if option_values.get(key) is not None:
-            attributes[key] = Attribute(_parsed(parse, option_values[key], f"--{key}"), "as specified")
+            attributes[key] = Attribute(
+                _parsed(parse, option_values[key], f"--{key}"), "as specified"
+            )
         elif key in metadata:
             place = f"{path}: metadata '{key}'"
-            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), place), FROM_METADATA)
+            attributes[key] = Attribute(
+                _parsed(parse, _literal(metadata[key]), place), FROM_METADATA
+            )
         elif key in (sidecar_values or {}):
             source = f"from {sidecar.name}"
-            attributes[key] = Attribute(_parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source)
+            attributes[key] = Attribute(
+                _parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source
+            )
     return ModelMetadata(attributes)
 
 
@@ -100,14 +117,19 @@ def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     document = _literal(metadata.get(_RFDETR_KEY, ""))
     if not isinstance(document, Mapping):
         return {}
-    texts = {key: repr(document[source]) for key, source in (("mean", "means"), ("std", "stds")) if source in document}
+    texts = {
+        key: repr(document[source])
+        for key, source in (("mean", "means"), ("std", "stds"))
+        if source in document
+    }
     by_id, n = document.get("class_id_to_name"), document.get("num_classes")
     if isinstance(by_id, Mapping) and isinstance(n, int) and 0 < n <= _MAX_CLASSES:
         texts["names"] = repr([str(by_id.get(str(i), "N/A")) for i in range(n)])
     return texts
 
 
-RT_DETR_DESCRIPTION = "RT-DETR, according to its description"  # of older Ultralytics, whose metadata have no more
+# of older Ultralytics, whose metadata have no more
+RT_DETR_DESCRIPTION = "RT-DETR, according to its description"
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
@@ -120,7 +142,9 @@ def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
 
 
 def _literal(text: str) -> object:
-    """The value of a metadata text: JSON, a Python literal (Ultralytics' format of names), else the text itself."""
+    """The value of a metadata text: JSON, a Python literal (Ultralytics' format of names), else the
+    text itself.
+    """
     if len(text) > MAX_TEXT_BYTES:
         return text
     try:
@@ -140,29 +164,43 @@ _MAX_CLASSES = 10_000  # in RF-DETR's metadata
 
 
 def names_of(value: object) -> tuple[str, ...]:
-    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files; else ValueError."""
+    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files;
+    else ValueError.
+    """
     if isinstance(value, Mapping):
         try:
             numbers = {int(key): name for key, name in value.items()}
         except (ValueError, TypeError, OverflowError) as error:
-            raise ValueError(f"expected names numbered from 0, got {quoted(list(value))}") from error
+            raise ValueError(
+                f"expected names numbered from 0, got {quoted(list(value))}"
+            ) from error
         if sorted(numbers) != list(range(len(numbers))):
-            raise ValueError(f"expected names numbered from 0 without gaps, got {quoted(sorted(numbers))}")
+            raise ValueError(
+                f"expected names numbered from 0 without gaps, got {quoted(sorted(numbers))}"
+            )
         value = [numbers[key] for key in sorted(numbers)]
     if not isinstance(value, Sequence) or isinstance(value, str | bytes) or not value:
-        raise ValueError(f"expected a list of names, got {quoted(value)}; specify them with --names")
+        raise ValueError(
+            f"expected a list of names, got {quoted(value)}; specify them with --names"
+        )
     for name in value:
         if not isinstance(name, str | int | float) or len(str(name)) > _MAX_NAME:
-            raise ValueError(f"expected names of at most {_MAX_NAME} characters, got {quoted(name)}")
+            raise ValueError(
+                f"expected names of at most {_MAX_NAME} characters, got {quoted(name)}"
+            )
     return tuple(str(name) for name in value)
 
 
 _MAX_HEADS, _MAX_ANCHORS = 16, 64  # of a network, and in a head; YOLO networks have 1 to 5 of each
-_ANCHORS_EXPECTED = "expected positive width,height pairs for every head, such as '81,82 135,169 / 23,27 37,58'"
+_ANCHORS_EXPECTED = (
+    "expected positive width,height pairs for every head, such as '81,82 135,169 / 23,27 37,58'"
+)
 
 
 def _anchors(value: Any) -> Anchors:
-    """Anchors from nested lists, or from text such as `10,14 23,27 37,58 / 81,82 135,169 344,319`."""
+    """Anchors from nested lists, or from text such as `10,14 23,27 37,58 / 81,82 135,169
+    344,319`.
+    """
     if isinstance(value, str):
         value = [[pair.split(",") for pair in head.split()] for head in value.split("/")]
     try:
@@ -171,7 +209,9 @@ def _anchors(value: Any) -> Anchors:
         raise ValueError(_ANCHORS_EXPECTED) from error
     if len(anchors) > _MAX_HEADS or any(len(head) > _MAX_ANCHORS for head in anchors):
         raise ValueError(f"expected at most {_MAX_HEADS} heads of {_MAX_ANCHORS} anchors")
-    if not anchors or not all(head and all(0 < side < 1e5 for pair in head for side in pair) for head in anchors):
+    if not anchors or not all(
+        head and all(0 < side < 1e5 for pair in head for side in pair) for head in anchors
+    ):
         raise ValueError(_ANCHORS_EXPECTED)
     return anchors
 
@@ -185,7 +225,9 @@ def _number(value: Any) -> float:
 
 
 def _scales(value: Any) -> tuple[float, ...]:
-    values: Sequence[Any] = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    values: Sequence[Any] = (
+        value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    )
     scales = tuple(_number(scale) for scale in values)
     if not all(1 <= scale <= 2 for scale in scales):
         raise ValueError(f"expected numbers from 1 to 2, got {quoted(list(scales))}")
@@ -208,7 +250,9 @@ def _triple(value: Any, *, is_positive: bool = False) -> tuple[float, ...]:
     if len(numbers) != 3 or not all(abs(number) <= 65535 for number in numbers):
         raise ValueError(f"expected three numbers, one for each channel, got {quoted(value)}")
     if is_positive and not all(number > 0 for number in numbers):
-        raise ValueError(f"expected three positive numbers, one for each channel, got {quoted(value)}")
+        raise ValueError(
+            f"expected three positive numbers, one for each channel, got {quoted(value)}"
+        )
     return numbers
 
 

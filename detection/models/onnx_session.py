@@ -26,7 +26,8 @@ _MAX_SIDE = 8192  # of the input in any dimension
 _MAX_VALUES = 2**28  # of the input: 1 GB of float32
 
 _INPUT_TYPES = ("tensor(float)", "tensor(float16)", "tensor(uint8)")
-TARGET_SIZES = "orig_target_sizes"  # input [batch, 2] of RT-DETR, D-FINE, DEIM: size to which boxes are scaled
+# input [batch, 2] of RT-DETR, D-FINE, DEIM: size to which boxes are scaled
+TARGET_SIZES = "orig_target_sizes"
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
 _FAILED = "running the network failed"
@@ -47,11 +48,13 @@ class Runtime:
 class OnnxSession:
     """A network with one image input, ready to run; ModelError if the file is no such network.
 
-    Its images are (batch, 3, height, width) for all networks: they are transposed for an input whose channels are last,
-    reduced to the first channel for an input of a single channel, and rounded for an input of uint8.
+    Its images are (batch, 3, height, width) for all networks: they are transposed for an input
+    whose channels are last, reduced to the first channel for an input of a single channel, and
+    rounded for an input of uint8.
 
-    DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
-    are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the device in use.
+    DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image
+    input, so that boxes are in pixels of that input. `input_shape` has None for dimensions of
+    variable size; `device` is the device in use.
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
@@ -60,10 +63,14 @@ class OnnxSession:
         runtime = runtime or Runtime()
         check_model_file(path)
         with _library_errors(path, "not a usable ONNX model"):
-            self._session, self.device, reason = open_session(path, runtime.device, runtime.n_threads)
+            self._session, self.device, reason = open_session(
+                path, runtime.device, runtime.n_threads
+            )
         self._n_threads, self._has_run = runtime.n_threads, False
         if reason and runtime.device != "auto":
-            self.notes = (f"--device {runtime.device} is not available ({reason}); using {self.device}.",)
+            self.notes = (
+                f"--device {runtime.device} is not available ({reason}); using {self.device}.",
+            )
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.has_channels_last = shape[1] not in (1, 3) and shape[3] in (1, 3)
@@ -79,11 +86,15 @@ class OnnxSession:
         inputs: dict[str, npt.NDArray[Any]] = {self._input.name: self.as_input(blob)}
         if self._size_input is not None:
             n, _, height, width = blob.shape
-            inputs[self._size_input.name] = np.array([[width, height]] * n, _SIZE_TYPES[self._size_input.type])
+            inputs[self._size_input.name] = np.array(
+                [[width, height]] * n, _SIZE_TYPES[self._size_input.type]
+            )
         return inputs
 
     def as_input(self, blob: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The network's input for a blob (batch, 3, height, width): `blob` itself if it has this form."""
+        """The network's input for a blob (batch, 3, height, width): `blob` itself if it has this
+        form.
+        """
         if self.n_channels == 1:
             blob = blob[:, :1]
         if self.has_channels_last:
@@ -93,12 +104,16 @@ class OnnxSession:
         return np.ascontiguousarray(blob)
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
-        """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width)."""
+        """The outputs as float32, in the file's order, for one input blob (batch, 3, height,
+        width).
+        """
         outputs = self.run_inputs(self.inputs(blob.astype(self.input_dtype, copy=False)))
         return [np.asarray(output, np.float32) for output in outputs]
 
     def run_inputs(self, inputs: dict[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
-        """The outputs for all inputs by name; a device that fails in the first run is replaced by the CPU."""
+        """The outputs for all inputs by name; a device that fails in the first run is replaced by
+        the CPU.
+        """
         with _library_errors(self.path, _FAILED):
             try:
                 outputs: list[npt.NDArray[Any]] = self._session.run(None, inputs)
@@ -106,7 +121,8 @@ class OnnxSession:
                 if self._has_run or self.device == "cpu":
                     raise
                 self.notes = (
-                    f"--device {self.device} failed in its first run ({first_line(error, self.path)}); using the CPU.",
+                    f"--device {self.device} failed in its first run "
+                    f"({first_line(error, self.path)}); using the CPU.",
                 )
                 self._session, self.device, _ = open_session(self.path, "cpu", self._n_threads)
                 outputs = self._session.run(None, inputs)
@@ -114,17 +130,23 @@ class OnnxSession:
         return outputs
 
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
-        """The network with buffers for one image of this size; one trial run determines the outputs' shapes."""
+        """The network with buffers for one image of this size; one trial run determines the
+        outputs' shapes.
+        """
         return BoundNetwork(self, input_hw)
 
     def sha256(self) -> str:
-        """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same weights."""
+        """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same
+        weights.
+        """
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_model_file(path: Path) -> None:
-    """Check that an ONNX file has at most 2 GB, and its external data are in its folder; else ModelError."""
+    """Check that an ONNX file has at most 2 GB, and its external data are in its folder; else
+    ModelError.
+    """
     check_regular(path, ModelError, "an ONNX model", max_bytes=_MAX_MODEL_BYTES)
     if path.stat().st_size == 0:
         raise ModelError(f"{path}: expected an ONNX model, got an empty file.")
@@ -134,56 +156,83 @@ def check_model_file(path: Path) -> None:
         if content.find(_LOCATION_KEY) < 0:
             return
     import onnx
-    from onnx.external_data_helper import _get_all_tensors, uses_external_data  # not part of onnxruntime
+
+    # not part of onnxruntime
+    from onnx.external_data_helper import _get_all_tensors, uses_external_data
 
     with _library_errors(path, "not a readable ONNX model"):
         model = onnx.load(str(path), load_external_data=False)
         external = [tensor for tensor in _get_all_tensors(model) if uses_external_data(tensor)]
-        locations = {entry.value for tensor in external for entry in tensor.external_data if entry.key == "location"}
+        locations = {
+            entry.value
+            for tensor in external
+            for entry in tensor.external_data
+            if entry.key == "location"
+        }
     folder = real_path(path).parent
     for location in sorted(locations):
         if folder not in real_path(folder / location).parents:
             raise ModelError(
-                f"{path}: expected its weights in the same folder, found a reference to {quoted(location)}."
+                f"{path}: expected its weights in the same folder, found a reference to "
+                f"{quoted(location)}."
             )
         check_regular(folder / location, ModelError, f"weights of {path.name}")
 
 
 def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]:
     images = [i for i in inputs if len(i.shape) == 4]
-    sizes = [i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES]
+    sizes = [
+        i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES
+    ]
     if len(images) != 1 or len(inputs) != 1 + len(sizes):
         shapes = shortened(", ".join(f"{i.name} {i.shape}" for i in inputs), 100)
-        advice = "export without other inputs and postprocessing" if len(inputs) > 1 else "choose another model"
+        advice = (
+            "export without other inputs and postprocessing"
+            if len(inputs) > 1
+            else "choose another model"
+        )
         raise ModelError(
-            f"{path}: expected one input [batch, 3, height, width], and at most {TARGET_SIZES} [batch, 2] of int64, "
-            f"got {shapes}; {advice}."
+            f"{path}: expected one input [batch, 3, height, width], and at most {TARGET_SIZES} "
+            f"[batch, 2] of int64, got {shapes}; {advice}."
         )
     (image,) = images
     lengths = [length for length in image.shape if isinstance(length, int)]
-    if min(lengths, default=1) < 1 or max(lengths, default=1) > _MAX_SIDE or math.prod(lengths) > _MAX_VALUES:
+    if (
+        min(lengths, default=1) < 1
+        or max(lengths, default=1) > _MAX_SIDE
+        or math.prod(lengths) > _MAX_VALUES
+    ):
         raise ModelError(
-            f"{path}: expected an input [batch, 3, height, width] of 1 to {_MAX_SIDE} pixels a side and at most "
-            f"{_MAX_VALUES:,} values, got {shortened(str(image.shape))}."
+            f"{path}: expected an input [batch, 3, height, width] of 1 to {_MAX_SIDE} pixels a "
+            f"side and at most {_MAX_VALUES:,} values, got {shortened(str(image.shape))}."
         )
     if image.type not in _INPUT_TYPES:
-        raise ModelError(f"{path}: expected an input of the type {' or '.join(_INPUT_TYPES)}, got {image.type}.")
+        raise ModelError(
+            f"{path}: expected an input of the type {' or '.join(_INPUT_TYPES)}, got {image.type}."
+        )
     return image, sizes[0] if sizes else None
 
 
 @contextmanager
 def _library_errors(path: Path, problem: str) -> Iterator[None]:
-    """Context of a library that may raise dozens of unrelated types for a broken file; all become ModelError."""
+    """Context of a library that may raise dozens of unrelated types for a broken file; all become
+    ModelError.
+    """
     try:
         yield
     except Exception as error:
         line = first_line(error, path)
-        advice = "; export the network without TensorRT's non-maximum suppression" if "_TRT" in line else ""
+        advice = (
+            "; export the network without TensorRT's non-maximum suppression"
+            if "_TRT" in line
+            else ""
+        )
         raise ModelError(f"{path}: {problem} ({line}){advice}.") from error
 
 
 class BoundNetwork:
-    """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor allocates arrays.
+    """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor
+    allocates arrays.
 
     On a GPU, binding an input copies it there, so that each run binds it.
     """
@@ -194,7 +243,8 @@ class BoundNetwork:
         batch = session.input_shape[0]
         if batch not in (None, 1):
             raise ModelError(
-                f"{session.path}: expected batch size 1 or a variable size, got {batch}; export with batch size 1."
+                f"{session.path}: expected batch size 1 or a variable size, got {batch}; export "
+                "with batch size 1."
             )
         inputs = session.inputs(self.blob)
         outputs = session.run_inputs(inputs)
@@ -202,8 +252,11 @@ class BoundNetwork:
         self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
         names = [output.name for output in network.get_outputs()]
         named = dict(zip(names, self._buffers, strict=True))
-        self.output_shapes = {key: buffer.shape for key, buffer in named.items()}  # in the file's order
-        self.integer_outputs = frozenset(key for key, buffer in named.items() if buffer.dtype.kind in "iu")
+        # in the file's order
+        self.output_shapes = {key: buffer.shape for key, buffer in named.items()}
+        self.integer_outputs = frozenset(
+            key for key, buffer in named.items() if buffer.dtype.kind in "iu"
+        )
         self._binding = network.io_binding()
         self._image_name = session._input.name
         for key, array in inputs.items():
@@ -216,7 +269,9 @@ class BoundNetwork:
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 
     def run(self, blob: npt.NDArray[Any] | None = None) -> list[FloatArray32]:
-        """The outputs as float32, in the file's order, for `blob` or the attribute; the next run overwrites them."""
+        """The outputs as float32, in the file's order, for `blob` or the attribute; the next run
+        overwrites them.
+        """
         source = self._owner.as_input(self.blob if blob is None else blob)
         if self._owner.device != "cpu" or self._bound_inputs[self._image_name] is not source:
             self._binding.bind_cpu_input(self._image_name, source)
@@ -225,7 +280,8 @@ class BoundNetwork:
             if self._is_bound:
                 try:
                     self._owner._session.run_with_iobinding(self._binding)
-                except RuntimeError as error:  # a suppression returns another number of boxes for each image
+                # a suppression returns another number of boxes for each image
+                except RuntimeError as error:
                     if "shape" not in str(error):
                         raise
                     self._is_bound = False

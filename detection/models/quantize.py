@@ -2,25 +2,27 @@
 
     q = clip(round(x / scale) + zero_point, 0, 255)        x ~ (q - zero_point) * scale
 
-Weights are signed bytes with one scale per output channel, activations unsigned bytes with one scale per tensor (signed
-bytes took 1.6 to 2.7 times as long). The range of an activation extends from the mean of the images' minima to the mean
-of their maxima. Clipping the extremes reduces the disagreement with the float network by 30 to 60 %, compared with the
-range of all values. (A percentile was equally accurate on YOLOX-nano, but took eight times as long.)
+Weights are signed bytes with one scale per output channel, activations unsigned bytes with one
+scale per tensor (signed bytes took 1.6 to 2.7 times as long). The range of an activation extends
+from the mean of the images' minima to the mean of their maxima. Clipping the extremes reduces the
+disagreement with the float network by 30 to 60 %, compared with the range of all values. (A
+percentile was equally accurate on YOLOX-nano, but took eight times as long.)
 
 These parts stay in float, which determines the accuracy:
 
 - the last convolutions and everything after them, where one tensor contains both pixels (0..640) and scores (0..1);
 - convolutions with an input or output whose channels differ so much in range that the rounding of a common scale
-  exceeds the values of the smaller channels (YOLOX-nano's stem and the depthwise convolution after it: quantising these
-  two halves its average precision);
+  exceeds the values of the smaller channels (YOLOX-nano's stem and the depthwise convolution after
+  it: quantising these two halves its average precision);
 - everything before the first quantised convolution.
 
-Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is corrected by that shift,
-layer by layer in the network's order, measured on some of the images, as in Nagel et al., Data-Free Quantization
-Through Weight Equalization and Bias Correction, ICCV 2019, section 4.2.
+Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is
+corrected by that shift, layer by layer in the network's order, measured on some of the images, as
+in Nagel et al., Data-Free Quantization Through Weight Equalization and Bias Correction, ICCV 2019,
+section 4.2.
 
-INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits, which saturates and
-is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
+INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits,
+which saturates and is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 """
 
 import copy
@@ -35,12 +37,22 @@ import numpy.typing as npt
 import onnx
 import onnx.numpy_helper
 import onnx.version_converter
-from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
+from onnxruntime.quantization import (
+    CalibrationDataReader,
+    CalibrationMethod,
+    QuantFormat,
+    QuantType,
+    quantize_static,
+)
 from onnxruntime.quantization.onnx_model import ONNXModel
 from onnxruntime.quantization.shape_inference import quant_pre_process
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
-from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.formats.image_labels.labelled_images import (
+    ImageFileError,
+    images_in,
+    read_image,
+)
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import atomic_output, silent_conversion
 from track_range.detection.yolo.detector import YoloDetector
@@ -48,16 +60,20 @@ from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
 N_CALIBRATION = 60  # number of images for calibration of the value ranges of the layers
-_N_NOISE_BLOBS = 4  # images on which the rounding noise of every tensor is measured before the calibration
+# images on which the rounding noise of every tensor is measured before the calibration
+_N_NOISE_BLOBS = 4
 
 _MAX_NOISE_RATIO = 0.1
-"""Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most 0.05 for all
-tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and 0.26) whose quantization halves its
-average precision."""
+"""Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most
+0.05 for all tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and
+0.26) whose quantization halves its average precision."""
 
 _N_BIAS_BLOBS = 32  # images on which the shift of a convolution's output is measured
-_BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())  # quantised between convolutions
-_QUANTISED = frozenset("ConvInteger DequantizeLinear DynamicQuantizeLinear QLinearConv QuantizeLinear".split())
+# quantised between convolutions
+_BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())
+_QUANTISED = frozenset(
+    "ConvInteger DequantizeLinear DynamicQuantizeLinear QLinearConv QuantizeLinear".split()
+)
 
 
 def quantize_int8(
@@ -69,19 +85,23 @@ def quantize_int8(
 ) -> None:
     """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
-    `blobs` are calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order, which
-    are read once, one by one; the first blobs also determine which layers stay in float, and the corrections of the
-    biases, for which the network is run once per convolution (a minute for YOLOv5n at 640 x 640). `progress` is called
-    with the number of convolutions whose bias is corrected, and their total number.
+    `blobs` are calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in
+    random order, which are read once, one by one; the first blobs also determine which layers stay
+    in float, and the corrections of the biases, for which the network is run once per convolution
+    (a minute for YOLOv5n at 640 x 640). `progress` is called with the number of convolutions whose
+    bias is corrected, and their total number.
 
-    ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
+    ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of
+    the wrong shape.
     """
     model = _float_model(path)
     session = OnnxSession(path, Runtime(device="cpu"))
     stream = iter(blobs)
     first = list(itertools.islice(stream, _N_NOISE_BLOBS))
     if not first:
-        raise ModelError(f"{path}: there are no calibration images; specify images typical of the network's use.")
+        raise ModelError(
+            f"{path}: there are no calibration images; specify images typical of the network's use."
+        )
     for blob in first:  # raises a ModelError for a wrong shape
         session.run(blob)
     with atomic_output(out) as folder:
@@ -89,7 +109,10 @@ def quantize_int8(
             prepared = _prepared(model, folder)
         names = _quantisable(prepared, first, folder)
         if not names:
-            raise ModelError(f"{path}: no convolution can be quantised without losing accuracy; try FP16 instead.")
+            raise ModelError(
+                f"{path}: no convolution can be quantised without losing accuracy; "
+                "try FP16 instead."
+            )
         reader = _BlobReader(session, itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
@@ -98,10 +121,12 @@ def quantize_int8(
 
 
 def convert_fp16(path: Path, out: Path) -> None:
-    """Write a copy of the network at `path` with weights and arithmetic in FP16, which halves its size.
+    """Write a copy of the network at `path` with weights and arithmetic in FP16, which halves its
+    size.
 
-    Inputs, outputs and everything after the last convolutions stay float32, because FP16 has a resolution of only half
-    a pixel above 512. ModelError: not a usable float32 network with convolutions.
+    Inputs, outputs and everything after the last convolutions stay float32, because FP16 has a
+    resolution of only half a pixel above 512. ModelError: not a usable float32 network with
+    convolutions.
     """
     model = _float_model(path)
     half = copy.deepcopy(model)
@@ -117,14 +142,16 @@ def convert_fp16(path: Path, out: Path) -> None:
 
 
 def calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
-    """Images for calibration, and other images; labelled images are used for calibration only if all are labelled."""
+    """Images for calibration, and other images; labelled images are used for calibration only if
+    all are labelled.
+    """
     paths = images_in(folder)
     pool = [path for path in paths if path not in measured] or paths
     n = min(N_CALIBRATION, len(paths) // 2)
     if n == 0:
         raise ModelError(
-            f"{folder}: expected at least 2 images for calibration and comparison ({2 * N_CALIBRATION} recommended), "
-            f"found {len(paths)}."
+            f"{folder}: expected at least 2 images for calibration and comparison "
+            f"({2 * N_CALIBRATION} recommended), found {len(paths)}."
         )
     drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]
     return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
@@ -138,8 +165,11 @@ def input_blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[Float
 
 
 def _float_model(path: Path) -> onnx.ModelProto:
-    """The network at `path`, after a check that onnxruntime can load it and that it computes in float32."""
-    OnnxSession(path, Runtime(device="cpu"))  # raises a ModelError if the file is not a usable network
+    """The network at `path`, after a check that onnxruntime can load it and that it computes in
+    float32.
+    """
+    # raises a ModelError if the file is not a usable network
+    OnnxSession(path, Runtime(device="cpu"))
     model = onnx.load(path)
     types = {tensor.data_type for tensor in model.graph.initializer}
     types |= {value.type.tensor_type.elem_type for value in model.graph.input}
@@ -149,25 +179,36 @@ def _float_model(path: Path) -> onnx.ModelProto:
     if types & {onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16}:
         raise ModelError(f"{path}: expected a float32 network, got a network with 16-bit floats.")
     if "Conv" not in operators:
-        raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
+        raise ModelError(
+            f"{path}: expected a network with convolutions, found none; there is "
+            "nothing to quantise."
+        )
     return model
 
 
 def _name_nodes(graph: onnx.GraphProto) -> None:
-    """Give every node a unique name: the converters identify nodes by name, but exporters may omit it."""
+    """Give every node a unique name: the converters identify nodes by name, but exporters may omit
+    it.
+    """
     for index, node in enumerate(graph.node):
         node.name = f"{node.op_type}_{index}"
 
 
 def _convolutions(graph: onnx.GraphProto) -> set[str]:
-    """Names of the convolutions, except 1x1 with one output channel (the weighted mean in YOLOv8's decoder)."""
+    """Names of the convolutions, except 1x1 with one output channel (the weighted mean in YOLOv8's
+    decoder).
+    """
     weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
     excluded = {name for name, dims in weights.items() if dims[:1] == (1,) and set(dims[2:]) == {1}}
-    return {node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in excluded}
+    return {
+        node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in excluded
+    }
 
 
 def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
-    """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in topological order."""
+    """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in
+    topological order.
+    """
     needed: set[str] = set()
     predecessors: set[str] = set()
     for node in reversed(graph.node):
@@ -179,7 +220,9 @@ def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
 
 
 def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
-    """Names of the nodes that can be reached from a node in `names`, not through the shape of a tensor."""
+    """Names of the nodes that can be reached from a node in `names`, not through the shape of a
+    tensor.
+    """
     reached: set[str] = set()
     successors: set[str] = set()
     for node in graph.node:
@@ -191,8 +234,13 @@ def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
-    """A copy with folded batch norms, inferred shapes, an opset with scales per channel, a bias per convolution."""
-    if max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")) < _PER_CHANNEL_OPSET:
+    """A copy with folded batch norms, inferred shapes, an opset with scales per channel, a bias per
+    convolution.
+    """
+    if (
+        max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx"))
+        < _PER_CHANNEL_OPSET
+    ):
         model = onnx.version_converter.convert_version(model, _PER_CHANNEL_OPSET)
     source, target = folder / "source.onnx", folder / "prepared.onnx"
     onnx.save(model, source)
@@ -219,31 +267,43 @@ def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
 
 
 def _quantisable(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> list[str]:
-    """Names of the convolutions to quantise and of the operators between them that can be quantised.
+    """Names of the convolutions to quantise and of the operators between them that can be
+    quantised.
 
-    None of them has a noisy tensor as input or output: a float convolution between quantised tensors would be quantised
-    by onnxruntime when it loads the network, with one scale for all its weights.
+    None of them has a noisy tensor as input or output: a float convolution between quantised
+    tensors would be quantised by onnxruntime when it loads the network, with one scale for all its
+    weights.
     """
     nodes, convolutions = model.graph.node, _convolutions(model.graph)
     before_convolutions = _before(model.graph, convolutions)
     inner = [node for node in nodes if node.name in convolutions & before_convolutions]
-    tensors = list(dict.fromkeys(name for node in inner for name in (node.input[0], node.output[0])))
+    tensors = list(
+        dict.fromkeys(name for node in inner for name in (node.input[0], node.output[0]))
+    )
     if not tensors:
         return []
     session = _probe(model, tensors, folder)
-    noise = np.mean([[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0)
+    noise = np.mean(
+        [[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0
+    )
     noisy = {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
     quiet = {node.name for node in nodes if not noisy.intersection([*node.input, *node.output])}
     chosen = {node.name for node in inner} & quiet
     between = before_convolutions & _after(model.graph, chosen) & quiet
-    return [node.name for node in nodes if node.name in chosen or (node.op_type in _BETWEEN and node.name in between)]
+    return [
+        node.name
+        for node in nodes
+        if node.name in chosen or (node.op_type in _BETWEEN and node.name in between)
+    ]
 
 
 def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> OnnxSession:
     probe = copy.deepcopy(model)
     del probe.graph.output[:]
     float32 = onnx.TensorProto.FLOAT
-    probe.graph.output.extend(onnx.helper.make_tensor_value_info(name, float32, None) for name in tensors)
+    probe.graph.output.extend(
+        onnx.helper.make_tensor_value_info(name, float32, None) for name in tensors
+    )
     onnx.save(probe, folder / "probe.onnx")
     return OnnxSession(folder / "probe.onnx", Runtime(device="cpu"))
 
@@ -251,7 +311,8 @@ def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> Onnx
 def _noise_ratio(values: FloatArray32) -> float:
     """Ratio of rounding noise to signal of `values` (N, C, ...) at 8 bits, in [0, 1].
 
-    mean over channels c of min(s^2 / 12 / var(c), 1), with the scale s = (max - min) / 255 of the whole tensor
+    mean over channels c of min(s^2 / 12 / var(c), 1), with the scale s = (max - min) / 255 of the
+    whole tensor
     """
     scale = (max(float(values.max()), 0.0) - min(float(values.min()), 0.0)) / 255
     variance = values.var(axis=(0, *range(2, values.ndim)), dtype=np.float64)
@@ -259,7 +320,9 @@ def _noise_ratio(values: FloatArray32) -> float:
 
 
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
-    """Adapter from an iterator of blobs to onnxruntime's calibration; `first` has the first `_N_BIAS_BLOBS` blobs."""
+    """Adapter from an iterator of blobs to onnxruntime's calibration; `first` has the first
+    `_N_BIAS_BLOBS` blobs.
+    """
 
     def __init__(self, session: OnnxSession, blobs: Iterator[FloatArray32]) -> None:
         self._session, self._blobs = session, blobs
@@ -274,7 +337,9 @@ class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime s
         return self._session.inputs(blob)
 
 
-def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, folder: Path) -> onnx.ModelProto:
+def _quantised(
+    model: onnx.ModelProto, names: list[str], reader: _BlobReader, folder: Path
+) -> onnx.ModelProto:
     source, target = folder / "named.onnx", folder / "quantised.onnx"
     onnx.save(model, source)
     quantize_static(
@@ -288,7 +353,8 @@ def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, fo
         activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8,
         calibrate_method=CalibrationMethod.MinMax,
-        extra_options={"CalibMovingAverage": True},  # all blobs are one batch, so this is their mean
+        # all blobs are one batch, so this is their mean
+        extra_options={"CalibMovingAverage": True},
     )
     return onnx.load(target)
 
@@ -300,22 +366,26 @@ def _correct_biases(
     folder: Path,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Add to each bias of `quantised` the difference of the convolution's mean output, per channel, from `original`.
+    """Add to each bias of `quantised` the difference of the convolution's mean output, per channel,
+    from `original`.
 
-    b' = b + E[y] - E[y_q]: in the network's order, so that y_q already has the corrections of the layers before it.
-    Biases that are not constant stay as they are.
+    b' = b + E[y] - E[y_q]: in the network's order, so that y_q already has the corrections of the
+    layers before it. Biases that are not constant stay as they are.
     """
     constants = {tensor.name: tensor for tensor in quantised.graph.initializer}
     producers = {node.output[0]: node for node in quantised.graph.node}
     names = _convolutions(original.graph)
     outputs = {node.name: node.output[0] for node in original.graph.node if node.name in names}
-    expected = dict(zip(outputs, _mean_outputs(original, [*outputs.values()], blobs, folder), strict=True))
+    expected = dict(
+        zip(outputs, _mean_outputs(original, [*outputs.values()], blobs, folder), strict=True)
+    )
     nodes = [node for node in quantised.graph.node if node.name in outputs and len(node.input) > 2]
     for index, node in enumerate(nodes):
         progress(index, len(nodes))
         bias, step = node.input[2], np.ones(1)
         source = producers.get(bias)
-        if source is not None and source.op_type == "DequantizeLinear":  # of integers, step and zero point
+        # of integers, step and zero point
+        if source is not None and source.op_type == "DequantizeLinear":
             bias, step = source.input[0], onnx.numpy_helper.to_array(constants[source.input[1]])
         if bias in constants:
             (mean,) = _mean_outputs(quantised, node.output, blobs, folder)
@@ -334,7 +404,10 @@ def _mean_outputs(
     session = _probe(model, tensors, folder)
     sums = [np.zeros(1)] * len(tensors)
     for blob in blobs:
-        means = [values.mean(axis=(0, *range(2, values.ndim)), dtype=np.float64) for values in session.run(blob)]
+        means = [
+            values.mean(axis=(0, *range(2, values.ndim)), dtype=np.float64)
+            for values in session.run(blob)
+        ]
         sums = [old + new for old, new in zip(sums, means, strict=True)]
     return [total / len(blobs) for total in sums]
 
@@ -342,21 +415,29 @@ def _mean_outputs(
 def _remove_redundant_casts(model: onnx.ModelProto) -> None:
     """Remove pairs of casts to FP16 and back, and duplicated casts.
 
-    The converter inserts such pairs between nodes that stay in float32, and one cast per consumer of a tensor, all
-    with the same name.
+    The converter inserts such pairs between nodes that stay in float32, and one cast per consumer
+    of a tensor, all with the same name.
     """
 
     def is_cast(node: onnx.NodeProto, to: int) -> bool:
-        return node.op_type == "Cast" and any(entry.name == "to" and entry.i == to for entry in node.attribute)
+        return node.op_type == "Cast" and any(
+            entry.name == "to" and entry.i == to for entry in node.attribute
+        )
 
     nodes = {node.output[0]: node for node in model.graph.node}
-    halved = {name: node.input[0] for name, node in nodes.items() if is_cast(node, onnx.TensorProto.FLOAT16)}
+    halved = {
+        name: node.input[0]
+        for name, node in nodes.items()
+        if is_cast(node, onnx.TensorProto.FLOAT16)
+    }
     for node in nodes.values():
         if is_cast(node, onnx.TensorProto.FLOAT) and node.input[0] in halved:
             node.op_type = "Identity"
             node.input[0] = halved[node.input[0]]
             del node.attribute[:]
-    read = {name for node in nodes.values() for name in node.input} | {value.name for value in model.graph.output}
+    read = {name for node in nodes.values() for name in node.input} | {
+        value.name for value in model.graph.output
+    }
     kept = [copy.deepcopy(node) for node in nodes.values() if read.intersection(node.output)]
     del model.graph.node[:]
     model.graph.node.extend(kept)

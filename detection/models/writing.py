@@ -13,7 +13,9 @@ from track_range.foundation.files.atomic_files import atomic_folder, writable
 
 @contextlib.contextmanager
 def conversion_errors(path: Path, verb: str) -> Iterator[None]:
-    """Context of a converter of the model at `path`; its exceptions become a ModelError, "`path`: cannot be `verb`"."""
+    """Context of a converter of the model at `path`; its exceptions become a ModelError, "`path`:
+    cannot be `verb`".
+    """
     try:
         yield
     except Exception as error:  # onnx and onnxruntime raise dozens of unrelated types
@@ -23,12 +25,19 @@ def conversion_errors(path: Path, verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_conversion(path: Path, verb: str) -> Iterator[None]:
-    """`conversion_errors` of a converter; all prints, warnings and log lines of the process are discarded."""
+    """`conversion_errors` of a converter; all prints, warnings and log lines of the process are
+    discarded.
+    """
     handler, disabled = logging.NullHandler(), logging.root.manager.disable
-    logging.root.addHandler(handler)  # otherwise logging.warning() would install a handler that prints
+    # otherwise logging.warning() would install a handler that prints
+    logging.root.addHandler(handler)
     logging.disable(logging.CRITICAL)
     try:
-        with conversion_errors(path, verb), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        with (
+            conversion_errors(path, verb),
+            warnings.catch_warnings(),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):
             warnings.simplefilter("ignore")
             yield
     finally:
@@ -38,7 +47,9 @@ def silent_conversion(path: Path, verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_output(out: Path) -> Iterator[Path]:
-    """Context of a temporary folder; at the end, its file with the name of `out` replaces `out`, else ModelError."""
+    """Context of a temporary folder; at the end, its file with the name of `out` replaces `out`,
+    else ModelError.
+    """
     if not out.parent.is_dir():
         raise ModelError(f"{out}: expected an existing folder, {out.parent} does not exist.")
     with writable(out, ModelError), atomic_folder(out) as folder:

@@ -1,1 +1,3 @@
-"""Training of detectors with PyTorch (extra `train`); the result is an .onnx file that can be used as a detector."""
+"""Training of detectors with PyTorch (extra `train`); the result is an .onnx file that can be used
+as a detector.
+"""

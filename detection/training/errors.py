@@ -16,4 +16,6 @@ class CheckpointError(TrainingError):
 def check_torch() -> None:
     """TrainingError unless PyTorch is installed."""
     if find_spec("torch") is None:
-        raise TrainingError("training requires PyTorch; install it with: pip install 'track-range[train]'.")
+        raise TrainingError(
+            "training requires PyTorch; install it with: pip install 'track-range[train]'."
+        )

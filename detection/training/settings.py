@@ -22,33 +22,44 @@ Precision = Literal["float32", "bfloat16", "float16"]
 class TrainingSettings:
     """Settings of a training run."""
 
-    size_px: int = 416  # side of the square training images, and longer side of the validation images
+    # side of the square training images, and longer side of the validation images
+    size_px: int = 416
     n_epochs: int = 100
     batch_size: int = 16
     seed: int = 0
     box_loss: BoxLoss = "ciou"
     device: str = "cpu"  # torch device, such as "cpu" or "cuda"
-    precision: Precision = "float32"  # precision of the network's arithmetic; losses and weights are float32
+    # precision of the network's arithmetic; losses and weights are float32
+    precision: Precision = "float32"
     validate_every: int = 1  # epochs between validations; the last epoch is always validated
     min_boxes: int = 50  # classes with fewer labels are excluded from the means of the validation
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
-    n_last_epochs: int = 0  # at the end, without mosaics, to learn from whole images (Ge et al., "YOLOX", 2021)
+    # at the end, without mosaics, to learn from whole images (Ge et al., "YOLOX", 2021)
+    n_last_epochs: int = 0
     n_int8_epochs: int = 0  # number of epochs at the end in which INT8 rounding is simulated
 
     def __post_init__(self) -> None:
         if self.size_px % COARSEST_STRIDE_PX:
             lower = max(self.size_px // COARSEST_STRIDE_PX, 1) * COARSEST_STRIDE_PX
             raise TrainingError(
-                f"--size: expected a multiple of {COARSEST_STRIDE_PX}, such as {lower}, got {self.size_px}."
+                f"--size: expected a multiple of {COARSEST_STRIDE_PX}, such as {lower}, got "
+                f"{self.size_px}."
             )
-        for flag, n in (("--last-epochs", self.n_last_epochs), ("--int8-epochs", self.n_int8_epochs)):
+        for flag, n in (
+            ("--last-epochs", self.n_last_epochs),
+            ("--int8-epochs", self.n_int8_epochs),
+        ):
             if n > self.n_epochs:
-                raise TrainingError(f"{flag}: expected at most {self.n_epochs}, the number of --epochs, got {n}.")
+                raise TrainingError(
+                    f"{flag}: expected at most {self.n_epochs}, the number of --epochs, got {n}."
+                )
         low, high = self.augmentation.min_gain, self.augmentation.max_gain
         if not MIN_GAIN <= low <= high <= MAX_GAIN:
             limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"
-            raise TrainingError(f"--gain: expected {limits}, such as 0.5 1.5, got {low:g} {high:g}.")
+            raise TrainingError(
+                f"--gain: expected {limits}, such as 0.5 1.5, got {low:g} {high:g}."
+            )
 
     def augmentation_in(self, epoch: int) -> AugmentationSettings:
         """Augmentation in an epoch, counted from 0."""
@@ -63,11 +74,14 @@ class TrainingSettings:
     @property
     def dtype(self) -> torch.dtype:
         """The precision as a torch dtype."""
-        return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[self.precision]
+        return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[
+            self.precision
+        ]
 
 
 def usable_device(name: str) -> tuple[str, str]:
-    """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it differs from `name`.
+    """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it
+    differs from `name`.
 
     TrainingError if the name is unknown, or the device is neither a CPU nor a CUDA GPU.
     """
@@ -85,7 +99,8 @@ def usable_device(name: str) -> tuple[str, str]:
             torch.zeros(1, device=name)
         except (RuntimeError, AssertionError):  # no such GPU; a PyTorch without CUDA
             note = (
-                f"--device {name} is not available on this machine (no GPU, or PyTorch without CUDA); training on cpu."
+                f"--device {name} is not available on this machine (no GPU, or PyTorch without "
+                "CUDA); training on cpu."
             )
             return "cpu", note
     return name, ""
@@ -95,5 +110,8 @@ def best_precision(device: str) -> Precision:
     """Half precision if the device supports it (at least twice as fast), else float32."""
     if device.startswith("cuda"):
         return "float16"
-    capabilities: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # from PyTorch 2.11
-    return "bfloat16" if capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") else "float32"
+    # from PyTorch 2.11
+    capabilities: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
+    return (
+        "bfloat16" if capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") else "float32"
+    )

@@ -1,15 +1,17 @@
-"""Teacher: a trained YOLOv5 from which a network learns besides the labels (knowledge distillation).
+"""Teacher: a trained YOLOv5 from which a network learns besides the labels (knowledge
+distillation).
 
-A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) learns from the teacher's outputs:
-objectness, class scores and boxes are the targets where images are not completely labelled. Where labels are complete,
-they determine which of the network's cells are positive. RoadNet, which has other heads, learns from the teacher's
-features (`losses.feature_loss`).
+A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) learns from the
+teacher's outputs: objectness, class scores and boxes are the targets where images are not
+completely labelled. Where labels are complete, they determine which of the network's cells are
+positive. RoadNet, which has other heads, learns from the teacher's features
+(`losses.feature_loss`).
 
-(Hinton et al., "Distilling the Knowledge in a Neural Network", 2015;
-Mehta & Ozturk, "Object Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by
-objectness.)
+(Hinton et al., "Distilling the Knowledge in a Neural Network", 2015; Mehta & Ozturk, "Object
+Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by objectness.)
 
-Import of the weights of an exported YOLOv5 into the PyTorch network, so that teachers run as fast as students.
+Import of the weights of an exported YOLOv5 into the PyTorch network, so that teachers run as fast
+as students.
 """
 
 from dataclasses import dataclass
@@ -35,7 +37,9 @@ from track_range.foundation.files.structured_text import parse_json
 
 
 def yolov5_of_export(path: Path) -> YoloV5:
-    """A YOLOv5n or YOLOv5s in evaluation mode, from its official export with folded batch norms; else ModelError."""
+    """A YOLOv5n or YOLOv5s in evaluation mode, from its official export with folded batch norms;
+    else ModelError.
+    """
     weights = _convolutions(path)
     for name in SCALES:
         n_classes = weights[-1][0].shape[0] // 3 - 5
@@ -43,7 +47,9 @@ def yolov5_of_export(path: Path) -> YoloV5:
             break
         network = YoloV5(name, n_classes, anchors_px=COCO_ANCHORS_PX).eval()
         convolutions = _in_order(network)
-        if [tuple(conv.weight.shape) for conv in convolutions] == [weight.shape for weight, _ in weights]:
+        if [tuple(conv.weight.shape) for conv in convolutions] == [
+            weight.shape for weight, _ in weights
+        ]:
             for conv, (weight, bias) in zip(convolutions, weights, strict=True):
                 conv.weight = nn.Parameter(torch.from_numpy(weight.copy()), requires_grad=False)
                 conv.bias = nn.Parameter(torch.from_numpy(bias.copy()), requires_grad=False)
@@ -51,7 +57,9 @@ def yolov5_of_export(path: Path) -> YoloV5:
                 if hasattr(module, "norm"):
                     module.norm = nn.Identity()
             return network
-    raise ModelError(f"{path}: expected an export of {' or '.join(SCALES)} as the teacher, got another network.")
+    raise ModelError(
+        f"{path}: expected an export of {' or '.join(SCALES)} as the teacher, got another network."
+    )
 
 
 def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -59,25 +67,37 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     try:
         graph = onnx.load(str(path)).graph
     except Exception as error:  # onnx and protobuf raise unrelated types
-        raise ModelError(f"{path}: this is not a readable ONNX model ({type(error).__name__}).") from error
+        raise ModelError(
+            f"{path}: this is not a readable ONNX model ({type(error).__name__})."
+        ) from error
     values = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:  # equal weights may be stored once
         if node.op_type == "Identity" and node.input[0] in values:
             values[node.output[0]] = values[node.input[0]]
     nodes = [node for node in graph.node if node.op_type == "Conv"]
-    if not nodes or any(len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes):
-        raise ModelError(f"{path}: expected a float32 export with folded batch norms as the teacher.")
+    if not nodes or any(
+        len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes
+    ):
+        raise ModelError(
+            f"{path}: expected a float32 export with folded batch norms as the teacher."
+        )
     try:
-        arrays = [[numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes]
+        arrays = [
+            [numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes
+        ]
     except Exception as error:  # as above
-        raise ModelError(f"{path}: expected weights of the announced sizes ({type(error).__name__}).") from error
+        raise ModelError(
+            f"{path}: expected weights of the announced sizes ({type(error).__name__})."
+        ) from error
     return [(weight, bias) for weight, bias in arrays]
 
 
 def _in_order(network: nn.Module) -> list[nn.Conv2d]:
     order: list[nn.Conv2d] = []
     convolutions = (module for module in network.modules() if isinstance(module, nn.Conv2d))
-    hooks = [conv.register_forward_pre_hook(lambda conv, _: order.append(conv)) for conv in convolutions]
+    hooks = [
+        conv.register_forward_pre_hook(lambda conv, _: order.append(conv)) for conv in convolutions
+    ]
     with torch.no_grad():
         network(torch.zeros(1, 3, 64, 64))
     for hook in hooks:
@@ -92,33 +112,48 @@ MIN_OBJECTNESS = 0.1  # smallest objectness of a teacher's cell that is a positi
 class TeacherOutputs:
     """Outputs of a teacher in one head for a batch, with P confident cells."""
 
-    objectness: Tensor  # (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class
+    # (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class
+    objectness: Tensor
     cells: Cells  # the confident cells
     cxcywh: Tensor  # (P, 4) boxes in input pixels
-    class_score: Tensor  # (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have
+    # (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have
+    class_score: Tensor
 
 
 class Teacher:
     """A YOLOv5n or YOLOv5s network, loaded from its official export.
 
-    ModelError if the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes. `name`: file name of
-    the export.
+    ModelError if the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes.
+    `name`: file name of the export.
     """
 
     def __init__(
-        self, path: Path, road_class_id: IntArray, *, device: str, precision: torch.dtype = torch.float32
+        self,
+        path: Path,
+        road_class_id: IntArray,
+        *,
+        device: str,
+        precision: torch.dtype = torch.float32,
     ) -> None:
-        """`road_class_id` (C,) is the road class of each class of the student; `precision` is for the arithmetic."""
+        """`road_class_id` (C,) is the road class of each class of the student; `precision` is for
+        the arithmetic.
+        """
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
-        names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value
+        names = (
+            read_metadata(path, metadata, ModelOptions())
+            .get("names", COCO_CLASSES, "default")
+            .value
+        )
         if "trained_anchors" in metadata:
-            network.anchors_px.copy_(_anchors(metadata["trained_anchors"], path, network.anchors_px))
+            network.anchors_px.copy_(
+                _anchors(metadata["trained_anchors"], path, network.anchors_px)
+            )
         class_id = map_to_road_classes(names)
         if network.n_classes != len(names) or not np.isin(class_id, road_class_id).any():
             raise ModelError(
-                f"{path}: expected a teacher whose class names include classes to train; got {network.n_classes} "
-                f"classes and {len(names)} names."
+                f"{path}: expected a teacher whose class names include classes to train; got "
+                f"{network.n_classes} classes and {len(names)} names."
             )
         self.name = path.name
         self.network = placed(network, torch.device(device))
@@ -126,19 +161,26 @@ class Teacher:
         self._precision = precision
 
     def check_fits(self, student: DetectionNetwork) -> None:
-        """TrainingError unless the student is RoadNet, or a network with the same grids and anchors."""
+        """TrainingError unless the student is RoadNet, or a network with the same grids and
+        anchors.
+        """
         if isinstance(student, RoadNet):
             return
         if not isinstance(student, AnchorNetwork) or student.strides_px != self.network.strides_px:
-            raise TrainingError(f"--teacher: expected a model with YOLOv5's grids, got {student.name}.")
+            raise TrainingError(
+                f"--teacher: expected a model with YOLOv5's grids, got {student.name}."
+            )
         if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
             raise TrainingError(
-                "--teacher: expected the anchors of the teacher, got different ones; use --anchors default."
+                "--teacher: expected the anchors of the teacher, got different ones; use --anchors "
+                "default."
             )
 
     @torch.no_grad()
     def features(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Features (B, n, rows, columns) of the neck at strides 8, 16, 32 for images (B, 3, H, W) RGB in 0..1."""
+        """Features (B, n, rows, columns) of the neck at strides 8, 16, 32 for images (B, 3, H, W)
+        RGB in 0..1.
+        """
         with torch.autocast(images.device.type, self._precision, self._precision != torch.float32):
             p3, p4, p5 = self.network.body(images)
         return p3, p4, p5
@@ -157,23 +199,32 @@ class Teacher:
         logits = head[where].float()
         cells_xy = torch.stack([column, row], 1).float()
         network = self.network
-        boxes = network.boxes(logits[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index])
+        boxes = network.boxes(
+            logits[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index]
+        )
         scores = logits.sigmoid()
         best = scores[:, 5:].amax(1)
         none = torch.zeros(len(scores), device=scores.device)
-        best_of = [scores[:, list(columns)].amax(1) if len(columns) else none for columns in self._columns]
+        best_of = [
+            scores[:, list(columns)].amax(1) if len(columns) else none for columns in self._columns
+        ]
         student_scores = torch.stack(best_of, 1)
-        objectness[where] *= student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is the student's
+        # 1 if the best class is the student's
+        objectness[where] *= student_scores.amax(1) / best.clamp(min=1e-6)
         is_confident = objectness[where] > MIN_OBJECTNESS
         cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(is_confident)
         return TeacherOutputs(objectness, cells, boxes[is_confident], student_scores[is_confident])
 
 
 def _anchors(text: str, path: Path, default_px: Tensor) -> Tensor:
-    """Anchors in pixels from a model's metadata, in the shape of the network's default anchors; else ModelError."""
+    """Anchors in pixels from a model's metadata, in the shape of the network's default anchors;
+    else ModelError.
+    """
     place = f"{path}: metadata 'trained_anchors'"
     try:
-        anchors_px = torch.tensor(parse_json(text, place, ModelError, "anchors"), dtype=default_px.dtype)
+        anchors_px = torch.tensor(
+            parse_json(text, place, ModelError, "anchors"), dtype=default_px.dtype
+        )
     except (TypeError, ValueError, RuntimeError) as error:
         raise ModelError(f"{place}: expected lists of numbers, found {quoted(text)}.") from error
     if anchors_px.shape != default_px.shape or not ((anchors_px > 0) & (anchors_px < 1e5)).all():

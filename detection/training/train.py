@@ -1,8 +1,9 @@
 """Training: the loop over epochs and batches.
 
-After every epoch, `last.pt` (network, average, optimiser, history) and `results.csv` are written to the run folder, and
-`best.pt` whenever the validation improves. A step depends only on the settings, the seed and its number, so that a
-resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, where the order of sums is fixed).
+After every epoch, `last.pt` (network, average, optimiser, history) and `results.csv` are written to
+the run folder, and `best.pt` whenever the validation improves. A step depends only on the settings,
+the seed and its number, so that a resumed run takes the same steps as an uninterrupted one (bit by
+bit on a CPU, where the order of sums is fixed).
 """
 
 import copy
@@ -84,15 +85,23 @@ class Training:
         elif isinstance(self.network, AnchorNetwork):
             self._loss = DetectionLoss(self.network, box_loss=settings.box_loss)
         else:
-            raise TrainingError(f"{network.name}: expected a network with a loss function, found none.")
+            raise TrainingError(
+                f"{network.name}: expected a network with a loss function, found none."
+            )
         trained = [module for module in (self.network, self._feature_loss) if module is not None]
         self._optimiser = optimiser_of(nn.ModuleList(trained), settings.schedule)
-        self._schedule = Schedule(settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches))
-        self._scaler = torch.amp.GradScaler(self._device.type, enabled=settings.precision == "float16")
+        self._schedule = Schedule(
+            settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches)
+        )
+        self._scaler = torch.amp.GradScaler(
+            self._device.type, enabled=settings.precision == "float16"
+        )
         self.history: list[dict[str, float]] = []  # one row of results.csv for each completed epoch
 
     def resume(self) -> None:
-        """Continue from the last checkpoint in the run folder; CheckpointError if it is damaged or of another run."""
+        """Continue from the last checkpoint in the run folder; CheckpointError if it is damaged or
+        of another run.
+        """
         path = self._out / run_folder.LAST
         content = run_folder.load_checkpoint(path)
         try:
@@ -105,24 +114,35 @@ class Training:
             self._scaler.load_state_dict(content["scaler"])
             self.history = content["history"]
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise CheckpointError(f"{path}: damaged checkpoint ({type(error).__name__}).") from error
+            raise CheckpointError(
+                f"{path}: damaged checkpoint ({type(error).__name__})."
+            ) from error
 
     def start_from(self, first: Path, *others: Path) -> None:
-        """Initialise the weights with the averaged weights of another run's checkpoint, or with the mean of several.
+        """Initialise the weights with the averaged weights of another run's checkpoint, or with the
+        mean of several.
 
-        If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
-        The convolutions of the feature loss are taken from the first checkpoint, if it had the same teacher.
-        CheckpointError: the checkpoint does not exist, is damaged, or has another network.
+        If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet),
+        only these are used. The convolutions of the feature loss are taken from the first
+        checkpoint, if it had the same teacher. CheckpointError: the checkpoint does not exist, is
+        damaged, or has another network.
         """
         content = run_folder.load_mean([first, *others])
-        body = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
+        body = {
+            name: value
+            for name, value in self.network.state_dict().items()
+            if name.startswith(BODY_PREFIX)
+        }
         saved, is_other = content["average"], content["identity"].get("model") != self.network.name
         for network in (self.network, self.average.network):
             if is_other and _same_shapes(body, saved):
                 network.load_state_dict({name: saved[name] for name in body}, strict=False)
             else:
                 self._set_weights(network, content, first)
-        if self._feature_loss is not None and content["identity"].get("teacher") == self._identity()["teacher"]:
+        if (
+            self._feature_loss is not None
+            and content["identity"].get("teacher") == self._identity()["teacher"]
+        ):
             own, saved = self._feature_loss.state_dict(), content["feature_loss"]
             if _same_shapes(own, saved):
                 self._feature_loss.load_state_dict({name: saved[name] for name in own})
@@ -136,8 +156,12 @@ class Training:
                 self._out / run_folder.BEST,
             )
 
-    def _set_weights(self, network: DetectionNetwork, content: Mapping[str, Any], path: Path) -> None:
-        """Set the network's weights to the averaged weights of the checkpoint at `path`; its anchors do not change."""
+    def _set_weights(
+        self, network: DetectionNetwork, content: Mapping[str, Any], path: Path
+    ) -> None:
+        """Set the network's weights to the averaged weights of the checkpoint at `path`; its
+        anchors do not change.
+        """
         saved, expected = content.get("identity", {}), self._identity()
         anchors_px = network.anchors_px.clone() if isinstance(network, AnchorNetwork) else None
         try:
@@ -146,14 +170,17 @@ class Training:
             network.load_state_dict(content["average"])
         except (RuntimeError, KeyError, TypeError) as error:
             raise CheckpointError(
-                f"{path}: expected the same --model, --attention and class names, got {saved.get('model')}, attention "
-                f"{saved.get('attention')}, classes {', '.join(saved.get('classes', []))}."
+                f"{path}: expected the same --model, --attention and class names, got "
+                f"{saved.get('model')}, attention {saved.get('attention')}, classes "
+                f"{', '.join(saved.get('classes', []))}."
             ) from error
         if isinstance(network, AnchorNetwork) and anchors_px is not None:
             network.anchors_px.copy_(anchors_px)
 
     def run(self, listener: Listener) -> None:
-        """Train until the last epoch; TrainingError if the loss is not finite, or there is not enough memory."""
+        """Train until the last epoch; TrainingError if the loss is not finite, or there is not
+        enough memory.
+        """
         try:
             while len(self.history) < self._settings.n_epochs:
                 self._epoch(listener)
@@ -164,8 +191,8 @@ class Training:
                 raise
             batch = min(self._settings.batch_size, len(self._sets.train))
             raise TrainingError(
-                f"out of memory with --batch {batch}; restart with another --out and with --batch {max(batch // 2, 1)} "
-                f"or a smaller --size{self._start_hint()}."
+                f"out of memory with --batch {batch}; restart with another --out and with --batch "
+                f"{max(batch // 2, 1)} or a smaller --size{self._start_hint()}."
             ) from error
 
     def scores(self, listener: Listener | None = None) -> DetectionScores:
@@ -187,7 +214,8 @@ class Training:
         )
 
     def export(self, path: Path, *, family: str, data: str, licence: str = "") -> None:
-        """Write `average` as an ONNX file with the attributes that `detection.models.metadata` reads.
+        """Write `average` as an ONNX file with the attributes that `detection.models.metadata`
+        reads.
 
         `family` and `data` are names of the network's family and of the data set, for display.
         """
@@ -216,7 +244,10 @@ class Training:
         if (epoch + 1) % self._settings.validate_every == 0 or epoch + 1 == self._settings.n_epochs:
             scores = self.scores(listener)  # NaN if no class is averaged
             row |= {"ap50": scores.mean("ap50"), "ap50_95": scores.mean("ap50_95")}
-            row |= {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": one.ap50 for i, one in scores.by_class.items()}
+            row |= {
+                f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": one.ap50
+                for i, one in scores.by_class.items()
+            }
         row["minutes"] = (time.perf_counter() - start_s) / 60
         self._save(row)
         listener.epoch(row)
@@ -229,16 +260,20 @@ class Training:
                 module.is_rounded = self._settings.is_rounded_in(epoch)
         total: dict[str, float] = {}
         done, n = 0, len(self._batches)
-        for done, batch in enumerate(self._batches.epoch(epoch, self._settings.augmentation_in(epoch)), start=1):
+        for done, batch in enumerate(
+            self._batches.epoch(epoch, self._settings.augmentation_in(epoch)), start=1
+        ):
             step = epoch * n + done - 1
             self._schedule.set(self._optimiser, step)
             losses = self._step(batch)
             self.average.update(self.network, self._schedule.average_decay(step))
-            total = {name: total.get(name, 0.0) + float(loss.detach()) for name, loss in losses.items()}
+            total = {
+                name: total.get(name, 0.0) + float(loss.detach()) for name, loss in losses.items()
+            }
             if not np.isfinite(list(total.values())).all():
                 raise TrainingError(
-                    f"the loss became NaN or infinite in epoch {epoch + 1}; restart with another --out and a lower "
-                    f"--learning-rate or --precision float32{self._start_hint()}."
+                    f"the loss became NaN or infinite in epoch {epoch + 1}; restart with another "
+                    f"--out and a lower --learning-rate or --precision float32{self._start_hint()}."
                 )
             listener.step(epoch, done, n, losses)
         return {name: loss / done for name, loss in total.items()}
@@ -246,19 +281,29 @@ class Training:
     def _step(self, batch: Batch) -> Losses:
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
-        targets = None if self._teacher is None or self._feature_loss is not None else self._teacher.outputs(images)
+        targets = (
+            None
+            if self._teacher is None or self._feature_loss is not None
+            else self._teacher.outputs(images)
+        )
         batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), targets)
         losses: Losses = {}
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
             if self._feature_loss is not None and isinstance(self.network, RoadNet):
                 levels = self.network.features(images)
-                raw, losses = self.network.outputs(levels), {"features": self._feature_loss(levels, images)}
+                raw, losses = (
+                    self.network.outputs(levels),
+                    {"features": self._feature_loss(levels, images)},
+                )
             else:
                 raw = self.network(images)
         losses = {**self._loss([head.float() for head in raw], batch), **losses}
-        torch.autograd.backward(self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images)))
+        torch.autograd.backward(
+            self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images))
+        )
         self._scaler.unscale_(self._optimiser)
-        # Without the convolutions of the feature loss: their gradients must not reduce those of the network.
+        # Without the convolutions of the feature loss: their gradients must not reduce those of the
+        # network.
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
         self._scaler.step(self._optimiser)
         self._scaler.update()
@@ -270,8 +315,13 @@ class Training:
 
     def _save(self, row: dict[str, float]) -> None:
         is_rounded = self._settings.is_rounded_in
-        # Epochs without rounding are no rivals of those with it: validation is in float and does not show the gain.
-        rivals = [old for i, old in enumerate(self.history) if is_rounded(i) == is_rounded(len(self.history))]
+        # Epochs without rounding are no rivals of those with it: validation is in float and does
+        # not show the gain.
+        rivals = [
+            old
+            for i, old in enumerate(self.history)
+            if is_rounded(i) == is_rounded(len(self.history))
+        ]
         best = max((rival.get("ap50", 0.0) for rival in rivals), default=0.0)
         self.history.append(row)
         content = {
@@ -294,16 +344,24 @@ class Training:
             "model": self.network.name,
             "attention": self.network.has_cbam,
             "classes": [ROAD_CLASSES[i] for i in self._sets.road_class_id],
-            "anchors": self.network.anchors_px.tolist() if isinstance(self.network, AnchorNetwork) else None,
+            "anchors": self.network.anchors_px.tolist()
+            if isinstance(self.network, AnchorNetwork)
+            else None,
             "data": self._sets.name,
             "teacher": None if self._teacher is None else self._teacher.name,
-            **{key: value for key, value in _flat(asdict(self._settings)) if key not in ("device", "validate_every")},
+            **{
+                key: value
+                for key, value in _flat(asdict(self._settings))
+                if key not in ("device", "validate_every")
+            },
         }
 
 
 def _same_shapes(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> bool:
     """Whether a checkpoint has all weights (at least one) with the same shapes."""
-    return bool(own) and all(name in saved and saved[name].shape == value.shape for name, value in own.items())
+    return bool(own) and all(
+        name in saved and saved[name].shape == value.shape for name, value in own.items()
+    )
 
 
 def prepare_torch(*, seed: int, n_threads: int = 0) -> None:
@@ -335,12 +393,14 @@ class _Exported(nn.Module):
 
 
 def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, object]) -> None:
-    """Write a network as an ONNX file that `YoloDetector` loads without options; ModelError if impossible.
+    """Write a network as an ONNX file that `YoloDetector` loads without options; ModelError if
+    impossible.
 
-    The graph ends with `DetectionNetwork.exported`, the input size is variable. The values of `metadata`, which
-    `detection.models.metadata` reads, are converted to JSON.
+    The graph ends with `DetectionNetwork.exported`, the input size is variable. The values of
+    `metadata`, which `detection.models.metadata` reads, are converted to JSON.
     """
-    exported = _Exported(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
+    # the network itself stays on its device
+    exported = _Exported(copy.deepcopy(network)).cpu().float().eval()
     image = torch.zeros(1, 3, 128, 160)
     with torch.no_grad():
         names = list(exported.network.exported(exported.network(image)))
@@ -354,12 +414,16 @@ def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, obj
                 str(path),
                 input_names=["images"],
                 output_names=names,
-                dynamic_axes=variable | {name: {0: "batch", 1: f"rows_of_{name}"} for name in names},
+                dynamic_axes=variable
+                | {name: {0: "batch", 1: f"rows_of_{name}"} for name in names},
                 opset_version=_OPSET,
                 dynamo=False,
             )
             model = onnx.load(str(path))
         model.producer_name = "track-range"
-        texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
+        texts = {
+            key: value if isinstance(value, str) else json.dumps(value)
+            for key, value in metadata.items()
+        }
         onnx.helper.set_model_props(model, texts)
         onnx.save(model, str(path))

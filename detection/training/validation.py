@@ -1,4 +1,6 @@
-"""Validation of a network on labelled images, with the letterbox, decoder and NMS of `YoloDetector`."""
+"""Validation of a network on labelled images, with the letterbox, decoder and NMS of
+`YoloDetector`.
+"""
 
 from collections.abc import Callable, Iterable
 
@@ -17,7 +19,8 @@ from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import Image, IntArray
 
 LOWEST_SCORE = 0.001  # of the detections; low, so that the precision-recall curve is complete
-_MAX_IOU, _MAX_BOXES = 0.5, 300  # IoU threshold of non-maximum suppression, and largest number of boxes per image
+# IoU threshold of non-maximum suppression, and largest number of boxes per image
+_MAX_IOU, _MAX_BOXES = 0.5, 300
 _WORKING_SCORE = 0.25  # score threshold of the reported precision and recall
 
 
@@ -43,12 +46,21 @@ class NetworkDetector:
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         hw = (image.shape[0], image.shape[1])
-        letterbox = Letterbox.of_placement("centred", hw, rectangular_input_hw(hw, size_px=self._size_px))
+        letterbox = Letterbox.of_placement(
+            "centred", hw, rectangular_input_hw(hw, size_px=self._size_px)
+        )
         input_format, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
         input_format.fill_padding(blob)
-        input_format.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
-        with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
-            raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
+        input_format.write(
+            image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8)
+        )
+        with (
+            torch.no_grad(),
+            torch.autocast(self._device.type, self._precision, self._precision != torch.float32),
+        ):
+            raw = self._network(
+                torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last)
+            )
         rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
         candidates = decode_rows([self._rows], [rows], self._min_score)
         class_id = self._road_class_id[candidates.class_index]
@@ -65,8 +77,8 @@ def validate(
 ) -> DetectionScores:
     """Scores of a network on labelled images.
 
-    Classes with fewer labels than `min_boxes` are excluded from the mean, unless all have fewer. `done` is called after
-    each image with the number of images so far.
+    Classes with fewer labels than `min_boxes` are excluded from the mean, unless all have fewer.
+    `done` is called after each image with the number of images so far.
     """
     detections, truth = [], []
     for image, labels in images:

@@ -1,13 +1,16 @@
-"""YoloDetector: detection of road users with any network whose output layout is in `detection.yolo.layouts`.
+"""YoloDetector: detection of road users with any network whose output layout is in
+`detection.yolo.layouts`.
 
 The networks are YOLO, DETR-like networks, NanoDet and PicoDet.
 
-`detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
-runs the network, `decode` turns the outputs into detections. `prepared` does only the first step, in separate buffers,
-so that another thread can meanwhile do the other steps for the previous image.
+`detect` consists of three steps that reuse their buffers: `fill` resizes the image into the
+network's input, `infer` runs the network, `decode` turns the outputs into detections. `prepared`
+does only the first step, in separate buffers, so that another thread can meanwhile do the other
+steps for the previous image.
 
     one thread      prepared(k+1), prepared(k+2), ...
-    another thread  function that prepared(k) returned; or detect; or fill, infer, decode; candidates, input_blob
+    another thread  function that prepared(k) returned; or detect; or fill, infer, decode;
+    candidates, input_blob
 """
 
 from __future__ import annotations
@@ -29,7 +32,13 @@ from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.detector import MAX_IOU
-from track_range.detection.models.metadata import FROM_METADATA, Attribute, ModelMetadata, ModelOptions, read_metadata
+from track_range.detection.models.metadata import (
+    FROM_METADATA,
+    Attribute,
+    ModelMetadata,
+    ModelOptions,
+    read_metadata,
+)
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.decoders import Candidates
 from track_range.detection.yolo.first_images import N_IMAGES, FirstImages
@@ -39,9 +48,12 @@ from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import quoted, shortened
 
-_MAX_BOUND = 8  # input sizes whose buffers are cached; binding a new size costs one run of the network
-DEFAULT_SIZE_PX = 640  # longer side of an input of variable size; most public networks were trained at it
-_SAME_BOX_IOU = 0.95  # above it, two boxes of an end-to-end network are one with two classes that are easily confused
+# input sizes whose buffers are cached; binding a new size costs one run of the network
+_MAX_BOUND = 8
+# longer side of an input of variable size; most public networks were trained at it
+DEFAULT_SIZE_PX = 640
+# above it, two boxes of an end-to-end network are one with two classes that are easily confused
+_SAME_BOX_IOU = 0.95
 _UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are at most 1
 
 
@@ -49,12 +61,17 @@ _UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are a
 class YoloSettings:
     """Settings of a YOLO detector."""
 
-    min_score: float = 0.1  # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
-    class_min_score: tuple[tuple[int, float], ...] = ()  # (class id, score) of road classes with a separate threshold
-    max_iou: float = MAX_IOU  # of suppression among confused classes; end-to-end networks: only equal boxes are removed
+    # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
+    min_score: float = 0.1
+    # (class id, score) of road classes with a separate threshold
+    class_min_score: tuple[tuple[int, float], ...] = ()
+    # of suppression among confused classes; end-to-end networks: only equal boxes are removed
+    max_iou: float = MAX_IOU
     max_boxes: int = 300  # largest number of boxes per image
-    size_px: int | None = None  # longer side of a variable input; None = as in the metadata, else `DEFAULT_SIZE_PX`
-    is_square: bool = False  # a variable input is square, else of the image's aspect ratio, except of DETR-like ones
+    # longer side of a variable input; None = as in the metadata, else `DEFAULT_SIZE_PX`
+    size_px: int | None = None
+    # a variable input is square, else of the image's aspect ratio, except of DETR-like ones
+    is_square: bool = False
     class_id: tuple[int, ...] = ()  # ids of the road classes to detect; empty = all
 
     def min_score_by_class(self) -> FloatArray:
@@ -67,24 +84,32 @@ class YoloSettings:
         return scores
 
 
-_Buffers = tuple[npt.NDArray[Any], Image]  # padded input (1, 3, height, width), and the resized image
+# padded input (1, 3, height, width), and the resized image
+_Buffers = tuple[npt.NDArray[Any], Image]
 
 
 @dataclass(slots=True)
 class _Input:
     """Buffers and format of the network's input for images of one size."""
 
-    network: BoundNetwork  # the network bound to the size of its input, which is also that of images of other sizes
+    # the network bound to the size of its input, which is also that of images of other sizes
+    network: BoundNetwork
     model: YoloModel  # decoder and input format
     letterbox: Letterbox  # placement of the images in the input
     free: deque[_Buffers] = field(default_factory=deque)  # buffers that are not in use
 
     @classmethod
     def of(
-        cls, network: BoundNetwork, model: YoloModel, image_hw: tuple[int, int], input_hw: tuple[int, int]
+        cls,
+        network: BoundNetwork,
+        model: YoloModel,
+        image_hw: tuple[int, int],
+        input_hw: tuple[int, int],
     ) -> _Input:
         """The input for a reading of the outputs, which determines the placement of the image."""
-        return cls(network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw))
+        return cls(
+            network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw)
+        )
 
     def buffers(self) -> _Buffers:
         """Free buffers, or new buffers with the padding."""
@@ -97,13 +122,15 @@ class _Input:
 
 
 class YoloDetector:
-    """Detector of road users with a YOLO network; buffers are reused, so use one instance per video, in one thread.
+    """Detector of road users with a YOLO network; buffers are reused, so use one instance per
+    video, in one thread.
 
-    Only `prepared` may be called in another thread, one at a time. `size`: longer side in pixels of an input of
-    variable size, and the source of this value. `area`: number of pixels of an input of variable size, used instead of
-    `size`; None = `size` is used. `n_invalid`: number of boxes dropped so far because of NaN, infinite numbers or
-    labels without a class name. Raises ModelError: the model cannot be read, its outputs have no known layout, the
-    number of class names differs from the number of classes, or the model has none of the classes to detect.
+    Only `prepared` may be called in another thread, one at a time. `size`: longer side in pixels of
+    an input of variable size, and the source of this value. `area`: number of pixels of an input of
+    variable size, used instead of `size`; None = `size` is used. `n_invalid`: number of boxes
+    dropped so far because of NaN, infinite numbers or labels without a class name. Raises
+    ModelError: the model cannot be read, its outputs have no known layout, the number of class
+    names differs from the number of classes, or the model has none of the classes to detect.
     """
 
     def __init__(
@@ -119,9 +146,12 @@ class YoloDetector:
         task = self._session.metadata.get("task", "detect")  # written by Ultralytics' exporter
         if task not in ("detect", "segment", "pose"):
             raise ModelError(
-                f"{path}: expected a network for the task 'detect', 'segment' or 'pose', got one for {quoted(task)}."
+                f"{path}: expected a network for the task 'detect', 'segment' or 'pose', got one "
+                f"for {quoted(task)}."
             )
-        self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
+        self._metadata: ModelMetadata = read_metadata(
+            path, self._session.metadata, options or ModelOptions()
+        )
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, tuple[YoloModel, ...]]] = {}
         self._first_images = FirstImages(path)
         self._last: tuple[list[FloatArray32], _Input] | None = None
@@ -137,16 +167,19 @@ class YoloDetector:
         self._set_thresholds()
 
     def _set_thresholds(self) -> None:
-        """The road class and threshold of each class of the network; ModelError if it has no class to detect."""
+        """The road class and threshold of each class of the network; ModelError if it has no class
+        to detect.
+        """
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
-        thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
+        # index -1: no road class
+        thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)
         self._min_score: FloatArray = thresholds[self._road_class]
         if (self._min_score >= _UNREACHABLE_SCORE).all():
             first_names = shortened(", ".join(names[:8]))
             raise ModelError(
-                f"{self._session.path}: none of its classes ({first_names}, ...) is one of the road classes to detect; "
-                "choose other classes or another model."
+                f"{self._session.path}: none of its classes ({first_names}, ...) is one of the "
+                "road classes to detect; choose other classes or another model."
             )
 
     @property
@@ -166,14 +199,22 @@ class YoloDetector:
 
     @property
     def readings(self) -> tuple[YoloModel, ...]:
-        """All meanings that the outputs may have by their shapes; `model` is the chosen or the usual reading."""
+        """All meanings that the outputs may have by their shapes; `model` is the chosen or the
+        usual reading.
+        """
         return self._bound[self.input_hw][1]
 
     @property
     def why(self) -> str:
         """Reason for the choice of the layout."""
-        stated = self._metadata.get("layout", None, "the usual one for " if len(self.readings) > 1 else "")
-        source = stated.source if stated.value is not None else f"{stated.source}the shapes of the outputs"
+        stated = self._metadata.get(
+            "layout", None, "the usual one for " if len(self.readings) > 1 else ""
+        )
+        source = (
+            stated.source
+            if stated.value is not None
+            else f"{stated.source}the shapes of the outputs"
+        )
         return self._first_images.why or source
 
     @property
@@ -196,21 +237,29 @@ class YoloDetector:
         if source != FROM_METADATA:
             notes.append(f"Class names of {name}: {source}.")
         if self.model.name != self.readings[0].name:
-            notes.append(f"The outputs of {name} are read as {self.model.name} ({self.model.layout}): {self.why}.")
+            notes.append(
+                f"The outputs of {name} are read as {self.model.name} "
+                f"({self.model.layout}): {self.why}."
+            )
         if self.model.note:
             notes.append(self.model.note)
         if first.n_checked >= N_IMAGES and not first.n_detected:
             notes.append(
-                f"{name} detected nothing of any class on the first {N_IMAGES} images; if they show road users, the "
-                "input or the outputs of the model are interpreted wrongly: see `track-range models info --image`."
+                f"{name} detected nothing of any class on the first {N_IMAGES} images; if they "
+                "show road users, the input or the outputs of the model are interpreted wrongly: "
+                "see `track-range models info --image`."
             )
         if self.n_invalid:
             boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
-            notes.append(f"The network returned NaN, infinite numbers or unknown labels: {boxes} ignored.")
+            notes.append(
+                f"The network returned NaN, infinite numbers or unknown labels: {boxes} ignored."
+            )
         return tuple(notes)
 
     def restart(self) -> None:
-        """Forget the counts of boxes and the layout chosen from the first images, before the next video."""
+        """Forget the counts of boxes and the layout chosen from the first images, before the next
+        video.
+        """
         self.n_invalid, self._first_images = 0, FirstImages(self._session.path)
 
     def detect(self, image: Image) -> Detections:
@@ -218,10 +267,12 @@ class YoloDetector:
         return self.prepared(image)()
 
     def prepared(self, image: Image) -> Callable[[], Detections]:
-        """Write `image` into an input of the network, and return the function that detects the road users in it.
+        """Write `image` into an input of the network, and return the function that detects the road
+        users in it.
 
-        The function must be called once, in the order of the images, in the thread of the other methods. Another thread
-        may prepare images meanwhile; the image of `fill` does not change. Images and errors: see `fill`.
+        The function must be called once, in the order of the images, in the thread of the other
+        methods. Another thread may prepare images meanwhile; the image of `fill` does not change.
+        Images and errors: see `fill`.
         """
         return partial(self._detect_prepared, *self._written(image))
 
@@ -232,51 +283,71 @@ class YoloDetector:
         return self._decoded(outputs, prepared, self._min_score)
 
     def candidates(self, min_score: FloatArray) -> Detections:
-        """The boxes in the image of the latest detection, including boxes with lower scores and of other classes.
+        """The boxes in the image of the latest detection, including boxes with lower scores and of
+        other classes.
 
-        `min_score` (8,) is by road class; classes that are not in the settings are detected too. ValueError if `detect`
-        was not called before.
+        `min_score` (8,) is by road class; classes that are not in the settings are detected too.
+        ValueError if `detect` was not called before.
         """
         if self._last is None:
             raise ValueError("expected an earlier call of detect")
         n_invalid = self.n_invalid
-        by_class = np.append(min_score, _UNREACHABLE_SCORE)[self._road_class]  # index -1: no road class
+        # index -1: no road class
+        by_class = np.append(min_score, _UNREACHABLE_SCORE)[self._road_class]
         detections = self._decoded(*self._last, np.minimum(self._min_score, by_class))
         self.n_invalid = n_invalid  # `detect` has counted them
         return detections
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
-        return self._written(image)[1][0].astype(np.float32, copy=False)  # a buffer that is not used again
+        # a buffer that is not used again
+        return self._written(image)[1][0].astype(np.float32, copy=False)
 
     def fill(self, image: Image) -> None:
-        """Write `image` into the network's input; ValueError if it is not (H, W, 3) uint8, or empty."""
+        """Write `image` into the network's input; ValueError if it is not (H, W, 3) uint8, or
+        empty.
+        """
         (before, buffers), self._filled = self._filled, self._written(image)
         before.free.append(buffers)
 
     def infer(self) -> list[FloatArray32]:
-        """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""
+        """The network's outputs for the latest image passed to `fill`; the next run overwrites
+        them.
+        """
         source, (blob, _) = self._filled
         return source.network.run(blob)
 
-    def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
-        """The road users in the latest image of `fill`; `min_score` (C,) by class, else the scores of the settings."""
-        return self._decoded(outputs, self._filled[0], self._min_score if min_score is None else min_score)
+    def decode(
+        self, outputs: list[FloatArray32], min_score: FloatArray | None = None
+    ) -> Detections:
+        """The road users in the latest image of `fill`; `min_score` (C,) by class, else the scores
+        of the settings.
+        """
+        return self._decoded(
+            outputs, self._filled[0], self._min_score if min_score is None else min_score
+        )
 
-    def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
+    def _decoded(
+        self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray
+    ) -> Detections:
         if min_score is self._min_score:
             self._first_images.check(source.model, outputs, source.letterbox.input_hw)
-        with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
+        # the decoder drops and counts what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):
             candidates = source.model.decoder(outputs, min_score)
         self.n_invalid += candidates.n_invalid
         max_iou = _SAME_BOX_IOU if source.model.is_end_to_end else self._settings.max_iou
         class_id, max_boxes = self._road_class[candidates.class_index], self._settings.max_boxes
-        return suppressed(candidates, class_id, source.letterbox, max_iou=max_iou, max_boxes=max_boxes)
+        return suppressed(
+            candidates, class_id, source.letterbox, max_iou=max_iou, max_boxes=max_boxes
+        )
 
     def _written(self, image: Image) -> tuple[_Input, _Buffers]:
         """The input for images of this size, and buffers with the image."""
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
-            raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
+            raise ValueError(
+                f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}"
+            )
         with self._preparing:  # `fill` and `prepared` may be in progress at once
             if self._input.letterbox.image_hw != image.shape[:2]:
                 self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
@@ -290,7 +361,9 @@ class YoloDetector:
         return source, (blob, scaled)
 
     def _prepare(self, *, image_hw: tuple[int, int]) -> _Input:
-        """Network, decoder and letterbox for images of size `image_hw`; bound networks are cached."""
+        """Network, decoder and letterbox for images of size `image_hw`; bound networks are
+        cached.
+        """
         input_hw = self._input_hw(image_hw)
         if input_hw not in self._bound:
             if len(self._bound) == _MAX_BOUND:
@@ -312,10 +385,15 @@ class YoloDetector:
         return _Input.of(network, (chosen or readings)[0], image_hw, input_hw)
 
     def _compare_readings(self, image: Image) -> None:
-        """Compare the readings of the outputs on `image`, one of the first images, and use the best from now on."""
+        """Compare the readings of the outputs on `image`, one of the first images, and use the best
+        from now on.
+        """
         network, readings = self._bound[self.input_hw]
         letterbox = self._input.letterbox
-        inputs = [_Input.of(network, reading, letterbox.image_hw, letterbox.input_hw) for reading in readings]
+        inputs = [
+            _Input.of(network, reading, letterbox.image_hw, letterbox.input_hw)
+            for reading in readings
+        ]
         by_format: dict[object, list[FloatArray32]] = {}
         for source in inputs:
             if source.model.input_format not in by_format:
@@ -332,7 +410,9 @@ class YoloDetector:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
-        is_square = self._settings.is_square or any(readings[0].is_square for _, readings in self._bound.values())
+        is_square = self._settings.is_square or any(
+            readings[0].is_square for _, readings in self._bound.values()
+        )
         shape_hw = (1, 1) if is_square else image_hw
         if self.area is not None:
             return input_hw_of_area(shape_hw, area_px2=self.area.value)
@@ -340,9 +420,16 @@ class YoloDetector:
 
 
 def suppressed(
-    candidates: Candidates, class_id: IntArray, letterbox: Letterbox, *, max_iou: float, max_boxes: int
+    candidates: Candidates,
+    class_id: IntArray,
+    letterbox: Letterbox,
+    *,
+    max_iou: float,
+    max_boxes: int,
 ) -> Detections:
-    """The candidates of road classes (N,) that remain after non-maximum suppression, in pixels of the image."""
+    """The candidates of road classes (N,) that remain after non-maximum suppression, in pixels of
+    the image.
+    """
     groups = SAME_OBJECT_GROUP[class_id]
     best = nms(candidates.xyxy_net, candidates.score, groups, max_iou=max_iou, max_boxes=max_boxes)
     xyxy_px = letterbox.to_image_clipped(candidates.xyxy_net[best])

@@ -1,8 +1,9 @@
-"""The choice between readings of a network's outputs, and the check of its boxes, on the first images.
+"""The choice between readings of a network's outputs, and the check of its boxes, on the first
+images.
 
-The right reading gives boxes inside the image, near their grid cells, and neighbouring cells agree on their size. A
-wrong reading gives boxes of less than two pixels (fractions taken as pixels), beyond the image (pixels taken as
-fractions), or of negative size (centres taken as corners).
+The right reading gives boxes inside the image, near their grid cells, and neighbouring cells agree
+on their size. A wrong reading gives boxes of less than two pixels (fractions taken as pixels),
+beyond the image (pixels taken as fractions), or of negative size (centres taken as corners).
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,10 @@ _MIN_LEAD = 0.1  # in mean quality, of a reading before the next one
 _MIN_SIZE_PX = 1.5
 _BORDER = 0.25  # of the input's size, that right boxes may exceed it
 _FILLING = 0.95  # fraction of the input's area of boxes "of the image's size"
-_MAX_FILLING_CLASSES = 4  # of boxes of the image's size; a truck in front of the camera is of one or two
-_MAX_FILLING = 200  # boxes of the image's size on one image; a truck in front of the camera has some tens
+# of boxes of the image's size; a truck in front of the camera is of one or two
+_MAX_FILLING_CLASSES = 4
+# boxes of the image's size on one image; a truck in front of the camera has some tens
+_MAX_FILLING = 200
 _MIN_QUALITY = 0.3  # right readings of real networks have 0.6 on road images, wrong ones 0
 _LOG_SIZE_SIGMA = 0.5  # of log sizes of neighbouring cells at which they disagree
 
@@ -48,7 +51,9 @@ class _Tally:
 
 @dataclass(slots=True)
 class FirstImages:
-    """Choice between the readings of a network; raises ModelError for a reading that gives impossible boxes."""
+    """Choice between the readings of a network; raises ModelError for a reading that gives
+    impossible boxes.
+    """
 
     path: Path
     chosen: str = ""  # name of the reading, once it is decided
@@ -61,9 +66,13 @@ class FirstImages:
     _n_strong: int = 0
 
     def compare(
-        self, readings: Sequence[YoloModel], outputs: Sequence[Sequence[FloatArray32]], input_hw: tuple[int, int]
+        self,
+        readings: Sequence[YoloModel],
+        outputs: Sequence[Sequence[FloatArray32]],
+        input_hw: tuple[int, int],
     ) -> YoloModel:
-        """The best reading so far, from the outputs for one more image, which depend on the reading's input format.
+        """The best reading so far, from the outputs for one more image, which depend on the
+        reading's input format.
 
         ModelError: after the last image, two readings are equally plausible.
         """
@@ -82,20 +91,32 @@ class FirstImages:
         is_last = self.n_compared >= N_IMAGES
         if is_clear and (best.n >= _MIN_BOXES or is_last):
             self.chosen = ranked[0].name
-            self.why = f"only its boxes on the first images are plausible ({best.mean:.2f}, next {second:.2f})"
+            self.why = (
+                f"only its boxes on the first images are plausible ({best.mean:.2f}, next "
+                f"{second:.2f})"
+            )
         elif is_last and best.n >= _MIN_GARBAGE and best.mean > _MIN_QUALITY:
-            names = " or ".join(r.name for r in ranked if best.mean - self._tallies[r.name].mean < _MIN_LEAD)
+            names = " or ".join(
+                r.name for r in ranked if best.mean - self._tallies[r.name].mean < _MIN_LEAD
+            )
             raise ModelError(
-                f"{self.path}: its outputs may be read as {names}, and each reading gives plausible boxes on the first "
-                "images; choose one with --layout (Python: layout)."
+                f"{self.path}: its outputs may be read as {names}, and each reading gives "
+                "plausible boxes on the first images; choose one with --layout (Python: layout)."
             )
         elif is_last:
             self.chosen = (possible or readings)[0].name
-            self.why = "usual for these shapes; the first images have too few boxes for a comparison of layouts"
+            self.why = (
+                "usual for these shapes; the first images have too few boxes for a comparison of "
+                "layouts"
+            )
         return ranked[0] if is_clear else (possible or readings)[0]
 
-    def check(self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]) -> None:
-        """Count the boxes of one more image; ModelError if most of them so far cannot be boxes of objects."""
+    def check(
+        self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]
+    ) -> None:
+        """Count the boxes of one more image; ModelError if most of them so far cannot be boxes of
+        objects.
+        """
         if self.n_checked >= N_IMAGES:
             return
         self.n_checked += 1
@@ -110,10 +131,11 @@ class FirstImages:
         self._n_garbage += int(np.count_nonzero(wrong))
         if self._n_garbage >= _MIN_GARBAGE and self._n_garbage > _MAX_GARBAGE * self._n_strong:
             raise ModelError(
-                f"{self.path}: its outputs, read as {reading.name} ({reading.layout}), give boxes that are too small, "
-                f"beyond the image or of the whole image ({self._n_garbage} of {self._n_strong} on the first images); "
-                "choose another reading with --layout (Python: layout; `track-range models info` lists them), or "
-                "export the network again (docs/how-to/detectors.md)."
+                f"{self.path}: its outputs, read as {reading.name} ({reading.layout}), give boxes "
+                f"that are too small, beyond the image or of the whole image ({self._n_garbage} of "
+                f"{self._n_strong} on the first images); choose another reading with --layout "
+                "(Python: layout; `track-range models info` lists them), or export the network "
+                "again (docs/how-to/detectors.md)."
             )
 
 
@@ -135,12 +157,20 @@ def _quality(candidates: Candidates, input_hw: tuple[int, int]) -> FloatArray:
     boxes, one_class = candidates.xyxy_net, np.zeros(len(candidates.score), np.int64)
     kept = nms(boxes, candidates.score, one_class, max_iou=0.5, max_boxes=_MAX_COMPARED)
     best, size = boxes[kept], boxes[kept, 2:] - boxes[kept, :2]
-    is_right = _are_inside(best, input_hw) & (size.prod(axis=1) < _FILLING * input_hw[0] * input_hw[1])
-    offset = np.abs((best[:, :2] + best[:, 2:]) / 2 - candidates.cell_px[kept]) / np.maximum(size, _MIN_SIZE_PX)
+    is_right = _are_inside(best, input_hw) & (
+        size.prod(axis=1) < _FILLING * input_hw[0] * input_hw[1]
+    )
+    offset = np.abs((best[:, :2] + best[:, 2:]) / 2 - candidates.cell_px[kept]) / np.maximum(
+        size, _MIN_SIZE_PX
+    )
     centring = np.nan_to_num(1 - np.clip(offset.max(axis=1, initial=0.0), 0, 1), nan=1.0)
     overlaps = iou(best, boxes) > 0.3
-    log_size, log_best = (np.log(np.maximum(b[:, 2:] - b[:, :2], _MIN_SIZE_PX)) for b in (boxes, best))
+    log_size, log_best = (
+        np.log(np.maximum(b[:, 2:] - b[:, :2], _MIN_SIZE_PX)) for b in (boxes, best)
+    )
     differences = np.abs(log_size[None] - log_best[:, None]).mean(axis=2)
     difference = (differences * overlaps).sum(axis=1) / np.maximum(overlaps.sum(axis=1), 1)
     agreement = 1 - np.minimum(difference / _LOG_SIZE_SIGMA, 1)
-    return np.concatenate([is_right * centring * agreement, np.zeros(min(candidates.n_invalid, _MAX_COMPARED))])
+    return np.concatenate(
+        [is_right * centring * agreement, np.zeros(min(candidates.n_invalid, _MAX_COMPARED))]
+    )

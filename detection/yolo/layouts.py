@@ -1,8 +1,10 @@
-"""The table of output layouts, and the readings of a network's outputs: decoder, input format and class names.
+"""The table of output layouts, and the readings of a network's outputs: decoder, input format and
+class names.
 
-`dense_layouts` has the layouts of networks without suppression; `end_to_end` has the layouts of networks that return
-one box per object. Shapes, metadata and the number of class names determine which readings are possible; `first_images`
-chooses between them by the values. The family's other defaults can be overridden (`detection.models.metadata`).
+`dense_layouts` has the layouts of networks without suppression; `end_to_end` has the layouts of
+networks that return one box per object. Shapes, metadata and the number of class names determine
+which readings are possible; `first_images` chooses between them by the values. The family's other
+defaults can be overridden (`detection.models.metadata`).
 """
 
 from collections.abc import Callable, Iterator
@@ -18,13 +20,21 @@ from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import quoted, shortened
 
-_DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("COCO", COCO_CATEGORIES)}
+_DEFAULT_NAMES = {
+    80: ("COCO", COCO_CLASSES),
+    20: ("VOC", VOC_CLASSES),
+    91: ("COCO", COCO_CATEGORIES),
+}
 """Class list by number of classes, for networks without class names."""
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/how-to/detectors.md)"
 
 DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel]], str], ...] = (
     ("RF-DETR", end_to_end.logits_and_boxes, "detr"),
-    ("D-FINE/DEIM", end_to_end.labels_boxes_scores, "d-fine end2end end2end-fractions mmdet torchvision tf-detections"),
+    (
+        "D-FINE/DEIM",
+        end_to_end.labels_boxes_scores,
+        "d-fine end2end end2end-fractions mmdet torchvision tf-detections",
+    ),
     ("YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, dense_layouts.PAIR_NAMES),
     ("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, dense_layouts.GRID_NAMES),
     ("NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, dense_layouts.LEVEL_NAMES),
@@ -38,12 +48,14 @@ DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel
     ("Yolo-FastestV2", dense_layouts.fastest_heads, "yolo-fastestv2"),
     ("Darknet", dense_layouts.anchor_heads, "darknet-heads yolov5-heads"),
 )
-"""The known layouts, in the order in which they are tried: a name for messages, the function that gives the readings of
-outputs (none if the shapes do not fit), and the readings' names for `--layout`."""
+"""The known layouts, in the order in which they are tried: a name for messages, the function that
+gives the readings of outputs (none if the shapes do not fit), and the readings' names for
+`--layout`."""
 
 
 def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
-    """The possible meanings of a network's outputs in the first layout that fits, the usual meaning first.
+    """The possible meanings of a network's outputs in the first layout that fits, the usual meaning
+    first.
 
     ModelError: no layout fits, or the model's attributes do not fit.
     """
@@ -51,7 +63,8 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
     known = [name for _, _, names in DETECTOR_LAYOUTS for name in names.split()]
     if requested is not None and requested not in known:
         raise ModelError(
-            f"{network.path}: unknown layout {quoted(requested)} (--layout); the layouts are {', '.join(known)}."
+            f"{network.path}: unknown layout {quoted(requested)} (--layout); the layouts are "
+            f"{', '.join(known)}."
         )
     refused: ModelError | None = None
     for _, function, names in DETECTOR_LAYOUTS:
@@ -68,19 +81,25 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
             return tuple(readings)
     if refused is not None:
         raise refused
-    shapes = ", ".join(f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True))
+    shapes = ", ".join(
+        f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True)
+    )
     if requested is not None:
         raise ModelError(
-            f"{network.path}: expected outputs of the layout {requested} (--layout), found {shortened(shapes, 80)}."
+            f"{network.path}: expected outputs of the layout {requested} (--layout), found "
+            f"{shortened(shapes, 80)}."
         )
     families = ", ".join(dict.fromkeys(name for name, _, _ in DETECTOR_LAYOUTS))
     raise ModelError(
-        f"{network.path}: expected the outputs of {families}, found {shortened(shapes, 80)}; {_EXPORT_HINT}."
+        f"{network.path}: expected the outputs of {families}, found {shortened(shapes, 80)}; "
+        f"{_EXPORT_HINT}."
     )
 
 
 def _with_attributes(network: NetworkOutputs, model: YoloModel) -> YoloModel:
-    """A reading with the explicit attributes of the model; ModelError if the class names do not fit."""
+    """A reading with the explicit attributes of the model; ModelError if the class names do not
+    fit.
+    """
     metadata = network.metadata
     family = metadata.get("family", model.family, "from its outputs")
     used = {"family": family, "names": _names(network.path, model.n_classes, metadata)}
@@ -90,7 +109,11 @@ def _with_attributes(network: NetworkOutputs, model: YoloModel) -> YoloModel:
     for key in ("letterbox", "colours", "divisor", "mean", "std"):
         used[key] = metadata.get(key, getattr(usual_input, key), f"default of {model.family}")
     usual = COCO_BOX_ERRORS.get(model.family) if used["names"].value == COCO_CLASSES else None
-    source = "default for an unknown detector" if usual is None else f"usual for {model.family} trained with COCO"
+    source = (
+        "default for an unknown detector"
+        if usual is None
+        else f"usual for {model.family} trained with COCO"
+    )
     used["box_errors"] = metadata.get("box_errors", usual, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
     scale = {key: used[key].value for key in ("colours", "divisor", "mean", "std")}
@@ -104,20 +127,23 @@ def _with_attributes(network: NetworkOutputs, model: YoloModel) -> YoloModel:
 
 
 def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attribute:
-    """The network's class names: explicit, or the names of COCO or VOC if the number of classes matches."""
+    """The network's class names: explicit, or the names of COCO or VOC if the number of classes
+    matches.
+    """
     explicit = metadata.get("names", None, "")
     if n_classes is None:
         return metadata.get("names", COCO_CLASSES, "not in the model; COCO's names are assumed")
     if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
-                f"{path}: the {n_classes} classes have no names; specify them with --names a,b,c or --names FILE."
+                f"{path}: the {n_classes} classes have no names; specify them with --names a,b,c "
+                "or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
         return Attribute(names, f"not in the model; {list_name} has the same number, {n_classes}")
     if len(explicit.value) != n_classes:
         raise ModelError(
-            f"{path}: expected {n_classes} class names, got {len(explicit.value)} ({explicit.source}); "
-            "specify all names in the network's order."
+            f"{path}: expected {n_classes} class names, got {len(explicit.value)} "
+            f"({explicit.source}); specify all names in the network's order."
         )
     return explicit

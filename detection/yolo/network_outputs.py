@@ -10,14 +10,17 @@ from track_range.detection.yolo.decoders import Decoder
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.foundation.arrays import FloatArray32
 
-STRIDES_PX = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))  # of the grids of all families
+# of the grids of all families
+STRIDES_PX = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))
 
 
 @dataclass(frozen=True, slots=True)
 class YoloModel:
-    """Everything needed to run a detection network on images and decode its outputs: one reading of the outputs.
+    """Everything needed to run a detection network on images and decode its outputs: one reading of
+    the outputs.
 
-    The function of a layout returns the family's defaults; `readings_of` adds the explicit attributes of the model.
+    The function of a layout returns the family's defaults; `readings_of` adds the explicit
+    attributes of the model.
     """
 
     family: str  # name of the family, for display
@@ -28,11 +31,14 @@ class YoloModel:
     names: tuple[str, ...] = ()  # class names in the network's order
     attributes: Mapping[str, Attribute] = field(default_factory=dict)  # by key, with the defaults
     score_outputs: tuple[int, ...] = ()  # outputs that consist of class scores alone
-    is_end_to_end: bool = False  # whether the network itself returns one box per object, without suppression
-    is_square: bool = False  # whether an input of variable size has to be square, as it was in training
+    # whether the network itself returns one box per object, without suppression
+    is_end_to_end: bool = False
+    # whether an input of variable size has to be square, as it was in training
+    is_square: bool = False
     name: str = ""  # of the reading, for `--layout`
     note: str = ""  # on what is ignored
-    accepts: Callable[[Sequence[FloatArray32]], bool] | None = None  # whether the outputs may have this meaning
+    # whether the outputs may have this meaning
+    accepts: Callable[[Sequence[FloatArray32]], bool] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,13 +60,22 @@ class NetworkOutputs:
         return float(self.input_hw[1]), float(self.input_hw[0])
 
     def n_cells(self, strides_px: Sequence[int], *, is_rounded_up: bool = False) -> int:
-        """Total number of grid cells of the input at these strides; if rounded up, the last cells may lie outside."""
+        """Total number of grid cells of the input at these strides; if rounded up, the last cells
+        may lie outside.
+        """
         height, width = (-side if is_rounded_up else side for side in self.input_hw)
         return sum((height // stride) * (width // stride) for stride in strides_px)
 
-    def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
-        """Strides of the grids that have `n` boxes in total, `per_cell` for each cell; None for any other `n`."""
-        counts = {self.n_cells(strides, is_rounded_up=is_rounded_up): strides for strides in STRIDES_PX[::-1]}
+    def grid_strides(
+        self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False
+    ) -> tuple[int, ...] | None:
+        """Strides of the grids that have `n` boxes in total, `per_cell` for each cell; None for any
+        other `n`.
+        """
+        counts = {
+            self.n_cells(strides, is_rounded_up=is_rounded_up): strides
+            for strides in STRIDES_PX[::-1]
+        }
         return counts.get(n // per_cell) if n % per_cell == 0 else None
 
     def is_grid(self, n_rows: int) -> bool:
@@ -68,7 +83,9 @@ class NetworkOutputs:
         return self.grid_strides(n_rows) is not None or self.grid_strides(n_rows, 3) is not None
 
     def matrices(self) -> Iterator[tuple[int, int, int]]:
-        """Index, rows and columns of each output [1, rows, columns]; older YOLOv5 exports also have raw grids."""
+        """Index, rows and columns of each output [1, rows, columns]; older YOLOv5 exports also have
+        raw grids.
+        """
         for i, shape in enumerate(self.shapes):
             if len(shape) == 3 and shape[0] == 1:
                 yield i, shape[1], shape[2]
@@ -81,6 +98,8 @@ class NetworkOutputs:
 
     @property
     def n_keypoints(self) -> int:
-        """Number of values of a box's keypoints, from Ultralytics' metadata; 0 if there are none."""
+        """Number of values of a box's keypoints, from Ultralytics' metadata; 0 if there are
+        none.
+        """
         shape: tuple[int, ...] = self.metadata.get("kpt_shape", (0,), "").value
         return math.prod(shape)

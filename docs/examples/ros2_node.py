@@ -30,15 +30,21 @@ def bgr_image(message: Any) -> np.ndarray:
     if message.encoding not in CHANNELS:
         raise ValueError(f"encoding: expected {', '.join(CHANNELS)}, got {message.encoding}")
     channels = CHANNELS[message.encoding]
-    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)  # rows may end with padding
+    rows = np.frombuffer(message.data, np.uint8).reshape(
+        message.height, message.step
+    )  # rows may end with padding
     image = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
-    image = {"bgr8": image, "rgb8": image[:, :, ::-1], "mono8": image.repeat(3, axis=2)}[message.encoding]
+    image = {"bgr8": image, "rgb8": image[:, :, ::-1], "mono8": image.repeat(3, axis=2)}[
+        message.encoding
+    ]
     return np.ascontiguousarray(image)
 
 
 def camera_of(info: Any) -> tr.PinholeCamera:
     """Camera of the rectified images that a sensor_msgs/CameraInfo describes."""
-    return tr.PinholeCamera(info.p[0], info.p[5], info.p[2], info.p[6], width_px=info.width, height_px=info.height)
+    return tr.PinholeCamera(
+        info.p[0], info.p[5], info.p[2], info.p[6], width_px=info.width, height_px=info.height
+    )
 
 
 def rig_of(left: Any, right: Any) -> tr.StereoRig:
@@ -93,9 +99,15 @@ class RangeNode(Node):
             self.pipeline = tr.Pipeline.stereo(rig_of(left_info, right_info))
             self.start_s = seconds(left.header.stamp)
         time_s = seconds(left.header.stamp) - self.start_s
-        result = self.pipeline.step(bgr_image(left), bgr_image(right), time_s, ego_speed_mps=self.ego_speed_mps)
+        result = self.pipeline.step(
+            bgr_image(left), bgr_image(right), time_s, ego_speed_mps=self.ego_speed_mps
+        )
         scored = zip(result.objects, result.tracks.score.tolist(), strict=True)
-        detections = [detection_of(t, score, left.header) for t, score in scored if math.isfinite(t.distance_m)]
+        detections = [
+            detection_of(t, score, left.header)
+            for t, score in scored
+            if math.isfinite(t.distance_m)
+        ]
         self.publisher.publish(Detection3DArray(header=left.header, detections=detections))
         for row in [] if result.warnings is None else np.flatnonzero(result.warnings.active):
             self.get_logger().warning(f"collision warning: {result.objects[row]}")

@@ -1,7 +1,8 @@
 r"""ScaleCheck: whether the given scales agree with everything in a drive that has a scale.
 
-Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by size, h of the camera's
-height over the expected one, f of the focal length and u of the given speed.
+Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by
+size, h of the camera's height over the expected one, f of the focal length and u of the given
+speed.
 
     log d_stereo - log d_size of the road users                      = g - a        own sizes, wrong matches
     log height of the camera over their contact points by size       = h + a
@@ -12,12 +13,14 @@ height over the expected one, f of the focal length and u of the given speed.
     log focal length - log f by the shapes of vehicles' boxes        = f
     log of an impossible speed by stereo odometry over the largest   < g + f
 
-Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height; for g, f and u, the
-precision of calibrations and receivers. Because all unknowns are estimated together, a scale learnt from one of them
-cannot correct another in circles. One hypothesis is that all priors hold; in each other hypothesis, one unknown is a
-mistake and has no prior. The scale is in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free
-parameter; all hypotheses that fit nearly as well are named, weighed by how common such a mistake is (`prior_cost`). A
-usual height and a usual lane have heavy tails, and alone exclude nothing: there are lorries and robots.
+Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height;
+for g, f and u, the precision of calibrations and receivers. Because all unknowns are estimated
+together, a scale learnt from one of them cannot correct another in circles. One hypothesis is that
+all priors hold; in each other hypothesis, one unknown is a mistake and has no prior. The scale is
+in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all
+hypotheses that fit nearly as well are named, weighed by how common such a mistake is
+(`prior_cost`). A usual height and a usual lane have heavy tails, and alone exclude nothing: there
+are lorries and robots.
 """
 
 import itertools
@@ -31,7 +34,14 @@ import numpy as np
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, prior_cost
+from track_range.ranging.doubt.scale_doubt import (
+    SHOWN_SIGMA,
+    Agreement,
+    Cause,
+    Evidence,
+    ScaleDoubt,
+    prior_cost,
+)
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes, unhidden
 from track_range.ranging.methods.lane_width import LaneWidth
@@ -46,15 +56,19 @@ from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 _VIEW_INTERVAL_S = 1.5  # between two views of a vehicle: those of successive frames are alike
-_TIMES_S, _DELAY_S = (8.0, 40.0), 1.5  # times of measurements after the first frame, and until their results are used
+# times of measurements after the first frame, and until their results are used
+_TIMES_S, _DELAY_S = (8.0, 40.0), 1.5
 _NO_GUESS = 3.0  # standard deviation of the guess at which only the shapes count
-_INFLATION = 1.15  # of sigma: the errors on 11 drives of KITTI's labels, 24 s each, are 1.09 sigma (rms)
+# of sigma: the errors on 11 drives of KITTI's labels, 24 s each, are 1.09 sigma (rms)
+_INFLATION = 1.15
 
 
 class ShapeCheck:
-    """Focal length by the shapes of vehicles (`focal_evidence`), measured at a few moments of a drive.
+    """Focal length by the shapes of vehicles (`focal_evidence`), measured at a few moments of a
+    drive.
 
-    A measurement takes about 0.7 s, in a thread; its result is used at a fixed time, so that runs are reproducible.
+    A measurement takes about 0.7 s, in a thread; its result is used at a fixed time, so that runs
+    are reproducible.
     """
 
     def __init__(self, camera: PinholeCamera, sizes: CuboidSizes) -> None:
@@ -62,7 +76,8 @@ class ShapeCheck:
         self._views: list[SceneBoxes] = []
         self._view_due_s, self._times_s, self._first_s = -math.inf, list(_TIMES_S), math.nan
         self._future: Future[FocalPosterior] | None = None
-        self.evidence: Evidence | None = None  # log of the focal length over that by shapes; None = not measured
+        # log of the focal length over that by shapes; None = not measured
+        self.evidence: Evidence | None = None
 
     def add(self, tracks: Tracks, time_s: float) -> None:
         """Add a frame."""
@@ -76,44 +91,69 @@ class ShapeCheck:
             focal_px, sigma = posterior.guess
             if posterior.n_tracks:
                 error = math.log(self._camera.fx_px / focal_px)
-                self.evidence = Evidence(posterior.shapes, (0, 0, 0, 1, 0), error, _INFLATION * sigma)
+                self.evidence = Evidence(
+                    posterior.shapes, (0, 0, 0, 1, 0), error, _INFLATION * sigma
+                )
             return
         if time_s >= self._view_due_s:
             self._view_due_s = time_s + _VIEW_INTERVAL_S
             rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
-            self._views.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], tracks.track_id[rows]))
+            self._views.append(
+                SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], tracks.track_id[rows])
+            )
         if self._future is None and time_s >= due_s:
-            boxes, guess = SceneBoxes.joined(self._views), FocalGuess(self._camera.fx_px, _NO_GUESS, "")
+            boxes, guess = (
+                SceneBoxes.joined(self._views),
+                FocalGuess(self._camera.fx_px, _NO_GUESS, ""),
+            )
             thread = ThreadPoolExecutor(1, thread_name_prefix="shapes")
-            self._future = thread.submit(focal_posterior, [guess], boxes, self._camera.size_px, self._sizes)
+            self._future = thread.submit(
+                focal_posterior, [guess], boxes, self._camera.size_px, self._sizes
+            )
             thread.shutdown(wait=False)
 
 
 _RIG, _SIZES, _HEIGHT, _FOCAL, _SPEED = range(5)  # unknowns
-_CAUSES: dict[int, Cause] = {_RIG: "baseline", _FOCAL: "focal length", _SPEED: "speed", _HEIGHT: "camera height"}
-_RIG_SIGMA, _FOCAL_SIGMA, _SPEED_SIGMA = 0.025, 0.02, 0.015  # of calibrations, and of the scale of receivers
-_SIZES_SIGMA: dict[bool, float] = {True: 0.07, False: 0.085}  # if the region is known, and if it is not
+_CAUSES: dict[int, Cause] = {
+    _RIG: "baseline",
+    _FOCAL: "focal length",
+    _SPEED: "speed",
+    _HEIGHT: "camera height",
+}
+# of calibrations, and of the scale of receivers
+_RIG_SIGMA, _FOCAL_SIGMA, _SPEED_SIGMA = 0.025, 0.02, 0.015
+# if the region is known, and if it is not
+_SIZES_SIGMA: dict[bool, float] = {True: 0.07, False: 0.085}
 _HEIGHT_M, _HEIGHT_SIGMA = 1.45, 0.22  # usual height of cameras behind a windscreen
 _GIVEN_SIGMA = 0.03  # of a given height
 _KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estimated from shapes
 _ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _FREE_SIGMA = 3.0  # of a mistake
-_MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
-_N_STEADY, _STEADY = 8, 1.3  # frames of a speed, and its largest change: odometry of unrelated images is not steady
+# speed that vehicles hardly exceed, and the sigma of its logarithm
+_MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15
+# frames of a speed, and its largest change: odometry of unrelated images is not steady
+_N_STEADY, _STEADY = 8, 1.3
 _DOUBTFUL, _RESOLVED = 9.0, 4.0  # differences of chi-squared at which a doubt starts and ends
 _NEARLY = 4.0  # largest difference between causes that both fit
 _TAILS = 4.0  # largest chi-squared of a usual height and of a usual lane
-_OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0  # fraction of objects with a mismatch or a wrong class, and their sigma
+# fraction of objects with a mismatch or a wrong class, and their sigma
+_OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0
 _MIN_OBJECT_SIGMA = 0.06  # of an object: its frames do not average out
-_SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4  # of sizes that objects have in common, and its largest fraction
-_MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2  # of distances by size and of heights that are evidence, relative
+# of sizes that objects have in common, and its largest fraction
+_SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4
+# of distances by size and of heights that are evidence, relative
+_MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2
 _MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
 _INTERVAL_S = 0.5  # between two evaluations
 _MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
-_IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
+# lights and signs vary too much
+_IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])
 _LANE = "the lane lines"
-_EFFECT = "Until the doubt is resolved, the sigmas of affected distances cover both scales, and no alarm is given."
+_EFFECT = (
+    "Until the doubt is resolved, the sigmas of affected distances cover both scales, and no alarm "
+    "is given."
+)
 _STEP = 0.02
 _LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of what objects have in common
 
@@ -141,11 +181,13 @@ class ScaleCheck:
         sizes: SizeModel | None = None,
         road_height_m: float = _HEIGHT_M,
     ) -> None:
-        """Start without evidence, for the left `camera` of a pair with a calibrated baseline; None = one camera.
+        """Start without evidence, for the left `camera` of a pair with a calibrated baseline; None
+        = one camera.
 
-        `height_m` is a given height above the road, None = a usual height; `road_height_m` is the height with which the
-        motion of the road is measured. `focal_sigma` is relative, 0 = calibrated; `sizes` have the shapes of vehicles,
-        which measure such a focal length. Without the usual width of the lane, lane lines are not used.
+        `height_m` is a given height above the road, None = a usual height; `road_height_m` is the
+        height with which the motion of the road is measured. `focal_sigma` is relative, 0 =
+        calibrated; `sizes` have the shapes of vehicles, which measure such a focal length. Without
+        the usual width of the lane, lane lines are not used.
         """
         self.baseline_m, self._camera, self._lane = baseline_m, camera, lane
         self._height_m = height_m or _HEIGHT_M
@@ -154,18 +196,26 @@ class ScaleCheck:
         focal_sigma = math.hypot(_FOCAL_SIGMA, focal_sigma)
         sizes_sigma = _SIZES_SIGMA[region != "unknown"]
         self._priors = np.array([_RIG_SIGMA, sizes_sigma, height_sigma, focal_sigma, _SPEED_SIGMA])
-        self._objects = TrackState(np.zeros(6))  # number of frames, mean, mean variance of g - a, the same of h + a
-        self._pair_height, self._given_height = CameraHeight(road_height_m), CameraHeight(road_height_m)
-        self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)  # of stereo odometry and the given speed
+        # number of frames, mean, mean variance of g - a, the same of h + a
+        self._objects = TrackState(np.zeros(6))
+        self._pair_height, self._given_height = (
+            CameraHeight(road_height_m),
+            CameraHeight(road_height_m),
+        )
+        # of stereo odometry and the given speed
+        self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)
         self._given_sigmas: deque[float] = deque(maxlen=_MAX_VALUES)
         self._log_openings: deque[float] = deque(maxlen=_MAX_VALUES)
         self._shapes = (
-            ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and focal_sigma <= _KNOWN_FOCAL else None
+            ShapeCheck(camera, sizes)
+            if isinstance(sizes, CuboidSizes) and focal_sigma <= _KNOWN_FOCAL
+            else None
         )
         self._speeds_mps: deque[float] = deque(maxlen=_N_STEADY)
         self._max_mps = 0.0
         self._due_s = self._since_s = -math.inf
-        self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_VALUES)  # starts and ends of former doubts
+        # starts and ends of former doubts
+        self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_VALUES)
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
         self.agreement = Agreement(1.0, math.inf, "")
 
@@ -182,10 +232,11 @@ class ScaleCheck:
         by_road: EgoMotion | None = None,
         given: EgoMotion | None = None,
     ) -> None:
-        """Add a frame: distances by size (without the correction of the drive's scale) and by stereo of its tracks.
+        """Add a frame: distances by size (without the correction of the drive's scale) and by
+        stereo of its tracks.
 
-        `road` is the road in the frame. The speed of the camera comes from stereo odometry, from the motion of the road
-        with the height `road_height_m`, and from the user; None = unknown.
+        `road` is the road in the frame. The speed of the camera comes from stereo odometry, from
+        the motion of the road with the height `road_height_m`, and from the user; None = unknown.
         """
         self._add(tracks, by_size, stereo, road)
         if self._shapes is not None:
@@ -193,11 +244,14 @@ class ScaleCheck:
         if lanes is not None and lanes.left is not None and lanes.right is not None:
             opening = float((lanes.right.coefficients - lanes.left.coefficients)[1])
             if opening > 0:
-                self._log_openings.append(math.log(opening * self._camera.fy_px / self._camera.fx_px))
+                self._log_openings.append(
+                    math.log(opening * self._camera.fy_px / self._camera.fx_px)
+                )
         if by_pair is not None:
             self._speeds_mps.append(by_pair.speed_mps)
             low_mps = float(np.min(self._speeds_mps))
-            if len(self._speeds_mps) == _N_STEADY and np.max(self._speeds_mps) < _STEADY * low_mps:  # False for NaN
+            # False for NaN
+            if len(self._speeds_mps) == _N_STEADY and np.max(self._speeds_mps) < _STEADY * low_mps:
                 self._max_mps = max(self._max_mps, low_mps)
             if by_road is not None:
                 self._pair_height.update(time_s, by_pair, by_road)
@@ -216,7 +270,10 @@ class ScaleCheck:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
         past = (
-            (f"The scale was in doubt from {spans}: during this time, sigmas are wider and no alarms are given.",)
+            (
+                f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
+                "alarms are given.",
+            )
             if spans
             else ()
         )
@@ -231,14 +288,23 @@ class ScaleCheck:
             sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
         if self.baseline_m is not None:
             _, sigma, evidence = self.agreement
-            sections["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
+            sections["baseline_check"] = {
+                "sigma": sigma if sigma <= SHOWN_SIGMA else None,
+                "evidence": evidence,
+            }
         return sections
 
-    def _add(self, tracks: Tracks, by_size: Ranges, stereo: Ranges | None, road: RoadView | None) -> None:
+    def _add(
+        self, tracks: Tracks, by_size: Ranges, stereo: Ranges | None, road: RoadView | None
+    ) -> None:
         with np.errstate(invalid="ignore", divide="ignore"):
             size_sigma = by_size.sigma_m / by_size.distance_m
-            is_used = tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA)
-            size_variance = size_sigma**2 - np.minimum(_SHARED_VARIANCE, _MAX_SHARED * size_sigma**2)
+            is_used = (
+                tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA)
+            )
+            size_variance = size_sigma**2 - np.minimum(
+                _SHARED_VARIANCE, _MAX_SHARED * size_sigma**2
+            )
             r, r_variance, q, q_variance = np.full((4, len(tracks)), np.nan)
             if stereo is not None:
                 r = np.log(stereo.distance_m / by_size.distance_m)
@@ -271,7 +337,9 @@ class ScaleCheck:
         n_objects = int((is_known | has_height).sum())
         if is_known.sum() >= _MIN_OBJECTS:
             sizes = _common(r[is_known], r_variance[is_known])
-            evidence.append(Evidence(f"the sizes of {is_known.sum()} road users", (1, -1, 0, 0, 0), *sizes))
+            evidence.append(
+                Evidence(f"the sizes of {is_known.sum()} road users", (1, -1, 0, 0, 0), *sizes)
+            )
         if has_height.sum() >= _MIN_OBJECTS:
             contacts = _common(q[has_height] - expected, q_variance[has_height])
             evidence.append(Evidence("where road users touch the road", (0, 1, 1, 0, 0), *contacts))
@@ -287,7 +355,9 @@ class ScaleCheck:
                 evidence.append(Evidence(name, of, math.log(measured[0]) - base, sigma))
         if self._lane is not None and len(self._log_openings) >= _MIN_LANES:
             height = math.log(self._lane.width_m) - float(np.median(self._log_openings)) - expected
-            evidence.append(Evidence(_LANE, (0, 0, 1, 0, 0), height, math.hypot(self._lane.sigma, _LANE_SIGMA)))
+            evidence.append(
+                Evidence(_LANE, (0, 0, 1, 0, 0), height, math.hypot(self._lane.sigma, _LANE_SIGMA))
+            )
         if self._shapes is not None and (shapes := self._shapes.evidence) is not None:
             evidence.append(shapes)
         return evidence, n_objects
@@ -315,11 +385,15 @@ class ScaleCheck:
             if unknown == _RIG:
                 self.agreement = Agreement(math.exp(x[_RIG]), sigma, names)
             factor = math.exp(x[unknown] if unknown != _HEIGHT else -x[unknown])
-            if {_RIG: self.baseline_m is not None, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(
-                unknown, True
-            ):
+            if {
+                _RIG: self.baseline_m is not None,
+                _HEIGHT: self._has_height,
+                _SPEED: bool(self._given_sigmas),
+            }.get(unknown, True):
                 fits.append((chi2 + prior_cost(cause, factor, sigma), cause, factor, sigma, chi2))
-        if right.chi2 - min(chi2 for *_, chi2 in fits) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
+        if right.chi2 - min(chi2 for *_, chi2 in fits) < (
+            _DOUBTFUL if self.doubt is None else _RESOLVED
+        ):
             return None
         fits.sort()
         least, _, factor, sigma, _ = fits[0]
@@ -327,7 +401,9 @@ class ScaleCheck:
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
     def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:
-        """The best solution, with standard deviations (5,) of the priors; an unusual height or lane adds a cost."""
+        """The best solution, with standard deviations (5,) of the priors; an unusual height or lane
+        adds a cost.
+        """
         unusual = priors.copy()
         unusual[_HEIGHT] = _FREE_SIGMA
         heights = [(priors, 0.0)] if self._has_height else [(priors, 0.0), (unusual, _TAILS)]
@@ -345,7 +421,10 @@ class ScaleCheck:
 
 def _solved(evidence: list[Evidence], priors: FloatArray) -> _Solution:
     sigma = np.array([*priors, *(item.sigma for item in evidence)])
-    A = np.concatenate([np.eye(5), np.reshape([item.of for item in evidence], (-1, 5))]) / sigma[:, None]
+    A = (
+        np.concatenate([np.eye(5), np.reshape([item.of for item in evidence], (-1, 5))])
+        / sigma[:, None]
+    )
     b = np.array([*np.zeros(5), *(item.value for item in evidence)]) / sigma
     P = np.linalg.inv(A.T @ A)
     x = P @ (A.T @ b)
@@ -354,7 +433,9 @@ def _solved(evidence: list[Evidence], priors: FloatArray) -> _Solution:
 
 
 def _common(value: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Mean and standard deviation of the common part of the objects (K,), some of which are outliers."""
+    """Mean and standard deviation of the common part of the objects (K,), some of which are
+    outliers.
+    """
     sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)[:, None]
     difference = value[:, None] - _LOG
     near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)

@@ -24,13 +24,18 @@ class ScaleDoubt(NamedTuple):
     factor: float  # by which the first of `causes` is too large
     sigma: float  # relative standard deviation of the factor
     n_objects: int  # road users that are evidence
-    causes: tuple[tuple[Cause, float], ...]  # what may be wrong, the most likely first, and the factor of each
+    # what may be wrong, the most likely first, and the factor of each
+    causes: tuple[tuple[Cause, float], ...]
     evidence: str  # what shows it
 
     def sigma_of(self, causes: Set[Cause]) -> float:
-        """Relative standard deviation that covers both scales, for distances that one of these causes changes."""
+        """Relative standard deviation that covers both scales, for distances that one of these
+        causes changes.
+        """
         factors = [factor for cause, factor in self.causes if cause in causes]
-        return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
+        return max(
+            (abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0
+        )
 
     def sentence(self, baseline_m: float | None) -> str:
         """The value in doubt, with the mistakes that fit, and the evidence."""
@@ -46,7 +51,8 @@ class ScaleDoubt(NamedTuple):
         return f"the {cause} is {times}" + (f" ({', '.join(fits)}?)" if fits else "")
 
 
-_MISTAKES: tuple[tuple[Cause, float, str], ...] = (  # mistakes, and the factor that each makes a value too large by
+# mistakes, and the factor that each makes a value too large by
+_MISTAKES: tuple[tuple[Cause, float, str], ...] = (
     ("baseline", 2.54, "centimetres read as inches"),
     ("baseline", 1 / 2.54, "inches read as centimetres"),
     ("baseline", 3.281, "feet read as metres"),
@@ -66,16 +72,28 @@ _MISTAKES: tuple[tuple[Cause, float, str], ...] = (  # mistakes, and the factor 
 
 def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:
     """Known mistakes with this factor, within 2 sigma."""
-    return [text for of, value, text in _MISTAKES if of == cause and abs(math.log(value / factor)) < 2 * sigma]
+    return [
+        text
+        for of, value, text in _MISTAKES
+        if of == cause and abs(math.log(value / factor)) < 2 * sigma
+    ]
 
 
 def prior_cost(cause: Cause, factor: float, sigma: float) -> float:
-    """-2 log of the prior of a mistake with this factor: known, or else with a uniform density of the logarithm.
+    """-2 log of the prior of a mistake with this factor: known, or else with a uniform density of
+    the logarithm.
 
     Baselines may have any factor at no cost: boards have squares of all sizes.
     """
-    any_factor = 0.0 if cause == "baseline" else max(0.0, -2 * math.log(math.sqrt(2 * math.pi) * sigma))
-    return min([any_factor, *((math.log(value / factor) / sigma) ** 2 for of, value, _ in _MISTAKES if of == cause)])
+    any_factor = (
+        0.0 if cause == "baseline" else max(0.0, -2 * math.log(math.sqrt(2 * math.pi) * sigma))
+    )
+    return min(
+        [
+            any_factor,
+            *((math.log(value / factor) / sigma) ** 2 for of, value, _ in _MISTAKES if of == cause),
+        ]
+    )
 
 
 def causes_of(error_sources: Sequence[str], *, has_rig: bool) -> frozenset[Cause]:
@@ -83,7 +101,8 @@ def causes_of(error_sources: Sequence[str], *, has_rig: bool) -> frozenset[Cause
     causes: set[Cause] = {"focal length"}
     if "baseline" in error_sources:
         causes.add("baseline")
-    if {"horizon", "lane_width"} & {*error_sources}:  # by a height or a width that speed, height or stereo measured
+    # by a height or a width that speed, height or stereo measured
+    if {"horizon", "lane_width"} & {*error_sources}:
         causes |= {"camera height", "speed", *(("baseline",) if has_rig else ())}
     return frozenset(causes)
 
@@ -102,7 +121,10 @@ class Agreement(NamedTuple):
             return "The baseline cannot be checked in this drive."
         if abs(math.log(self.factor)) > 1.5 * self.sigma:
             return (
-                f"The baseline is {self.factor:.2f} ± {self.factor * self.sigma:.2f} times what the drive shows, by "
-                f"{self.evidence}: no contradiction yet."
+                f"The baseline is {self.factor:.2f} ± {self.factor * self.sigma:.2f} times what "
+                f"the drive shows, by {self.evidence}: no contradiction yet."
             )
-        return f"The baseline agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by {self.evidence}."
+        return (
+            f"The baseline agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by "
+            f"{self.evidence}."
+        )

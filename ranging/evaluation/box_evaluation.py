@@ -1,8 +1,9 @@
-"""Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation over sequences.
+"""Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation
+over sequences.
 
-Errors are relative. The metrics of a class cover 10-100 m, the metrics of far objects 30-100 m, and the bands 5-100 m.
-Fitted methods are cross-validated: each fold of sequences is measured by a method that was fitted to the other
-sequences.
+Errors are relative. The metrics of a class cover 10-100 m, the metrics of far objects 30-100 m, and
+the bands 5-100 m. Fitted methods are cross-validated: each fold of sequences is measured by a
+method that was fitted to the other sequences.
 
 Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
 
@@ -22,17 +23,28 @@ from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
 
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
-NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of far objects
+# smallest distance in m of the metrics of a class, and of far objects
+NEAREST_M, FAR_M = 10.0, 30.0
 N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
-CLOSING_HALF_SPAN_S = 0.5  # s before and after a label of the central difference that is its true closing speed
+# s before and after a label of the central difference that is its true closing speed
+CLOSING_HALF_SPAN_S = 0.5
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
 
-METRICS = ("abs_rel", "sq_rel_m", "rmse_m", "rmse_log", "delta_1_25", "delta_1_25_2", "delta_1_25_3")
+METRICS = (
+    "abs_rel",
+    "sq_rel_m",
+    "rmse_m",
+    "rmse_log",
+    "delta_1_25",
+    "delta_1_25_2",
+    "delta_1_25_3",
+)
 """Keys of the metrics of published evaluations."""
 
 Predictor = Callable[[BoxSet], MethodColumn]  # function that measures boxes
 Fitter = Callable[[BoxSet], Predictor]  # function that fits a predictor to boxes
-Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]  # fits a method to training boxes, measures boxes
+# fits a method to training boxes, measures boxes
+Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
 
 
 def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
@@ -51,13 +63,17 @@ def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> 
         "n_tracks": tracks.shape[1],
         "rear_view_pct": score_rows(column, true_m, in_span & boxes.is_rear_view)[key],
         "far_pct": score_rows(column, true_m, in_span & (true_m >= FAR_M))[key],
-        "rear_view_far_pct": score_rows(column, true_m, in_span & boxes.is_rear_view & (true_m >= FAR_M))[key],
+        "rear_view_far_pct": score_rows(
+            column, true_m, in_span & boxes.is_rear_view & (true_m >= FAR_M)
+        )[key],
         "bands": score_bands(column, true_m, is_class),
     }
 
 
 def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
-    """Masks (N,) of the boxes of each fold: every `n_folds`-th sequence, or single sequences if there are fewer."""
+    """Masks (N,) of the boxes of each fold: every `n_folds`-th sequence, or single sequences if
+    there are fewer.
+    """
     for fold in range(min(n_folds, len(boxes.sequence_names))):
         left_out = boxes.sequence % n_folds == fold
         if left_out.any():
@@ -65,9 +81,11 @@ def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
 
 
 def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes`, with each fold measured by a method fitted to the other sequences of `train`.
+    """Distances and sigmas of `boxes`, with each fold measured by a method fitted to the other
+    sequences of `train`.
 
-    `train` has boxes of the same sequences, for example without noise; a single sequence is fitted to itself.
+    `train` has boxes of the same sequences, for example without noise; a single sequence is fitted
+    to itself.
     """
     parts = []
     for test in folds(boxes):
@@ -77,9 +95,11 @@ def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
 
 def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes`, with each sequence measured by a method fitted to the same sequence of `train`.
+    """Distances and sigmas of `boxes`, with each sequence measured by a method fitted to the same
+    sequence of `train`.
 
-    This is the protocol of Zhang et al. It shows how well a curve can fit, and not the error on other drives.
+    This is the protocol of Zhang et al. It shows how well a curve can fit, and not the error on
+    other drives.
     """
     parts = []
     for number in np.unique(boxes.sequence):
@@ -89,7 +109,9 @@ def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
 
 def held_out(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes` by a method fitted to `train`, which has no image in common with `boxes`."""
+    """Distances and sigmas of `boxes` by a method fitted to `train`, which has no image in common
+    with `boxes`.
+    """
     return fit(train)(boxes)
 
 
@@ -99,7 +121,9 @@ def _combined(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> Method
     for rows, part in parts:
         distance_m[rows], sigma_m[rows] = part.distance_m, part.sigma_m
         systematic_m[rows] = np.nan if part.sigma_systematic_m is None else part.sigma_systematic_m
-    return MethodColumn(distance_m, sigma_m, systematic_m if np.isfinite(systematic_m).any() else None)
+    return MethodColumn(
+        distance_m, sigma_m, systematic_m if np.isfinite(systematic_m).any() else None
+    )
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:
@@ -111,13 +135,24 @@ def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:
 
 
 def true_closing_mps(boxes: BoxSet) -> FloatArray:
-    """(N,) true closing speed in m/s; NaN unless the track is labelled about half a second before and after."""
+    """(N,) true closing speed in m/s; NaN unless the track is labelled about half a second before
+    and after.
+    """
     steps_s = np.diff(np.unique(boxes.time_s))
-    reach = round(CLOSING_HALF_SPAN_S / float(np.median(steps_s if len(steps_s) else 1.0))) if len(boxes) > 1 else 1
-    keys = list(zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True))
+    reach = (
+        round(CLOSING_HALF_SPAN_S / float(np.median(steps_s if len(steps_s) else 1.0)))
+        if len(boxes) > 1
+        else 1
+    )
+    keys = list(
+        zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True)
+    )
     row_of = {key: row for row, key in enumerate(keys)}
     before, after = (
-        np.array([row_of.get((sequence, track, frame + shift), -1) for sequence, track, frame in keys], np.int64)
+        np.array(
+            [row_of.get((sequence, track, frame + shift), -1) for sequence, track, frame in keys],
+            np.int64,
+        )
         for shift in (-reach, reach)
     )
     known = (before >= 0) & (after >= 0)
@@ -127,14 +162,20 @@ def true_closing_mps(boxes: BoxSet) -> FloatArray:
 
 
 def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[str, Any]]:
-    """Number of boxes, and median and 95th percentile of the closing speed error at 10-100 m, by class."""
+    """Number of boxes, and median and 95th percentile of the closing speed error at 10-100 m, by
+    class.
+    """
     error = np.abs(closing_mps - true_closing_mps(boxes))
     in_span = np.isfinite(error) & (boxes.distance_m >= NEAREST_M)
     by_class = {}
     for name in CLASSES:
         class_error = error[in_span & (boxes.class_name == name)]
         if (boxes.class_name == name).any():
-            median, p95 = np.percentile(class_error, [50, 95]).round(4).tolist() if len(class_error) else (None, None)
+            median, p95 = (
+                np.percentile(class_error, [50, 95]).round(4).tolist()
+                if len(class_error)
+                else (None, None)
+            )
             by_class[name] = {
                 "closing_n": len(class_error),
                 "closing_median_error_mps": median,
@@ -143,13 +184,20 @@ def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[st
     return by_class
 
 
-def literature_metrics(boxes: BoxSet, columns: Mapping[str, MethodColumn]) -> dict[str, dict[str, dict[str, Any]]]:
+def literature_metrics(
+    boxes: BoxSet, columns: Mapping[str, MethodColumn]
+) -> dict[str, dict[str, dict[str, Any]]]:
     """Metrics by method and class, and over all classes, of all boxes with a reference distance."""
-    rows_of = {name: boxes.class_name == name for name in CLASSES if (boxes.class_name == name).any()}
+    rows_of = {
+        name: boxes.class_name == name for name in CLASSES if (boxes.class_name == name).any()
+    }
     rows_of["all"] = np.ones(len(boxes), np.bool_)
     return {
         method: {
-            name: {"n_boxes": int(rows.sum()), **metrics(column.distance_m[rows], boxes.distance_m[rows])}
+            name: {
+                "n_boxes": int(rows.sum()),
+                **metrics(column.distance_m[rows], boxes.distance_m[rows]),
+            }
             for name, rows in rows_of.items()
         }
         for method, column in columns.items()
@@ -157,7 +205,9 @@ def literature_metrics(boxes: BoxSet, columns: Mapping[str, MethodColumn]) -> di
 
 
 def metrics(distance_m: FloatArray, reference_m: FloatArray) -> dict[str, Any]:
-    """Coverage and metrics of (N,) distances, NaN = not measured, against (N,) references; None without a distance."""
+    """Coverage and metrics of (N,) distances, NaN = not measured, against (N,) references; None
+    without a distance.
+    """
     known = np.isfinite(distance_m)
     d, t = distance_m[known], reference_m[known]
     coverage = {"coverage": round(float(known.mean()), 4) if len(known) else None, "n": len(d)}
@@ -178,10 +228,11 @@ def metrics(distance_m: FloatArray, reference_m: FloatArray) -> dict[str, Any]:
 
 
 def distance_risk(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
-    """Risk-coverage curve and areas by class at 10-100 m, with boxes in the order of their relative sigma.
+    """Risk-coverage curve and areas by class at 10-100 m, with boxes in the order of their relative
+    sigma.
 
-    With 1 / d as the disparity: failures are boxes without a distance or with an error above 15 %. Empty for a method
-    without sigma.
+    With 1 / d as the disparity: failures are boxes without a distance or with an error above 15 %.
+    Empty for a method without sigma.
     """
     if not np.isfinite(column.sigma_m).any():
         return {}

@@ -1,15 +1,16 @@
 """Temporal filters for the measured distances of labelled boxes, per track as in a run.
 
-The ego speed is not known: the filter of Zhang et al. (`PaperFilter`) assumes 0, and the default one
-(`ranging.filtering.distance_filter`) estimates the relative speed.
+The ego speed is not known: the filter of Zhang et al. (`PaperFilter`) assumes 0, and the default
+one (`ranging.filtering.distance_filter`) estimates the relative speed.
 
 The filter of Zhang et al., with filterpy, is predicted by the ego speed V:
 
     d' = d - V t,  P' = P + Q        K = P' / (P' + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1 m^2
 
-(Zhang et al., eq. 10-16.) Their eq. 15 has d + V t, but a static object in front of a moving car approaches by V t.
-R is 10 % of the distance in their text and 0.1 in their equation; the equation is used. Q is per frame, for any frame
-interval. The filter lags behind moving targets, and, if V is unknown, behind all targets with a relative speed.
+(Zhang et al., eq. 10-16.) Their eq. 15 has d + V t, but a static object in front of a moving car
+approaches by V t. R is 10 % of the distance in their text and 0.1 in their equation; the equation
+is used. Q is per frame, for any frame interval. The filter lags behind moving targets, and, if V is
+unknown, behind all targets with a relative speed.
 """
 
 import math
@@ -22,7 +23,11 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges, time_to_collision
+from track_range.ranging.filtering.distance_filter import (
+    DistanceFilters,
+    FilteredRanges,
+    time_to_collision,
+)
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.ranges import Ranges
 
@@ -44,19 +49,28 @@ class _Track:
 
 
 class PaperFilter:
-    """The filter of Zhang et al. for all tracks of a video; sigmas of the measurements are not used."""
+    """The filter of Zhang et al. for all tracks of a video; sigmas of the measurements are not
+    used.
+    """
 
     def __init__(self) -> None:
         self._tracks: dict[int, _Track] = {}
 
-    def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan) -> FilteredRanges:
-        """Filtered ranges of the tracks at `time_s`; the rate is the difference from the previous frame.
+    def update(
+        self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan
+    ) -> FilteredRanges:
+        """Filtered ranges of the tracks at `time_s`; the rate is the difference from the previous
+        frame.
 
         `ego_speed_mps` is V; NaN = unknown, 0 is assumed.
         """
-        self._tracks = {i: track for i, track in self._tracks.items() if time_s - track.measured_s <= _MAX_GAP_S}
+        self._tracks = {
+            i: track for i, track in self._tracks.items() if time_s - track.measured_s <= _MAX_GAP_S
+        }
         distance_m, variance, rate_mps, rate_variance = np.full((4, len(measured)), np.nan)
-        for row, (track_id, z) in enumerate(zip(measured.track_id.tolist(), measured.distance_m, strict=True)):
+        for row, (track_id, z) in enumerate(
+            zip(measured.track_id.tolist(), measured.distance_m, strict=True)
+        ):
             track = self._tracks.get(track_id)
             if track is not None:
                 before_m, dt_s = track.kalman.x[0, 0], time_s - track.time_s
@@ -90,8 +104,12 @@ def _kalman_filter(first_m: float) -> Any:
     return kalman
 
 
-def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> tuple[MethodColumn, FloatArray]:
-    """Filtered distances of a method and (N,) closing speeds, m/s; for "none", unfiltered distances without speeds."""
+def filtered(
+    boxes: BoxSet, column: MethodColumn, filter_name: FilterName
+) -> tuple[MethodColumn, FloatArray]:
+    """Filtered distances of a method and (N,) closing speeds, m/s; for "none", unfiltered distances
+    without speeds.
+    """
     if filter_name == "none":
         return column, np.full(len(boxes), np.nan)
     is_given = np.isfinite(column.sigma_m)
@@ -100,12 +118,24 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> tu
     sequence = -1
     for rows in frame_rows(boxes):
         if boxes.sequence[rows[0]] != sequence:
-            sequence, paper, default = boxes.sequence[rows[0]], PaperFilter(), DistanceFilters({"": _NOISE_FRACTION})
-        systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
-        measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], systematic_m)
+            sequence, paper, default = (
+                boxes.sequence[rows[0]],
+                PaperFilter(),
+                DistanceFilters({"": _NOISE_FRACTION}),
+            )
+        systematic_m = (
+            None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
+        )
+        measured = Ranges(
+            boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], systematic_m
+        )
         time_s = float(boxes.time_s[rows[0]])
         is_paper = filter_name == "paper"
-        result = paper.update(measured, time_s) if is_paper else default.update({"": measured}, time_s)[""]
+        result = (
+            paper.update(measured, time_s)
+            if is_paper
+            else default.update({"": measured}, time_s)[""]
+        )
         distance_m[rows], out_sigma_m[rows] = result.ranges.distance_m, result.ranges.sigma_m
         closing_mps[rows] = -result.rate_mps
     return MethodColumn(distance_m, np.where(is_given.any(), out_sigma_m, np.nan)), closing_mps

@@ -33,7 +33,9 @@ def box_methods() -> tuple[RangingMethod, ...]:
 
 
 def method_names() -> tuple[str, ...]:
-    """Names of all methods that can be measured, in the order of tables; the last is the fusion of the box methods."""
+    """Names of all methods that can be measured, in the order of tables; the last is the fusion of
+    the box methods.
+    """
     names = [method.name for method in box_methods()]
     return (*PLAIN_CURVES, *names, "+".join(names))
 
@@ -43,10 +45,14 @@ class MethodOptions:
     """Options for fitting and measuring with box-only methods."""
 
     curves: Path | None = None  # curve file for mono; None = the packaged one
-    is_cross_validated: bool = False  # mono is fitted by cross-validation instead; plain curves always are
-    is_same_drive: bool = False  # mono and plain curves are fitted to the same drive that they measure
-    is_held_out: bool = False  # mono and plain curves are fitted to training boxes of other drives or images
-    box_sigma_px: float | None = None  # standard deviation of one box edge; None = the noise model of a detector
+    # mono is fitted by cross-validation instead; plain curves always are
+    is_cross_validated: bool = False
+    # mono and plain curves are fitted to the same drive that they measure
+    is_same_drive: bool = False
+    # mono and plain curves are fitted to training boxes of other drives or images
+    is_held_out: bool = False
+    # standard deviation of one box edge; None = the noise model of a detector
+    box_sigma_px: float | None = None
     camera_height_m: float | None = None  # camera height for the ground plane; None = unknown
     region: Region = "unknown"  # of the packaged or fitted sizes
 
@@ -71,7 +77,9 @@ def measured_by(
     scheme = options.scheme or box_evaluation.cross_validated
     reference = train.with_reference()
     columns = {
-        name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES
+        name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name]))
+        for name in names
+        if name in PLAIN_CURVES
     }
     if set(names) <= columns.keys():
         return {name: columns[name] for name in names}
@@ -82,7 +90,9 @@ def measured_by(
         if method.uses_size_model and options.scheme is not None:
             measured[method.name] = options.scheme(boxes, train, size_fitter(method, options))
         elif method.uses_size_model:
-            measured |= ranger_columns(boxes, [method], options, size_model=load_curves(options.curves, options.region))
+            measured |= ranger_columns(
+                boxes, [method], options, size_model=load_curves(options.curves, options.region)
+            )
     others = [method for method in box_methods() if not method.uses_size_model]
     measured |= ranger_columns(boxes, others, options, measured=measured)
     measured = {method.name: measured[method.name] for method in box_methods()}
@@ -98,11 +108,12 @@ def ranger_columns(
     size_model: SizeModel | None = None,
     measured: Mapping[str, MethodColumn] | None = None,
 ) -> dict[str, MethodColumn]:
-    """Columns of methods that need only boxes, measured frame by frame as in a run, with new rangers for each sequence.
+    """Columns of methods that need only boxes, measured frame by frame as in a run, with new
+    rangers for each sequence.
 
-    With a size model, methods get the labels' classes instead of a detector's. `measured` are columns of methods
-    measured before, which the listed methods may read. MethodError: a ranger of another package returned no ranges, or
-    ranges of other tracks.
+    With a size model, methods get the labels' classes instead of a detector's. `measured` are
+    columns of methods measured before, which the listed methods may read. MethodError: a ranger of
+    another package returned no ranges, or ranges of other tracks.
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
     reads = {method.name: method.reads for method in listed}
@@ -122,7 +133,9 @@ def ranger_columns(
                 has_images=False,
             )
             rangers, scale = create_rangers(context, listed), DriveScale()
-        ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in (measured or {}).items()}
+        ranges = {
+            name: ranges_in_frame(column, tracks, rows) for name, column in (measured or {}).items()
+        }
         evidence: list[ScaleEvidence] = []
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
@@ -130,10 +143,14 @@ def ranger_columns(
             evidence += [in_frame.evidence] if in_frame.evidence else []
             ranges[name] = result = checked_ranges(name, in_frame.ranges, tracks)
             columns[name][:2, rows] = result.distance_m, result.sigma_m
-            columns[name][2, rows] = np.nan if result.sigma_systematic_m is None else result.sigma_systematic_m
+            columns[name][2, rows] = (
+                np.nan if result.sigma_systematic_m is None else result.sigma_systematic_m
+            )
         scale = scale.after(evidence, frame.time_s)
     return {
-        name: MethodColumn(column[0], column[1], column[2] if np.isfinite(column[2]).any() else None)
+        name: MethodColumn(
+            column[0], column[1], column[2] if np.isfinite(column[2]).any() else None
+        )
         for name, column in columns.items()
     }
 
@@ -158,7 +175,9 @@ def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ran
 
 
 def plain_fitter(fit_curve: CurveFitter) -> box_evaluation.Fitter:
-    """Fitter of one plain curve per class, without sigma; classes with too few training boxes are not measured."""
+    """Fitter of one plain curve per class, without sigma; classes with too few training boxes are
+    not measured.
+    """
 
     def fit(train: BoxSet) -> box_evaluation.Predictor:
         fitted = {}
@@ -195,7 +214,8 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> box_evaluation
 
 
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
-    """For each frame: row indices, tracks, blank image of the right size, and whether the frame starts a sequence.
+    """For each frame: row indices, tracks, blank image of the right size, and whether the frame
+    starts a sequence.
 
     Labels without identities belong to separate images, each of which is a sequence.
     """
@@ -205,7 +225,9 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
         label_id = boxes.track_id[rows]
         is_image = bool((label_id < 0).any())
         track_id = np.arange(1, n + 1) if is_image else label_id + 1
-        tracks = Tracks(track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_))
+        tracks = Tracks(
+            track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_)
+        )
         width_px, height_px = boxes.size_px[rows[0]].tolist()
         blank = np.broadcast_to(np.zeros(1, np.uint8), (height_px, width_px, 3))
         frame = Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)

@@ -1,10 +1,11 @@
 """Errors of distances and closing speeds against ground truth, and calibration of their sigmas.
 
-Tracks are matched to labels frame by frame: one to one, with the largest total IoU, each at least 0.5, regardless of
-class. Errors are relative, (measured - true) / true, over 5-100 m, for labels that are not truncated and at most partly
-occluded; errors of closing speeds are differences over the same labels. `coverage` is the fraction of matched
-track-frames that a method measured. The `common` metrics cover the track-frames that all methods measured, so that
-methods are compared on the same objects.
+Tracks are matched to labels frame by frame: one to one, with the largest total IoU, each at least
+0.5, regardless of class. Errors are relative, (measured - true) / true, over 5-100 m, for labels
+that are not truncated and at most partly occluded; errors of closing speeds are differences over
+the same labels. `coverage` is the fraction of matched track-frames that a method measured. The
+`common` metrics cover the track-frames that all methods measured, so that methods are compared on
+the same objects.
 """
 
 from collections.abc import Mapping
@@ -20,9 +21,11 @@ from track_range.detection.boxes import iou
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.truth import Truth
 
-BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)  # edges of the distance bands for which errors are reported
+# edges of the distance bands for which errors are reported
+BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
 MIN_IOU = 0.5  # of a matched track and label, as in KITTI's evaluation of people and cyclists
-_MIN_COMMON_COVERAGE = 0.5  # of methods in the common metrics; others would leave too few common track-frames
+# of methods in the common metrics; others would leave too few common track-frames
+_MIN_COMMON_COVERAGE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,8 @@ class MethodColumn:
 
     distance_m: FloatArray  # (N,) distance, NaN = not measured
     sigma_m: FloatArray  # (N,) standard deviation, NaN = not measured or unknown
-    sigma_systematic_m: FloatArray | None = None  # (N,) systematic part of sigma_m, as in `Ranges`; None = unknown
+    # (N,) systematic part of sigma_m, as in `Ranges`; None = unknown
+    sigma_systematic_m: FloatArray | None = None
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
@@ -39,15 +43,24 @@ def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
     return match_boxes(frame, xyxy_px, truth.frame, truth.xyxy_px)
 
 
-def match_boxes(frame: IntArray, xyxy_px: FloatArray, other_frame: IntArray, other_px: FloatArray) -> IntArray:
-    """(N,) index of the other box (M, 4) in the frame of each box (N, 4), one to one by IoU; -1 = none."""
+def match_boxes(
+    frame: IntArray, xyxy_px: FloatArray, other_frame: IntArray, other_px: FloatArray
+) -> IntArray:
+    """(N,) index of the other box (M, 4) in the frame of each box (N, 4), one to one by IoU; -1 =
+    none.
+    """
     matched = np.full(len(frame), -1)
     orders = [(numbers, np.argsort(numbers, kind="stable")) for numbers in (frame, other_frame)]
     by_frame = [(numbers[order], order) for numbers, order in orders]
     for number in np.intersect1d(frame, other_frame):
-        rows, labels = (order[slice(*np.searchsorted(numbers, (number, number + 1)))] for numbers, order in by_frame)
+        rows, labels = (
+            order[slice(*np.searchsorted(numbers, (number, number + 1)))]
+            for numbers, order in by_frame
+        )
         overlap = iou(xyxy_px[rows], other_px[labels])
-        row, label = linear_sum_assignment(np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True)
+        row, label = linear_sum_assignment(
+            np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True
+        )
         is_match = overlap[row, label] >= MIN_IOU
         matched[rows[row[is_match]]] = labels[label[is_match]]
     return matched
@@ -60,22 +73,33 @@ def score_methods(
     is_road_class: BoolArray,
     kitti_type: npt.NDArray[np.str_],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Scores of each method on the track-frames that it measured, and on the track-frames that all methods measured.
+    """Scores of each method on the track-frames that it measured, and on the track-frames that all
+    methods measured.
 
-    Methods with a coverage below 0.5 are not part of the common scores. `true_m` (N,) is NaN where unknown. Labels
-    that are not of a road class (Van, Tram) appear in `by_class` only.
+    Methods with a coverage below 0.5 are not part of the common scores. `true_m` (N,) is NaN where
+    unknown. Labels that are not of a road class (Van, Tram) appear in `by_class` only.
     """
     in_span = (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
-    separate = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}
+    separate = {
+        name: _score_with_bands(c, true_m, in_span=in_span & is_road_class)
+        for name, c in methods.items()
+    }
     for name, column in methods.items():
         separate[name]["by_class"] = {
             str(label_type): score_rows(column, true_m, in_span & (kitti_type == label_type))
             for label_type in np.unique(kitti_type[in_span])
         }
-    compared = {name: c for name, c in methods.items() if (separate[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE}
+    compared = {
+        name: c
+        for name, c in methods.items()
+        if (separate[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE
+    }
     is_measured = [np.isfinite(column.distance_m) for column in compared.values()]
     in_common = in_span & is_road_class & np.all(is_measured or [in_span], axis=0)
-    common = {name: _score_with_bands(column, true_m, in_span=in_common) for name, column in compared.items()}
+    common = {
+        name: _score_with_bands(column, true_m, in_span=in_common)
+        for name, column in compared.items()
+    }
     return separate, common
 
 
@@ -94,8 +118,17 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
     }
 
 
-def _score_with_bands(column: MethodColumn, true_m: FloatArray, *, in_span: BoolArray) -> dict[str, Any]:
-    keys = ("from_m", "to_m", "n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
+def _score_with_bands(
+    column: MethodColumn, true_m: FloatArray, *, in_span: BoolArray
+) -> dict[str, Any]:
+    keys = (
+        "from_m",
+        "to_m",
+        "n",
+        "mean_relative_error_pct",
+        "median_relative_error_pct",
+        "bias_pct",
+    )
     bands = [{key: band[key] for key in keys} for band in score_bands(column, true_m, in_span)]
     return {**score_rows(column, true_m, in_span), "bands": bands}
 
@@ -103,7 +136,11 @@ def _score_with_bands(column: MethodColumn, true_m: FloatArray, *, in_span: Bool
 def score_bands(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> list[dict[str, Any]]:
     """`score_rows` in each distance band of `BANDS_M`."""
     return [
-        {"from_m": low, "to_m": high, **score_rows(column, true_m, rows & (true_m >= low) & (true_m < high))}
+        {
+            "from_m": low,
+            "to_m": high,
+            **score_rows(column, true_m, rows & (true_m >= low) & (true_m < high)),
+        }
         for low, high in pairwise(BANDS_M)
     ]
 
@@ -121,8 +158,12 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
     }
 
 
-def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray) -> dict[str, Any] | None:
-    """Errors of (N,) closing speeds in m/s over the rows with a true speed; None if there is no such row."""
+def score_closing(
+    closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray
+) -> dict[str, Any] | None:
+    """Errors of (N,) closing speeds in m/s over the rows with a true speed; None if there is no
+    such row.
+    """
     rows = np.isfinite(true_mps)
     if not rows.any():
         return None
@@ -151,8 +192,12 @@ def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
     return {**_statistics(error, names, scale=100), **within_sigmas(in_sigmas)}
 
 
-def _statistics(error: FloatArray, names: tuple[str, str, str], *, scale: int = 1) -> dict[str, float | None]:
-    """Mean and median absolute error and median error by name, multiplied by `scale`; None without errors."""
+def _statistics(
+    error: FloatArray, names: tuple[str, str, str], *, scale: int = 1
+) -> dict[str, float | None]:
+    """Mean and median absolute error and median error by name, multiplied by `scale`; None without
+    errors.
+    """
     if not len(error):
         return dict.fromkeys(names)
     values = np.abs(error).mean(), np.median(np.abs(error)), np.median(error)

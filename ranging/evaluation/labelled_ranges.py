@@ -21,9 +21,12 @@ from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
-CHEN = "chen"  # value of --split: 3,712 training and 3,769 validation frames (Chen et al., 3DOP, NeurIPS 2015)
-_IMAGE_SETS, _N_PARENTS = "ImageSets", 3  # folder of its lists in copies of KITTI, at most so many folders higher
-_NARROW, _WIDE = 1.5, 2.2  # ratios of the width to the height of boxes of vehicles seen from behind, and from the side
+# value of --split: 3,712 training and 3,769 validation frames (Chen et al., 3DOP, NeurIPS 2015)
+CHEN = "chen"
+# folder of its lists in copies of KITTI, at most so many folders higher
+_IMAGE_SETS, _N_PARENTS = "ImageSets", 3
+# ratios of the width to the height of boxes of vehicles seen from behind, and from the side
+_NARROW, _WIDE = 1.5, 2.2
 _TRUTH: Mapping[str, str] = {  # definitions of the true distance
     "surface": "z at which the ray through the label's box centre meets its 3-D box",
     "centre": "z of the centre of the 3-D box",
@@ -32,10 +35,11 @@ _TRUTH: Mapping[str, str] = {  # definitions of the true distance
 
 
 def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
-    """Errors and calibration of sigma per method and class, with the settings and notes, as JSON values.
+    """Errors and calibration of sigma per method and class, with the settings and notes, as JSON
+    values.
 
-    Raises LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used; UsageError: an unknown
-    method, or settings that contradict each other.
+    Raises LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used;
+    UsageError: an unknown method, or settings that contradict each other.
     """
     settings = _with_split(settings)
     names = tuple(name for name in settings.methods if name)
@@ -70,8 +74,13 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     for name, column in columns.items():
         measured[name], closing_mps = filtered(boxes, column, settings.filter)
         scores = box_evaluation.figures(boxes, measured[name])
-        closing = box_evaluation.closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
-        methods[name] = {class_name: {**score, **closing.get(class_name, {})} for class_name, score in scores.items()}
+        closing = (
+            box_evaluation.closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
+        )
+        methods[name] = {
+            class_name: {**score, **closing.get(class_name, {})}
+            for class_name, score in scores.items()
+        }
     return {
         "labels": str(settings.labels),
         "boxes": settings.boxes,
@@ -90,18 +99,29 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
         "methods": methods,
-        "notes": _notes(settings, len(boxes.sequence_names), len(list(box_evaluation.folds(boxes)))),
+        "notes": _notes(
+            settings, len(boxes.sequence_names), len(list(box_evaluation.folds(boxes)))
+        ),
         "literature": box_evaluation.literature_metrics(boxes, measured),
         "risk_coverage": {
-            name: curves for name, c in measured.items() if (curves := box_evaluation.distance_risk(boxes, c))
+            name: curves
+            for name, c in measured.items()
+            if (curves := box_evaluation.distance_risk(boxes, c))
         },
     }
 
 
-def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: bool = False) -> BoxSet:
-    """Boxes of the listed frames (None = all): the boxes of the settings, or labelled boxes if `is_exact`."""
+def _boxes(
+    settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: bool = False
+) -> BoxSet:
+    """Boxes of the listed frames (None = all): the boxes of the settings, or labelled boxes if
+    `is_exact`.
+    """
     selection = BoxSelection(
-        frames=frames, has_all_objects=settings.objects == "all", reference=settings.truth, velodyne=settings.velodyne
+        frames=frames,
+        has_all_objects=settings.objects == "all",
+        reference=settings.truth,
+        velodyne=settings.velodyne,
     )
     return box_set(
         settings.labels,
@@ -114,9 +134,11 @@ def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: 
 
 
 def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> FloatArray:
-    """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio of their boxes.
+    """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio
+    of their boxes.
 
-    Half the typical length of the class for boxes of a rear view, half the width for boxes of a side view.
+    Half the typical length of the class for boxes of a rear view, half the width for boxes of a
+    side view.
     """
     aspect = (xyxy_px[:, 2] - xyxy_px[:, 0]) / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
     wide = np.clip((aspect - _NARROW) / (_WIDE - _NARROW), 0.0, 1.0)
@@ -132,10 +154,10 @@ def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
     is_both, is_refitted = settings.cross_validate and settings.same_drive, fit_frames is not None
     faults = {
         f"--method {unknown}: expected methods from {', '.join(method_names())}.": unknown,
-        f"--boxes {settings.boxes}: expected labels or rrc:DIR.": settings.boxes != "labels" and not is_rrc,
-        "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves.": (
-            is_fitted and settings.curves is not None
-        ),
+        f"--boxes {settings.boxes}: expected labels or rrc:DIR.": settings.boxes != "labels"
+        and not is_rrc,
+        "--curves: not allowed with --cross-validate or --same-drive, which fit the curves "
+        "themselves.": (is_fitted and settings.curves is not None),
         "--cross-validate: not allowed with --same-drive; give only one of them.": is_both,
         "expected --truth lidar with --velodyne DIR, or neither.": (settings.truth == "lidar")
         == (settings.velodyne is None),
@@ -149,28 +171,38 @@ def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
             raise UsageError(message)
     if fit_frames is not None and settings.frames is not None:
         lists = (fit_frames, settings.frames)
-        fitted, evaluated = (set(read_text(path, LabelFileError, "a list of frames").split()) for path in lists)
+        fitted, evaluated = (
+            set(read_text(path, LabelFileError, "a list of frames").split()) for path in lists
+        )
         if common := sorted(fitted & evaluated):
             raise UsageError(
-                f"--fit-frames {fit_frames}: expected frames that are not in --frames, got {quoted(common[0])}."
+                f"--fit-frames {fit_frames}: expected frames that are not in --frames, got "
+                f"{quoted(common[0])}."
             )
 
 
 def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
-    """The settings with the lists of frames of --split; UsageError if they are given twice, or not found."""
+    """The settings with the lists of frames of --split; UsageError if they are given twice, or not
+    found.
+    """
     if settings.split is None:
         return settings
     if settings.frames is not None or settings.fit_frames is not None:
-        raise UsageError("--split: not allowed with --frames or --fit-frames, because it sets both.")
+        raise UsageError(
+            "--split: not allowed with --frames or --fit-frames, because it sets both."
+        )
     folders = [Path(settings.split)]
     if settings.split == CHEN:
-        folders = [parent / _IMAGE_SETS for parent in settings.labels.absolute().parents[:_N_PARENTS]]
+        folders = [
+            parent / _IMAGE_SETS for parent in settings.labels.absolute().parents[:_N_PARENTS]
+        ]
     for folder in folders:
         train, val = folder / "train.txt", folder / "val.txt"
         if train.is_file() and val.is_file():
             return settings.model_copy(update={"frames": val, "fit_frames": train})
     raise UsageError(
-        f"--split {settings.split}: expected train.txt and val.txt in {folders[0]}, found none; give their folder."
+        f"--split {settings.split}: expected train.txt and val.txt in {folders[0]}, found none; "
+        "give their folder."
     )
 
 
@@ -179,28 +211,36 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
     if settings.fit_frames is not None:
         scheme = f"fitted to the frames of {settings.fit_frames}"
     elif settings.same_drive:
-        scheme = "fitted and tested on the same drive, as Zhang et al. did (no measure of the error on other drives)"
+        scheme = (
+            "fitted and tested on the same drive, as Zhang et al. did (no measure of the error on "
+            "other drives)"
+        )
     elif n_sequences == 1:
         scheme = "fitted and tested on the only sequence"
-    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes like the measured boxes"
+    fitted = (
+        "the labels' exact boxes"
+        if settings.fit_on == "labels"
+        else "boxes like the measured boxes"
+    )
     is_refitted = settings.cross_validate or settings.same_drive or settings.fit_frames is not None
     mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
     objects = "labels at 5-100 m, not truncated, occluded <= 1"
     if settings.objects == "all":
         objects = "all labels with a 3-D box"
     notes = [
-        f"Ground truth: {_TRUTH[settings.truth]}, for {objects}. Metrics by class cover 10-100 m, metrics of far "
-        "objects 30-100 m, bands 5-100 m.",
+        f"Ground truth: {_TRUTH[settings.truth]}, for {objects}. Metrics by class cover 10-100 m, "
+        "metrics of far objects 30-100 m, bands 5-100 m.",
         f"Plain curves are fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
     ]
     if settings.frames is not None and not is_refitted:
         notes.append(
-            "The packaged size curves were fitted to drives of KITTI's tracking set, some of which are also in its "
-            "object set; for comparable figures, fit them to the training frames (--fit-frames)."
+            "The packaged size curves were fitted to drives of KITTI's tracking set, some of which "
+            "are also in its object set; for comparable figures, fit them to the training frames "
+            "(--fit-frames)."
         )
     if settings.filter != "none":
         notes.append(
-            "Distances are filtered over time with unknown ego speed; the true closing speed is the mean over half a "
-            "second before and after each label."
+            "Distances are filtered over time with unknown ego speed; the true closing speed is "
+            "the mean over half a second before and after each label."
         )
     return notes

@@ -16,7 +16,12 @@ BoxesField = Annotated[
 ]
 NoiseField = Annotated[
     float,
-    option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
+    option(
+        "Standard deviation in pixels of noise added to the edges of the boxes.",
+        metavar="PX",
+        ge=0.0,
+        le=50.0,
+    ),
 ]
 NoiseSeedField = Annotated[int, option("Random seed for the noise.", ge=0)]
 
@@ -24,61 +29,91 @@ NoiseSeedField = Annotated[int, option("Random seed for the noise.", ge=0)]
 class RangeEvaluationSettings(Options):
     """Methods, boxes and labels of `track-range evaluate ranges`."""
 
-    labels: Annotated[Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")]
-    calib: Annotated[Path, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")]
+    labels: Annotated[
+        Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")
+    ]
+    calib: Annotated[
+        Path, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")
+    ]
     boxes: BoxesField = "labels"
     noise_px: NoiseField = 0.0
     seed: NoiseSeedField = 0
     filter: Annotated[
-        Literal["none", "paper", "default"], option("Filter of the distances of each track over time.")
+        Literal["none", "paper", "default"],
+        option("Filter of the distances of each track over time."),
     ] = "none"
     cross_validate: Annotated[
-        bool, option("Cross-validation: size curves refitted for each sequence on the boxes of the other sequences.")
+        bool,
+        option(
+            "Cross-validation: size curves refitted for each sequence on the boxes of the "
+            "other sequences."
+        ),
     ] = False
     same_drive: Annotated[
         bool,
-        option("Size curves fitted to the sequence that they are evaluated on, as Zhang et al. did (too optimistic)."),
+        option(
+            "Size curves fitted to the sequence that they are evaluated on, as Zhang et al. did "
+            "(too optimistic)."
+        ),
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],
-        option("Boxes that size curves are fitted to: labelled boxes, or the boxes of --boxes and --noise-px."),
+        option(
+            "Boxes that size curves are fitted to: labelled boxes, or the boxes of --boxes and "
+            "--noise-px."
+        ),
     ] = "labels"
     frames: Annotated[
         Path | None,
-        option("File of frame names, one per line, such as val.txt of a split of KITTI's object set.", metavar="FILE"),
+        option(
+            "File of frame names, one per line, such as val.txt of a split of KITTI's object set.",
+            metavar="FILE",
+        ),
     ] = None
     fit_frames: Annotated[
         Path | None,
-        option("File of frame names that all size curves are fitted to, such as train.txt.", metavar="FILE"),
+        option(
+            "File of frame names that all size curves are fitted to, such as train.txt.",
+            metavar="FILE",
+        ),
     ] = None
     split: Annotated[
         str | None,
         option(
-            "Split of KITTI's object set, for --frames and --fit-frames: a folder with val.txt and train.txt; chen = "
-            "the folder ImageSets beside the labels or above them, where most copies have Chen's split.",
+            "Split of KITTI's object set, for --frames and --fit-frames: a folder with val.txt and "
+            "train.txt; chen = the folder ImageSets beside the labels or above them, where most "
+            "copies have Chen's split.",
             metavar="chen|DIR",
         ),
     ] = None
     objects: Annotated[
         Literal["visible", "all"],
         option(
-            "Objects to evaluate: visible objects at 5-100 m, or all objects with a 3-D box, including cut off, "
-            "hidden and far objects."
+            "Objects to evaluate: visible objects at 5-100 m, or all objects with a 3-D box, "
+            "including cut off, hidden and far objects."
         ),
     ] = "visible"
     truth: Annotated[
         ReferenceName,
-        option("True distance: visible surface, centre of the 3-D box, or 10th percentile of its lidar points."),
+        option(
+            "True distance: visible surface, centre of the 3-D box, or 10th percentile of its "
+            "lidar points."
+        ),
     ] = "surface"
-    velodyne: Annotated[Path | None, option("Folder of lidar files NAME.bin, for --truth lidar.", metavar="DIR")] = None
+    velodyne: Annotated[
+        Path | None, option("Folder of lidar files NAME.bin, for --truth lidar.", metavar="DIR")
+    ] = None
     methods: Annotated[
-        tuple[str, ...], option("Ranging methods to evaluate (default: all).", flag="--method", metavar="A,B,...")
+        tuple[str, ...],
+        option("Ranging methods to evaluate (default: all).", flag="--method", metavar="A,B,..."),
     ] = ()
     curves: Annotated[
-        Path | None, option("Size curves of the mono method (default: the packaged curves).", metavar="FILE")
+        Path | None,
+        option("Size curves of the mono method (default: the packaged curves).", metavar="FILE"),
     ] = None
     region: Annotated[
-        Region, option("Region of the recordings, whose road users differ in size; KITTI is from europe.")
+        Region,
+        option("Region of the recordings, whose road users differ in size; KITTI is from europe."),
     ] = "unknown"
     camera_height_m: Annotated[
         float | None,

@@ -1,9 +1,11 @@
-"""Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or other label files.
+"""Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or other
+label files.
 
-The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
-frame. A CSV file (`video_labels/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
-in the frame of the rig's reference camera, which are shifted into the frame of the left camera; people and riders do
-not fill their boxes. COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
+The distance is the z at which the ray through the label's box centre first meets the object, in the
+left camera's frame. A CSV file (`video_labels/csv_labels.py`) contains it, with the closing speed.
+KITTI's labels have 3-D boxes in the frame of the rig's reference camera, which are shifted into the
+frame of the left camera; people and riders do not fill their boxes. COCO, CVAT and YOLO labels are
+used as they are; they may have distances, as attributes.
 """
 
 from __future__ import annotations
@@ -27,13 +29,18 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
-MAX_OCCLUDED = 1  # largest KITTI occlusion level (partly occluded) that is scored for distance: others are guesses
-MIN_VISIBLE_FRACTION = 0.5  # of objects scored for distance; corresponds to KITTI's "partly occluded"
-_CUT_PX = 1.0  # distance from the image border within which a label counts as cut; labels are clipped to the image
-_MIN_DETECTABLE_FRACTION = 0.2  # visible fraction to be scored for detection; KITTI's "largely occluded"
+# largest KITTI occlusion level (partly occluded) that is scored for distance: others are guesses
+MAX_OCCLUDED = 1
+# of objects scored for distance; corresponds to KITTI's "partly occluded"
+MIN_VISIBLE_FRACTION = 0.5
+# distance from the image border within which a label counts as cut; labels are clipped to the image
+_CUT_PX = 1.0
+# visible fraction to be scored for detection; KITTI's "largely occluded"
+_MIN_DETECTABLE_FRACTION = 0.2
 
 _SCORED = (
-    "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames divided by track-frames with truth"
+    "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames divided by "
+    "track-frames with truth"
 )
 
 KITTI_PROTOCOL = (
@@ -41,11 +48,12 @@ KITTI_PROTOCOL = (
     f"(labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; {_SCORED})"
 )
 CSV_PROTOCOL = (  # ground truth that errors are measured against, as printed and stored with them
-    "distance and closing speed in the rows of the CSV file "
-    f"(rows at 5-100 m, not truncated by the image border, visible_share >= {MIN_VISIBLE_FRACTION:g}; {_SCORED})"
+    "distance and closing speed in the rows of the CSV file (rows at 5-100 m, not truncated by the "
+    f"image border, visible_share >= {MIN_VISIBLE_FRACTION:g}; {_SCORED})"
 )
 LABELS_PROTOCOL = (  # ground truth of COCO, CVAT and YOLO labels
-    f"distance of the labels, if they have one (labels at 5-100 m, not truncated by the image border; {_SCORED})"
+    "distance of the labels, if they have one (labels at 5-100 m, not truncated by the image "
+    f"border; {_SCORED})"
 )
 _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
@@ -59,8 +67,10 @@ class Truth:
     kitti_type: npt.NDArray[np.str_]  # (N,) type of the label, as in the file
     class_id: IntArray  # (N,) road class; -1 = ignored in detection and tracking scores
     xyxy_px: FloatArray  # (N, 4) box
-    distance_m: FloatArray  # (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded)
-    closing_mps: FloatArray  # (N,) closing speed, the decrease of the distance per second; NaN = unknown
+    # (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded)
+    distance_m: FloatArray
+    # (N,) closing speed, the decrease of the distance per second; NaN = unknown
+    closing_mps: FloatArray
     protocol: str = KITTI_PROTOCOL  # description of the ground truth for users
     notes: tuple[str, ...] = ()  # notes for the user about the file
     has_low_labels: bool = False  # whether low labels and tracks count, which KITTI's rules ignore
@@ -74,27 +84,37 @@ class Truth:
 
 
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
-    """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a folder of YOLO labels.
+    """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a
+    folder of YOLO labels.
 
-    `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to the left camera's frame.
-    Raises LabelFileError if the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which
-    are optional for COCO, CVAT and YOLO.
+    `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to the left
+    camera's frame. Raises LabelFileError if the file cannot be read, or has no identities, or no
+    distances (KITTI: no 3-D boxes), which are optional for COCO, CVAT and YOLO.
     """
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)
-    return _of_csv(path, camera) if is_label_csv(path) else _of_kitti(path, camera, left_from_reference_m)
+    return (
+        _of_csv(path, camera)
+        if is_label_csv(path)
+        else _of_kitti(path, camera, left_from_reference_m)
+    )
 
 
 def _of_table(path: Path, camera: PinholeCamera) -> Truth:
     size_px = (camera.width_px, camera.height_px)
     table = read_labels(path, VideoFacts(size_px=size_px), expected="ground truth")
     if (table.track_id[~table.is_region] < 0).any():
-        raise LabelFileError(f"{path}: expected labels with track ids as ground truth, found boxes without track ids.")
-    distance_m = np.where(_is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m)
+        raise LabelFileError(
+            f"{path}: expected labels with track ids as ground truth, found boxes "
+            "without track ids."
+        )
+    distance_m = np.where(
+        _is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m
+    )
     if np.isfinite(distance_m).any():
         origin = (
-            f"{path.name}: the true distances are read from the labels; in an export of a run, these are the measured "
-            "distances, not ground truth."
+            f"{path.name}: the true distances are read from the labels; in an export of a run, "
+            "these are the measured distances, not ground truth."
         )
     else:
         origin = f"{path.name}: the labels have no distances, so only the tracks are evaluated."
@@ -115,7 +135,9 @@ def _of_table(path: Path, camera: PinholeCamera) -> Truth:
 def _is_cut(xyxy_px: FloatArray, camera: PinholeCamera) -> BoolArray:
     """(N,) whether boxes end at the border of the image."""
     last_px = np.array([camera.width_px, camera.height_px]) - 1
-    is_cut = (xyxy_px[:, :2] <= _CUT_PX).any(axis=1) | (xyxy_px[:, 2:] >= last_px - _CUT_PX).any(axis=1)
+    is_cut = (xyxy_px[:, :2] <= _CUT_PX).any(axis=1) | (xyxy_px[:, 2:] >= last_px - _CUT_PX).any(
+        axis=1
+    )
     return np.asarray(is_cut)
 
 
@@ -139,23 +161,36 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
 def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
-        raise LabelFileError(f"{path}: expected KITTI tracking labels with 3-D boxes, found no label with a 3-D box.")
+        raise LabelFileError(
+            f"{path}: expected KITTI tracking labels with 3-D boxes, found no label with a 3-D box."
+        )
     is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
     if (labels.track_id[is_object] < 0).any():
-        raise LabelFileError(f"{path}: expected KITTI tracking labels with track ids, got the id -1 of object labels.")
+        raise LabelFileError(
+            f"{path}: expected KITTI tracking labels with track ids, got the id "
+            "-1 of object labels."
+        )
     identities = np.stack([labels.frame[is_object], labels.track_id[is_object]])
     pairs, counts = np.unique(identities, axis=1, return_counts=True)
     for frame, track_id in pairs[:, counts > 1].T[:1].tolist():
         raise LabelFileError(
-            f"{path}: expected each track id at most once per frame, got id {track_id} twice in frame {frame}."
+            f"{path}: expected each track id at most once per frame, got id {track_id} twice in "
+            f"frame {frame}."
         )
     for row in np.flatnonzero(is_object & ~are_valid_boxes(labels.xyxy_px))[:1].tolist():
         raise LabelFileError(
-            f"{path}: expected boxes with x1 < x2 and y1 < y2, got {labels.xyxy_px[row].tolist()} in frame "
-            f"{labels.frame[row]}."
+            f"{path}: expected boxes with x1 < x2 and y1 < y2, got {labels.xyxy_px[row].tolist()} "
+            f"in frame {labels.frame[row]}."
         )
-    scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
-    distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
+    scored = (
+        labels.has_3d_box
+        & (labels.truncated == 0)
+        & (labels.occluded >= 0)
+        & (labels.occluded <= MAX_OCCLUDED)
+    )
+    distance_m = np.where(
+        scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan
+    )
     road = map_to_road_classes([str(name) for name in labels.kitti_type])
     return Truth(
         frame=labels.frame,
@@ -168,8 +203,12 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
     )
 
 
-def surface_of_labels_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:
-    """(N,) z at which the ray through each label's box centre meets its 3-D box; NaN = it misses the box."""
+def surface_of_labels_m(
+    labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray
+) -> FloatArray:
+    """(N,) z at which the ray through each label's box centre meets its 3-D box; NaN = it misses
+    the box.
+    """
     return surface_distance_m(
         camera.rays((labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2),
         labels.location_m + left_from_reference_m,

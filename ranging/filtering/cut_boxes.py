@@ -1,4 +1,5 @@
-r"""CutBoxes: boxes cut by the left or right image border, on whose objects the measured point slides.
+r"""CutBoxes: boxes cut by the left or right image border, on whose objects the measured point
+slides.
 
       __               The ray through the middle of the box, with the bearing b (x / z), meets the side of the object
      |  | z_f          at the distance d. While the object passes, the ray slides along it, so that d hardly changes.
@@ -7,10 +8,11 @@ r"""CutBoxes: boxes cut by the left or right image border, on whose objects the 
 
            o camera        z_f = d / (1 - k q)      q = 1 - b_f / b      k = b / (b - tan theta)
 
-theta is the heading relative to the camera's axis: k = 1 for traffic along the road, 0 for a side across it. As long as
-the ray meets the near end instead of the side, z_f is d plus the length L, so that z_f = min(d + L, d / (1 - k q)).
-The filter predicts z_f, with the object's speed, instead of d. k is estimated with d and v, since k is constant while
-the heading is constant: its covariances with both are part of the state (`SideState`).
+theta is the heading relative to the camera's axis: k = 1 for traffic along the road, 0 for a side
+across it. As long as the ray meets the near end instead of the side, z_f is d plus the length L, so
+that z_f = min(d + L, d / (1 - k q)). The filter predicts z_f, with the object's speed, instead of
+d. k is estimated with d and v, since k is constant while the heading is constant: its covariances
+with both are part of the state (`SideState`).
 """
 
 from __future__ import annotations
@@ -28,10 +30,14 @@ from track_range.tracking.tracks import Tracks
 
 _K_SIGMA = 0.2  # of k: headings differ by some 5 degrees between road users along the same road
 _K_NOISE = 0.25  # random walk of k per square root of a second: that of a slow turn
-_LENGTH_SIGMA_M = 0.6  # of the length of a car; with it the ray changes from the near end to the side
-_K_RANGE = (-1.0, 1.4)  # of k: sides that face the other way, and those that point towards the camera
-_EDGE_SIGMA_PX, _EDGE_SIGMA_FRACTION = 1.0, 0.01  # of the free edge: px, plus a fraction of the width of the box
-_SLIDE_FACTOR = 1.5  # of the noise while it is unknown which end is measured, whose errors add up over some frames
+# of the length of a car; with it the ray changes from the near end to the side
+_LENGTH_SIGMA_M = 0.6
+# of k: sides that face the other way, and those that point towards the camera
+_K_RANGE = (-1.0, 1.4)
+# of the free edge: px, plus a fraction of the width of the box
+_EDGE_SIGMA_PX, _EDGE_SIGMA_FRACTION = 1.0, 0.01
+# of the noise while it is unknown which end is measured, whose errors add up over some frames
+_SLIDE_FACTOR = 1.5
 _LEAST = 0.05  # smallest 1 - k q and |b|, against a division by zero
 
 
@@ -39,8 +45,10 @@ _LEAST = 0.05  # smallest 1 - k q and |b|, against a division by zero
 class CutBoxes:
     """The boxes of N tracks in one frame, (N,) each."""
 
-    is_cut: BoolArray  # whether the border cuts the box at the side away from the camera's axis, and only there
-    q: FloatArray  # 1 - b_f / b, 0 where the free edge is on the other side of the axis; also of whole boxes
+    # whether the border cuts the box at the side away from the camera's axis, and only there
+    is_cut: BoolArray
+    # 1 - b_f / b, 0 where the free edge is on the other side of the axis; also of whole boxes
+    q: FloatArray
     q_sigma: FloatArray  # its standard deviation
     length_m: FloatArray  # typical length L of the class
     bearing: FloatArray  # b, of the middle of the box
@@ -70,7 +78,8 @@ class SideState(NamedTuple):
     def predicted(
         self, state: ConstantVelocity, cut: CutBoxes, dt: FloatArray, *, q: FloatArray | float
     ) -> tuple[ConstantVelocity, SideState, FloatArray]:
-        """State of d and v and of k after `dt`, and the relative variance of d by the noise of the free edges.
+        """State of d and v and of k after `dt`, and the relative variance of d by the noise of the
+        free edges.
 
         `q` is the noise of the acceleration, see `ConstantVelocity.predict`.
         """
@@ -91,8 +100,11 @@ class SideState(NamedTuple):
         far_m = far_m + dt * far.v
         P_dk, P_kk = P_dk + dt * P_vk, P_kk + _K_NOISE**2 * dt
 
-        # And back. Within 2 sigma of the change from near end to side, the difference of both predictions is noise.
-        is_unclear = moves & (np.abs(state.x / shrinks - state.x - cut.length_m) < 2 * _LENGTH_SIGMA_M)
+        # And back. Within 2 sigma of the change from near end to side, the difference of both
+        # predictions is noise.
+        is_unclear = moves & (
+            np.abs(state.x / shrinks - state.x - cut.length_m) < 2 * _LENGTH_SIGMA_M
+        )
         step_m, before = dt * state.v, shrinks
         shrinks = np.maximum(1 - k * cut.q, _LEAST)
         slide_m = (state.x / before + step_m) * shrinks - (state.x + step_m)
@@ -107,8 +119,12 @@ class SideState(NamedTuple):
         kept = [np.where(cut.is_cut, part, 0.0) for part in (P_dk, P_vk, P_kk)]
         return state, SideState(np.broadcast_to(cut.q, k.shape), k, *kept), edge_variance
 
-    def updated(self, state: ConstantVelocity, nu: FloatArray, R: FloatArray, *, valid: BoolArray) -> SideState:
-        """The estimate after the measurements that update `state`, see `ConstantVelocity.update`."""
+    def updated(
+        self, state: ConstantVelocity, nu: FloatArray, R: FloatArray, *, valid: BoolArray
+    ) -> SideState:
+        """The estimate after the measurements that update `state`, see
+        `ConstantVelocity.update`.
+        """
         K = np.where(valid, self.P_dk / (state.P_xx + R), 0.0)
         k = np.clip(self.k + K * np.where(valid, nu, 0.0), *_K_RANGE)
         P_dk, P_vk = self.P_dk - K * state.P_xx, self.P_vk - K * state.P_xv
@@ -116,9 +132,16 @@ class SideState(NamedTuple):
 
 
 def _transformed(
-    state: ConstantVelocity, G: FloatArray, J: FloatArray, P_k: tuple[FloatArray, FloatArray, FloatArray]
+    state: ConstantVelocity,
+    G: FloatArray,
+    J: FloatArray,
+    P_k: tuple[FloatArray, FloatArray, FloatArray],
 ) -> tuple[ConstantVelocity, FloatArray]:
-    """The state with x times G, where J is the derivative of the product by k, and its covariance with k."""
+    """The state with x times G, where J is the derivative of the product by k, and its covariance
+    with k.
+    """
     P_dk, P_vk, P_kk = P_k
     P_xx = G * (G * state.P_xx + 2 * J * P_dk) + J * J * P_kk
-    return ConstantVelocity(G * state.x, state.v, P_xx, G * state.P_xv + J * P_vk, state.P_vv), G * P_dk + J * P_kk
+    return ConstantVelocity(
+        G * state.x, state.v, P_xx, G * state.P_xv + J * P_vk, state.P_vv
+    ), G * P_dk + J * P_kk

@@ -1,4 +1,5 @@
-r"""LateralMotion: lateral position and speed of tracks relative to the camera, with a Kalman filter per track.
+r"""LateralMotion: lateral position and speed of tracks relative to the camera, with a Kalman filter
+per track.
 
          o ---> u      The state is the lateral position x of the object's centre and its lateral speed u along the
         /              current x axis. The camera yaws with the rate w (positive = to the right) at the speed V:
@@ -6,14 +7,15 @@ r"""LateralMotion: lateral position and speed of tracks relative to the camera, 
       / x              so that a static object has u = 0 in a bend, too. Without w, u is the rate of x.
      []
 
-The measurement is the middle of the box's left and right edges, each at its depth: the near edge at the distance d, the
-inner edge of an object beside the axis at up to d + L, since the box of a parked car ends at its far corner:
+The measurement is the middle of the box's left and right edges, each at its depth: the near edge at
+the distance d, the inner edge of an object beside the axis at up to d + L, since the box of a
+parked car ends at its far corner:
 
     x_inner = b (d + L)      b: bearing of the inner edge (x / z), L: length of the class, at most so far that the
                              object keeps the smallest width of its class
 
-A box that is truncated at the left or right image border is not a measurement: the bearing of its visible part stays
-constant while the object passes, as on a collision course.
+A box that is truncated at the left or right image border is not a measurement: the bearing of its
+visible part stays constant while the object passes, as on a collision course.
 """
 
 import math
@@ -29,14 +31,21 @@ from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
-_INITIAL_RATE_SIGMA_MPS = 5.0  # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
-_ACCELERATION_NOISE = 0.7  # random walk of u in m/s per square root of a second, tuned on simulated drives
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the box width
+# standard deviation of u for a new track: lateral speed of a runner, or of a car in town
+_INITIAL_RATE_SIGMA_MPS = 5.0
+# random walk of u in m/s per square root of a second, tuned on simulated drives
+_ACCELERATION_NOISE = 0.7
+# of a box centre: px, plus a fraction of the box width
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 _GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements outside are ignored
-_OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0  # without a measurement inside the gate, or any, after which a filter restarts
-_BORDER_PX, _BORDER_FRACTION = 2.0, 0.1  # from the border of a box that it cuts: px, plus a fraction of its height
-_MAX_CUT_S = 0.3  # longest time for which the lateral speed from before a box was cut counts as current
-_LEAST_WIDTH_FRACTION = 0.8  # of the smallest width of its class; in a narrower box, a part of the object is hidden
+# without a measurement inside the gate, or any, after which a filter restarts
+_OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
+# from the border of a box that it cuts: px, plus a fraction of its height
+_BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
+# longest time for which the lateral speed from before a box was cut counts as current
+_MAX_CUT_S = 0.3
+# of the smallest width of its class; in a narrower box, a part of the object is hidden
+_LEAST_WIDTH_FRACTION = 0.8
 _SIZES_M = {  # typical length and smallest width of each class, m
     "person": (0.3, 0.4),
     "bicycle": (1.7, 0.4),
@@ -62,12 +71,16 @@ class LateralMotion:
     """Lateral motion of N tracks relative to the camera."""
 
     state: ConstantVelocity  # x in m, positive = right, and u in m/s, (N,) each; NaN = unknown
-    half_width_m: FloatArray  # (N,) half the width of the object, from its current box; NaN = unknown distance
-    is_current: BoolArray  # (N,) False = only extrapolated, since the left or right image border cuts the box
+    # (N,) half the width of the object, from its current box; NaN = unknown distance
+    half_width_m: FloatArray
+    # (N,) False = only extrapolated, since the left or right image border cuts the box
+    is_current: BoolArray
 
 
 class _LateralState(NamedTuple):
-    """State of the filters of N tracks, (N,) each: the rows of `TrackState`, in this order; NaN = new track."""
+    """State of the filters of N tracks, (N,) each: the rows of `TrackState`, in this order; NaN =
+    new track.
+    """
 
     x: FloatArray
     u: FloatArray
@@ -108,11 +121,13 @@ class LateralFilters:
         yaw_rad_s: float = math.nan,
         own_mps: FloatArray | float = 0.0,
     ) -> LateralMotion:
-        """Lateral motion of N tracks after the measurements of a frame, not earlier than the previous one.
+        """Lateral motion of N tracks after the measurements of a frame, not earlier than the
+        previous one.
 
-        Predicted boxes and boxes truncated at the left or right border are not measured. The distances z (N,), NaN =
-        unknown, have standard deviations of the errors that change from frame to frame. `yaw_rad_s` is the camera's yaw
-        rate w, positive = to the right, NaN = unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
+        Predicted boxes and boxes truncated at the left or right border are not measured. The
+        distances z (N,), NaN = unknown, have standard deviations of the errors that change from
+        frame to frame. `yaw_rad_s` is the camera's yaw rate w, positive = to the right, NaN =
+        unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
         """
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
@@ -124,14 +139,21 @@ class LateralFilters:
         state = ConstantVelocity(*last[:5]).predict(dt, q=_ACCELERATION_NOISE**2)
         if math.isfinite(yaw_rad_s):
             turned = yaw_rad_s * dt
-            state = replace(state, x=state.x - turned * np.nan_to_num(distance_m), v=state.v - turned * own_mps)
+            state = replace(
+                state, x=state.x - turned * np.nan_to_num(distance_m), v=state.v - turned * own_mps
+            )
         innovation = x - state.x
         is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (state.P_xx + R))
-        is_measured, starts = valid & is_in_gate, valid & ~is_in_gate & ~(time_s - last.measured_s < _OUTSIDE_S)
+        is_measured, starts = (
+            valid & is_in_gate,
+            valid & ~is_in_gate & ~(time_s - last.measured_s < _OUTSIDE_S),
+        )
         state = state.update(innovation, R, valid=is_measured)
 
         initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
-        state = ConstantVelocity(*np.where(starts, initial, np.where(is_stale, np.nan, np.array(state.columns))))
+        state = ConstantVelocity(
+            *np.where(starts, initial, np.where(is_stale, np.nan, np.array(state.columns)))
+        )
         measured_s = np.where(is_measured | starts, time_s, last.measured_s)
         new = _LateralState(*state.columns, np.full(len(tracks), time_s), measured_s)
         known_s = _LateralState._make(self._tracks.known).measured_s
@@ -139,15 +161,23 @@ class LateralFilters:
         is_cut = sides_cut(tracks, self._camera).any(axis=0)
         return LateralMotion(state, half_width_m, ~is_cut | (time_s - measured_s <= _MAX_CUT_S))
 
-    def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""
+    def _measured(
+        self, tracks: Tracks, distance_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Lateral position of the centre, its standard deviation, half the width in m, and whether
+        a box is whole.
+        """
         left_px, right_px = edges_px = tracks.xyxy_px[:, ::2].T
         left, right = (edges_px - self._camera.cx_px) / self._camera.fx_px
         d, L = distance_m, LENGTH_M[tracks.class_id]
         slack_m = np.maximum((right - left) * d - _MIN_WIDTH_M[tracks.class_id], 0.0)
         left_m = left * d + np.minimum(np.maximum(left, 0.0) * L, slack_m)
         right_m = right * d - np.minimum(np.maximum(-right, 0.0) * L, slack_m)
-        sigma_m = (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_FRACTION * (right_px - left_px)) * d / self._camera.fx_px
+        sigma_m = (
+            (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_FRACTION * (right_px - left_px))
+            * d
+            / self._camera.fx_px
+        )
         is_whole = ~sides_cut(tracks, self._camera).any(axis=0)
         is_whole &= (right - left) * d > _LEAST_WIDTH_FRACTION * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole

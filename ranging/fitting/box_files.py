@@ -1,13 +1,15 @@
-"""Boxes with known distances from a CSV file or from label files (COCO, CVAT, CSV), for fitting size models.
+"""Boxes with known distances from a CSV file or from label files (COCO, CVAT, CSV), for fitting
+size models.
 
     class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence]
 
-A CSV file without a header has the columns in this order. Distances are used as given, to any part of the object.
-Defaults: fy = fx; cx = the middle of the boxes' horizontal extent; a track per box; a single sequence.
+A CSV file without a header has the columns in this order. Distances are used as given, to any part
+of the object. Defaults: fy = fx; cx = the middle of the boxes' horizontal extent; a track per box;
+a single sequence.
 
-In label files the distance is the attribute `distance_m` of a box. It is measured by a person, a lidar or a radar; in
-an export of a run it is the run's own, which teaches a size model nothing new. Boxes that touch the border of the
-image, predicted boxes and boxes without a distance are left out.
+In label files the distance is the attribute `distance_m` of a box. It is measured by a person, a
+lidar or a radar; in an export of a run it is the run's own, which teaches a size model nothing new.
+Boxes that touch the border of the image, predicted boxes and boxes without a distance are left out.
 """
 
 from pathlib import Path
@@ -25,7 +27,20 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
 
-COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")
+COLUMNS = (
+    "class",
+    "x1",
+    "y1",
+    "x2",
+    "y2",
+    "distance_m",
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "track",
+    "sequence",
+)
 """Columns in the order of a file without a header."""
 
 _REQUIRED = COLUMNS[:6]
@@ -36,18 +51,21 @@ _POSITIVE = ("distance_m", "fx", "fy")
 
 
 def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, tuple[str, ...]]:
-    """Boxes from a CSV file, and notes for the user; `focal_px` is used if the file has no column fx.
+    """Boxes from a CSV file, and notes for the user; `focal_px` is used if the file has no column
+    fx.
 
-    Raises LabelFileError: the file cannot be read, a column, number or focal length is missing, a class is unknown, or
-    a box has x1 >= x2 or y1 >= y2.
+    Raises LabelFileError: the file cannot be read, a column, number or focal length is missing, a
+    class is unknown, or a box has x1 >= x2 or y1 >= y2.
     """
-    table = read_csv_table(path, LabelFileError, f"columns {','.join(COLUMNS[:7])}", default_header=COLUMNS)
+    table = read_csv_table(
+        path, LabelFileError, f"columns {','.join(COLUMNS[:7])}", default_header=COLUMNS
+    )
     table.require(_REQUIRED)
     table.refuse_duplicates(COLUMNS)
     if "fx" not in table and focal_px is None:
         raise LabelFileError(
-            f"{path}: expected a focal length; add a column fx (in px) or give --focal-px, either from the camera's "
-            "calibration or as image width / (2 tan(field of view / 2))."
+            f"{path}: expected a focal length; add a column fx (in px) or give --focal-px, either "
+            "from the camera's calibration or as image width / (2 tan(field of view / 2))."
         )
     if not len(table):
         raise LabelFileError(f"{path}: expected at least one row below the header, got none.")
@@ -57,10 +75,19 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     numbers = {}
     for name in [name for name in COLUMNS[1:10] if name in table]:
         numbers[name] = values = table.numbers(name)
-        low, high = (0.0, MAX_DISTANCE_M) if name == "distance_m" else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
+        low, high = (
+            (0.0, MAX_DISTANCE_M)
+            if name == "distance_m"
+            else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
+        )
         is_positive = name in _POSITIVE
         is_valid = (values >= low) & (values <= high) & ((values > 0) | (not is_positive))
-        table.check(name, values, is_valid, f"a {'positive' if is_positive else 'finite'} number up to {high:,.0f}")
+        table.check(
+            name,
+            values,
+            is_valid,
+            f"a {'positive' if is_positive else 'finite'} number up to {high:,.0f}",
+        )
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
     for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
@@ -68,7 +95,9 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     for row, text in enumerate(class_texts):
         class_name = "van" if text.lower() == "van" else road_class_of(text)
         if class_name is None:
-            raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
+            raise table.fault(
+                row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}."
+            )
         class_names.append(class_name)
     n, track = len(table), table.texts("track")
     fx = numbers["fx"] if "fx" in numbers else np.full(n, focal_px)
@@ -77,20 +106,29 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     notes = []
     if "cx" not in numbers:
         notes.append(
-            f"{path.name} has no column cx; assuming cx = {middle[0]:g} px, midway between the outermost box edges."
+            f"{path.name} has no column cx; assuming cx = {middle[0]:g} px, midway between the "
+            "outermost box edges."
         )
     if len(names) == 1:
-        notes.append(f"{path.name} contains only one sequence; the curves cannot be validated on other drives.")
+        notes.append(
+            f"{path.name} contains only one sequence; the curves cannot be validated on "
+            "other drives."
+        )
     boxes = BoxSet.without_3d_boxes(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),
         frame=np.arange(n),
         time_s=np.arange(n, dtype=np.float64),
-        track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n) if track[0] else np.arange(n),
+        track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n)
+        if track[0]
+        else np.arange(n),
         kitti_type=np.array(class_texts, np.str_),
         class_name=np.array(class_names, np.str_),
         xyxy_px=xyxy_px,
-        fxycxy_px=np.stack([fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)], axis=1),
+        fxycxy_px=np.stack(
+            [fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)],
+            axis=1,
+        ),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
         distance_m=numbers["distance_m"],
     )
@@ -100,14 +138,19 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
 def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:
     """Boxes with distances from a label file, and notes for the user.
 
-    Raises LabelFileError: the file cannot be read, no box has a distance, or the focal length is missing.
+    Raises LabelFileError: the file cannot be read, no box has a distance, or the focal length is
+    missing.
     """
     table = read_labels(path, expected="labels with distances")
     if focal_px is None:
-        raise LabelFileError(f"{path}: expected a focal length, which labels do not have; give --focal-px.")
+        raise LabelFileError(
+            f"{path}: expected a focal length, which labels do not have; give --focal-px."
+        )
     rows = _usable(table)
     if not len(rows):
-        raise LabelFileError(f"{path}: expected boxes inside the image with the attribute distance_m, found none.")
+        raise LabelFileError(
+            f"{path}: expected boxes inside the image with the attribute distance_m, found none."
+        )
     extent_px = np.ceil(rows.xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1
     width, height = table.video.size_px or (int(extent_px[0]), int(extent_px[1]))
     cx, cy = (width - 1) / 2, (height - 1) / 2
@@ -115,13 +158,17 @@ def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tupl
     notes = (
         *table.notes,
         *other_labels_note(table, path),
-        f"{path.name}: {n} of {len(table)} boxes are used; the principal point is taken to be the image centre.",
+        f"{path.name}: {n} of {len(table)} boxes are used; the principal point is taken to be the "
+        "image centre.",
     )
     boxes = BoxSet.without_3d_boxes(
         sequence_names=(path.stem,),
         sequence=np.zeros(n, np.int64),
         frame=rows.frame,
-        time_s=np.asarray(rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps), np.float64),
+        time_s=np.asarray(
+            rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps),
+            np.float64,
+        ),
         track_id=np.where(rows.track_id < 0, rows.track_id.max() + 1 + np.arange(n), rows.track_id),
         kitti_type=rows.class_name,
         # vans are separate from cars
@@ -135,9 +182,13 @@ def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tupl
 
 
 def _usable(table: BoxTable) -> BoxTable:
-    """The observed boxes of road classes with a distance that do not touch the border of the image."""
+    """The observed boxes of road classes with a distance that do not touch the border of the
+    image.
+    """
     is_usable = (table.distance_m > 0) & table.observed & (table.class_id >= 0)
     if table.video.size_px is not None:
         last_px = np.array(table.video.size_px) - 1 - _BORDER_PX
-        is_usable &= (table.xyxy_px[:, :2] > _BORDER_PX).all(axis=1) & (table.xyxy_px[:, 2:] < last_px).all(axis=1)
+        is_usable &= (table.xyxy_px[:, :2] > _BORDER_PX).all(axis=1) & (
+            table.xyxy_px[:, 2:] < last_px
+        ).all(axis=1)
     return table.select(is_usable)

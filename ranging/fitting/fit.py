@@ -1,4 +1,5 @@
-"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et al.).
+"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et
+al.).
 
 cuboids       priors over sizes (`prior_fit`), from labels with 3-D boxes
 log-linear    one log-linear curve per class (`curve_fit`)
@@ -7,7 +8,8 @@ others        monotonic plain curves of one box measure (`plain_curves.SAFE_CURV
 
 The comparison fits all plain curves to the boxes of a class (Zhang et al., Table 3):
 
-residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table 3)
+residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table
+3)
 cross-validated error   = mean |d_fitted - d| / d, with each sequence measured by a curve fitted to other sequences
 """
 
@@ -27,16 +29,25 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.curve import CurveError, save_curves
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES, Curve, TableCurve, TableSizes
+from track_range.ranging.size_models.plain_curves import (
+    PLAIN_CURVES,
+    SAFE_CURVES,
+    Curve,
+    TableCurve,
+    TableSizes,
+)
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, StoredSizeModel
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 
 MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)  # names of the size models that can be fitted
-TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)  # distances in m of the rows of Table 3 of Zhang et al.
-_NEAR = 0.05  # largest relative difference between a box's distance and that of the row in which it is averaged
+# distances in m of the rows of Table 3 of Zhang et al.
+TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
+# largest relative difference between a box's distance and that of the row in which it is averaged
+_NEAR = 0.05
 _MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
-_MIN_HEIGHT_RATIO = 1.3  # of the 95th to the 5th percentile of the box heights of a class that determines a curve
+# of the 95th to the 5th percentile of the box heights of a class that determines a curve
+_MIN_HEIGHT_RATIO = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +59,10 @@ class CurveFit:
     n: int  # number of boxes
     residual_m2: float  # residual sum of squares over the fitted boxes
     fitted_error_pct: float  # mean relative error over the fitted boxes
-    other_drives_error_pct: float  # mean relative error, cross-validated by sequence; NaN = one sequence only
-    at_m: tuple[float, ...]  # mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes
+    # mean relative error, cross-validated by sequence; NaN = one sequence only
+    other_drives_error_pct: float
+    # mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes
+    at_m: tuple[float, ...]
     predict: Curve
 
 
@@ -67,15 +80,17 @@ class FittedSizes:
 def fit_sizes(settings: FitSettings) -> FittedSizes:
     """Fit a size model to labelled boxes, and write it to `settings.out`, if given.
 
-    Raises LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are too few labels;
-    UsageError: settings that contradict each other.
+    Raises LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are
+    too few labels; UsageError: settings that contradict each other.
     """
     _check(settings)
     boxes, notes = _boxes(settings)
     boxes, too_few = _usable_boxes(boxes, settings.labels or settings.csv)
     comparison = {}
     if settings.compare or settings.picture is not None:
-        comparison = {str(name): compare_curves(boxes, str(name)) for name in np.unique(boxes.class_name)}
+        comparison = {
+            str(name): compare_curves(boxes, str(name)) for name in np.unique(boxes.class_name)
+        }
     name = settings.curve or (CUBOIDS if settings.calib else LOG_LINEAR)
     model = None
     if settings.out is not None:
@@ -89,13 +104,20 @@ def _check(settings: FitSettings) -> None:
     if (settings.labels is None) == (settings.csv is None):
         raise UsageError("expected either --labels and --calib, or --csv.")
     if settings.labels is not None and settings.calib is None and not settings.labels.is_file():
-        raise UsageError("--labels requires --calib, the folder of calibration files with the focal lengths.")
+        raise UsageError(
+            "--labels requires --calib, the folder of calibration files with the focal lengths."
+        )
     if settings.out is None and not settings.compare and settings.picture is None:
-        raise UsageError("nothing to do; give --out FILE to write a curve file, --compare or --picture.")
+        raise UsageError(
+            "nothing to do; give --out FILE to write a curve file, --compare or --picture."
+        )
     if settings.curve is not None and settings.curve not in MODEL_NAMES:
         raise UsageError(f"--curve {settings.curve}: expected one of {', '.join(MODEL_NAMES)}.")
     if settings.calib is None and settings.curve == CUBOIDS:
-        raise UsageError("--curve cuboids requires KITTI labels with 3-D boxes (--labels); other files have none.")
+        raise UsageError(
+            "--curve cuboids requires KITTI labels with 3-D boxes (--labels); other "
+            "files have none."
+        )
 
 
 def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
@@ -111,7 +133,8 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
     unknown = excluded - set(boxes.sequence_names)
     if unknown:  # an error, since a misspelt name would put test sequences into the fit
         raise LabelFileError(
-            f"{settings.labels or settings.csv}: --leave-out names unknown sequences: {', '.join(sorted(unknown))}."
+            f"{settings.labels or settings.csv}: --leave-out names unknown sequences: "
+            f"{', '.join(sorted(unknown))}."
         )
     is_excluded = np.array([name in excluded for name in boxes.sequence_names])[boxes.sequence]
     return boxes.select(~is_excluded), notes
@@ -124,7 +147,9 @@ def _source(settings: FitSettings, boxes: BoxSet) -> str:
 
 
 def _usable_boxes(boxes: BoxSet, source: object) -> tuple[BoxSet, list[str]]:
-    """Boxes of the classes with at least `MIN_SAMPLES` boxes of several sizes, and why other classes are left out."""
+    """Boxes of the classes with at least `MIN_SAMPLES` boxes of several sizes, and why other
+    classes are left out.
+    """
     rejected, is_usable = list[str](), np.zeros(len(boxes), np.bool_)
     for name in np.unique(boxes.class_name):
         is_class = boxes.class_name == name
@@ -142,7 +167,9 @@ def _usable_boxes(boxes: BoxSet, source: object) -> tuple[BoxSet, list[str]]:
 
 
 def _fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
-    """The model `name`, one of `MODEL_NAMES`; CurveError if there are too few boxes, or no 3-D boxes for cuboids."""
+    """The model `name`, one of `MODEL_NAMES`; CurveError if there are too few boxes, or no 3-D
+    boxes for cuboids.
+    """
     if name == CUBOIDS:
         return fit_size_priors(boxes, source=source)
     if name == LOG_LINEAR:
@@ -154,14 +181,19 @@ def _fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
             continue
         table = SAFE_CURVES[name](samples.wh_over_f, samples.bearing, samples.distance_m)
         measure = table.measure.__name__
-        # The root mean square of the cross-validated relative error; of the fit itself if there is a single sequence.
+        # The root mean square of the cross-validated relative error; of the fit itself if there is
+        # a single sequence.
         if len(list(folds(samples))) > 1:
-            distance_m = cross_validated(samples, samples, plain_fitter(SAFE_CURVES[name])).distance_m
+            distance_m = cross_validated(
+                samples, samples, plain_fitter(SAFE_CURVES[name])
+            ).distance_m
         else:
             distance_m = table(samples.wh_over_f, samples.bearing)
         error = float(np.sqrt(np.nanmean((distance_m / samples.distance_m - 1) ** 2)))
         sigma = max(error, _MIN_SIGMA_RELATIVE)
-        curves[class_name] = TableCurve(table=table, sigma_relative=sigma, n=len(samples), source=source)
+        curves[class_name] = TableCurve(
+            table=table, sigma_relative=sigma, n=len(samples), source=source
+        )
     if not curves:
         raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got fewer.")
     return TableSizes(measure, curves)
@@ -187,7 +219,9 @@ def compare_curves(boxes: BoxSet, class_name: str) -> list[CurveFit]:
                 n=len(boxes),
                 residual_m2=float(((distance_m - true_m) ** 2).sum()),
                 fitted_error_pct=error_pct(distance_m),
-                other_drives_error_pct=error_pct(cross_validated(boxes, boxes, plain_fitter(fitter)).distance_m)
+                other_drives_error_pct=error_pct(
+                    cross_validated(boxes, boxes, plain_fitter(fitter)).distance_m
+                )
                 if has_folds
                 else np.nan,
                 at_m=tuple(float(values.mean()) if len(values) else np.nan for values in near),

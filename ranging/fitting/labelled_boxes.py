@@ -1,9 +1,11 @@
-"""BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without video.
+"""BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without
+video.
 
-The true distance is the z at which the ray through the label's box centre first meets its 3-D box, in the frame of the
-left colour camera (`ranging.evaluation.reference_distance`). Labels are used if they have a 3-D box at 5-100 m, are not
-truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. Boxes come from the labels,
-possibly with added noise, or from a detector; the true distance is always the distance in the label.
+The true distance is the z at which the ray through the label's box centre first meets its 3-D box,
+in the frame of the left colour camera (`ranging.evaluation.reference_distance`). Labels are used if
+they have a 3-D box at 5-100 m, are not truncated, have occluded <= 1 and one of five KITTI types,
+with vans as a separate class. Boxes come from the labels, possibly with added noise, or from a
+detector; the true distance is always the distance in the label.
 """
 
 from __future__ import annotations
@@ -21,7 +23,11 @@ from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti, read_kitti_image
+from track_range.detection.formats.video_labels.kitti import (
+    KittiLabels,
+    read_kitti,
+    read_kitti_image,
+)
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import first_line, quoted, read_text
 from track_range.ranging.evaluation import reference_distance
@@ -30,21 +36,28 @@ from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 
-CLASS_OF: Mapping[str, str] = {  # KITTI types that are measured, with their class names in the results
+# KITTI types that are measured, with their class names in the results
+CLASS_OF: Mapping[str, str] = {
     "Car": "car",
     "Van": "van",
     "Truck": "truck",
     "Pedestrian": "person",
     "Cyclist": "bicycle",
 }
-DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}  # road class that a detector reports for other classes
-FRAME_STEP_S = 0.1036  # mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
+# road class that a detector reports for other classes
+DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
+# mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
+FRAME_STEP_S = 0.1036
 MIN_SCORE = 0.5  # smallest confidence of detections that are used
-REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0  # largest difference of alpha from -pi/2, and lateral offset, of a rear view
-_RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}  # KITTI type by folder of RRC detections
+# largest difference of alpha from -pi/2, and lateral offset, of a rear view
+REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0
+# KITTI type by folder of RRC detections
+_RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}
 _MIN_SIZE_PX = 1.0  # smallest width and height of a box after noise was added
-_OBJECT_COLUMNS = (15, 16)  # of KITTI object labels, without and with a score; tracking labels have 17 or 18
-_IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {  # KITTI, 26, 28, 29, 30 September, 3 October 2011, by focal length
+# of KITTI object labels, without and with a score; tracking labels have 17 or 18
+_OBJECT_COLUMNS = (15, 16)
+# KITTI, 26, 28, 29, 30 September, 3 October 2011, by focal length
+_IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
     721.5377: (1242, 375),
     707.0493: (1224, 370),
     718.3351: (1238, 374),
@@ -52,7 +65,8 @@ _IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {  # KITTI, 26, 28, 29, 30 Sep
     718.856: (1241, 376),
 }
 _MAX_FOCAL_DIFFERENCE_PX = 1e-3  # largest difference of focal lengths that count as equal
-_OBJECT_GROUPS = 10  # number of groups of images that serve as sequences for object labels, which have none
+# number of groups of images that serve as sequences for object labels, which have none
+_OBJECT_GROUPS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +82,16 @@ class BoxSet:
     class_name: npt.NDArray[np.str_]  # (N,) class in the results: car, van, truck, person, bicycle
     xyxy_px: FloatArray  # (N, 4) box to measure: that of the label, with noise, or detected
     fxycxy_px: FloatArray  # (N, 4) fx, fy, cx, cy of the camera
-    size_px: IntArray  # (N, 2) width and height of the image, from the camera, or estimated from the boxes
+    # (N, 2) width and height of the image, from the camera, or estimated from the boxes
+    size_px: IntArray
     distance_m: FloatArray  # (N,) true distance
     alpha_rad: FloatArray  # (N,) observation angle: -pi/2 = seen from behind
     x_m: FloatArray  # (N,) lateral offset
     size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box; NaN = no 3-D box
     rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box; NaN = no 3-D box
     occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded
-    reference_m: FloatArray | None = None  # (N,) distance by `BoxSelection.reference`; None = `distance_m`
+    # (N,) distance by `BoxSelection.reference`; None = `distance_m`
+    reference_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -83,7 +99,9 @@ class BoxSet:
     def select(self, rows: BoolArray | IntArray) -> BoxSet:
         """The boxes selected by a mask or an index array."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
+        return replace(
+            self, **{name: column[rows] for name, column in columns.items() if column is not None}
+        )
 
     def with_reference(self) -> BoxSet:
         """The boxes with their reference distances as `distance_m`."""
@@ -91,11 +109,20 @@ class BoxSet:
 
     @classmethod
     def without_3d_boxes(cls, **columns: Any) -> BoxSet:
-        """Boxes from the columns of a table without 3-D boxes, with unknown orientation and occlusion."""
+        """Boxes from the columns of a table without 3-D boxes, with unknown orientation and
+        occlusion.
+        """
         n = len(columns["frame"])
         nan, occluded = np.full(n, np.nan), np.zeros(n, np.int64)
         size_hwl_m = np.full((n, 3), np.nan)
-        return cls(**columns, alpha_rad=nan, x_m=nan, size_hwl_m=size_hwl_m, rotation_y_rad=nan, occluded=occluded)
+        return cls(
+            **columns,
+            alpha_rad=nan,
+            x_m=nan,
+            size_hwl_m=size_hwl_m,
+            rotation_y_rad=nan,
+            occluded=occluded,
+        )
 
     @property
     def wh_over_f(self) -> FloatArray:
@@ -129,7 +156,10 @@ class BoxSet:
     def with_noise(self, noise_px: float, *, seed: int) -> BoxSet:
         """Boxes with Gaussian noise on every edge, at least 1 px wide and high."""
         noisy = self.xyxy_px + np.random.default_rng(seed).normal(0.0, noise_px, self.xyxy_px.shape)
-        centre, size = (noisy[:, :2] + noisy[:, 2:]) / 2, np.maximum(noisy[:, 2:] - noisy[:, :2], _MIN_SIZE_PX)
+        centre, size = (
+            (noisy[:, :2] + noisy[:, 2:]) / 2,
+            np.maximum(noisy[:, 2:] - noisy[:, :2], _MIN_SIZE_PX),
+        )
         return replace(self, xyxy_px=np.concatenate([centre - size / 2, centre + size / 2], axis=1))
 
 
@@ -137,9 +167,12 @@ class BoxSet:
 class BoxSelection:
     """Labels that are used, and their reference distance."""
 
-    frames: Path | None = None  # file of names of label files, one per line, such as a published split; None = all
-    has_all_objects: bool = False  # whether labels that are truncated, occluded or outside 5-100 m are used too
-    reference: reference_distance.ReferenceName = "surface"  # definition of the distance (`reference_distance`)
+    # file of names of label files, one per line, such as a published split; None = all
+    frames: Path | None = None
+    # whether labels that are truncated, occluded or outside 5-100 m are used too
+    has_all_objects: bool = False
+    # definition of the distance (`reference_distance`)
+    reference: reference_distance.ReferenceName = "surface"
     velodyne: Path | None = None  # folder of lidar files NAME.bin, for the reference "lidar"
 
 
@@ -152,12 +185,14 @@ def box_set(
     seed: int = 0,
     selection: BoxSelection | None = None,
 ) -> BoxSet:
-    """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image), with calibration.
+    """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image),
+    with calibration.
 
-    `calib` has calibration files of the same names. `boxes` are "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt
-    and DIR/Pedestrian/NAME.txt, matched to labels. `noise_px` is the standard deviation of noise added to every edge.
-    Without `selection`, visible objects at 5-100 m of all files are used. Raises LabelFileError for no files, no 3-D
-    boxes, no usable labels, or unreadable detections; RigError for a missing or unreadable calibration.
+    `calib` has calibration files of the same names. `boxes` are "labels", or "rrc:DIR" for
+    detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels. `noise_px` is the
+    standard deviation of noise added to every edge. Without `selection`, visible objects at 5-100 m
+    of all files are used. Raises LabelFileError for no files, no 3-D boxes, no usable labels, or
+    unreadable detections; RigError for a missing or unreadable calibration.
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:
@@ -167,12 +202,15 @@ def box_set(
         files = _listed(files, selection.frames, labels)
     sequences = [_sequence(file, calib / file.name, boxes, selection) for file in files]
     if not any(has_3d for _, has_3d in sequences):
-        raise LabelFileError(f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box.")
+        raise LabelFileError(
+            f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box."
+        )
     usable = _concatenated([part for part, _ in sequences], files)
     if not len(usable):
         raise LabelFileError(
-            f"{labels}: found no usable label; expected {', '.join(CLASS_OF)} at {BANDS_M[0]:g}-{BANDS_M[-1]:g} m, "
-            f"not truncated, occluded <= {MAX_OCCLUDED}{'' if boxes == 'labels' else ', with a matching detection'}."
+            f"{labels}: found no usable label; expected {', '.join(CLASS_OF)} at "
+            f"{BANDS_M[0]:g}-{BANDS_M[-1]:g} m, not truncated, occluded <= "
+            f"{MAX_OCCLUDED}{'' if boxes == 'labels' else ', with a matching detection'}."
         )
     return usable.with_noise(noise_px, seed=seed) if noise_px > 0 else usable
 
@@ -182,10 +220,13 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
     names = read_text(frames, LabelFileError, "a list of frames").split()
     if missing := sorted(set(names) - {file.stem for file in files}):
         raise LabelFileError(
-            f"{frames}: expected names of label files of {labels}, one per line, found {quoted(missing[0])}."
+            f"{frames}: expected names of label files of {labels}, one per line, found "
+            f"{quoted(missing[0])}."
         )
     if not names:
-        raise LabelFileError(f"{frames}: expected names of label files, one per line, found an empty file.")
+        raise LabelFileError(
+            f"{frames}: expected names of label files, one per line, found an empty file."
+        )
     listed = set(names)
     return [file for file in files if file.stem in listed]
 
@@ -199,17 +240,25 @@ def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> t
     box_set = _rows(labels, camera, shift_m)
     box_set = box_set if boxes == "labels" else _detected(box_set, labels, file.name, boxes)
     if selection.reference == "centre":
-        box_set = replace(box_set, reference_m=reference_distance.centre_distance_m(labels, shift_m))
+        box_set = replace(
+            box_set, reference_m=reference_distance.centre_distance_m(labels, shift_m)
+        )
     elif selection.reference == "lidar" and selection.velodyne is not None:
         points_m = reference_distance.read_lidar(selection.velodyne / f"{file.stem}.bin", calib)
-        box_set = replace(box_set, reference_m=reference_distance.lidar_distance_m(labels, points_m, shift_m))
+        box_set = replace(
+            box_set, reference_m=reference_distance.lidar_distance_m(labels, points_m, shift_m)
+        )
     distance_m = box_set.with_reference().distance_m
     in_span = (distance_m >= BANDS_M[0]) & (distance_m <= BANDS_M[-1])
-    is_visible = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
+    is_visible = (
+        (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
+    )
     is_chosen = distance_m > 0 if selection.has_all_objects else in_span & is_visible
     is_usable = is_chosen & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
     rows = np.flatnonzero(is_usable & (box_set.class_name != ""))
-    return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(labels.has_3d_box.any())
+    return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(
+        labels.has_3d_box.any()
+    )
 
 
 def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> BoxSet:
@@ -223,7 +272,9 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
         time_s=labels.frame.astype(np.float64) * FRAME_STEP_S,
         track_id=labels.track_id,
         kitti_type=labels.kitti_type,
-        class_name=np.array([CLASS_OF.get(str(kitti_type), "") for kitti_type in labels.kitti_type], np.str_),
+        class_name=np.array(
+            [CLASS_OF.get(str(kitti_type), "") for kitti_type in labels.kitti_type], np.str_
+        ),
         xyxy_px=labels.xyxy_px,
         fxycxy_px=np.tile([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px], (n, 1)),
         size_px=np.tile(_image_size_px(labels, camera), (n, 1)),
@@ -237,7 +288,9 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
 
 
 def _image_size_px(labels: KittiLabels, camera: PinholeCamera) -> IntArray:
-    """(2,) width and height of the image: of the camera, of KITTI, or the smallest that contains the labels."""
+    """(2,) width and height of the image: of the camera, of KITTI, or the smallest that contains
+    the labels.
+    """
     if camera.width_px > 0:
         return np.array([camera.width_px, camera.height_px])
     for focal_px, size_px in _IMAGE_SIZE_PX.items():
@@ -257,14 +310,18 @@ def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> Bo
     for subfolder, kitti_type in _RRC_TYPE.items():
         path = Path(folder) / subfolder / name
         if not path.parent.is_dir():
-            raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian.")
+            raise LabelFileError(
+                f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian."
+            )
         if not os.path.lexists(path):
             continue  # a sequence without detections
         recorded = read_detections(path, form="rrc")
         is_confident = recorded.detections.score >= MIN_SCORE
         detections = recorded.detections.select(is_confident)
         row, detection = greedy_matches(
-            (labels.frame, labels.xyxy_px), (recorded.frame[is_confident], detections.xyxy_px), score=detections.score
+            (labels.frame, labels.xyxy_px),
+            (recorded.frame[is_confident], detections.xyxy_px),
+            score=detections.score,
         )
         is_type = labels.kitti_type[row] == kitti_type
         xyxy_px[row[is_type]] = detections.xyxy_px[detection[is_type]]
@@ -272,12 +329,17 @@ def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> Bo
 
 
 def greedy_matches(
-    labels: tuple[IntArray, FloatArray], detections: tuple[IntArray, FloatArray], *, score: FloatArray
+    labels: tuple[IntArray, FloatArray],
+    detections: tuple[IntArray, FloatArray],
+    *,
+    score: FloatArray,
 ) -> tuple[IntArray, IntArray]:
-    """Row indices of matching labels and detections: in the order of confidence, each to the free label of highest IoU.
+    """Row indices of matching labels and detections: in the order of confidence, each to the free
+    label of highest IoU.
 
-    `labels` are (N,) frames and (N, 4) boxes of any type, so that the detection of an occluded or ignored object is not
-    matched to its neighbour; `detections` are (M,) frames and (M, 4) boxes with the scores (M,).
+    `labels` are (N,) frames and (N, 4) boxes of any type, so that the detection of an occluded or
+    ignored object is not matched to its neighbour; `detections` are (M,) frames and (M, 4) boxes
+    with the scores (M,).
     """
     pairs: list[tuple[int, int]] = []
     for number in np.intersect1d(labels[0], detections[0]):
@@ -294,13 +356,25 @@ def greedy_matches(
 
 
 def _concatenated(parts: Sequence[BoxSet], files: Sequence[Path]) -> BoxSet:
-    """All sequences as one set; images with object labels form ten groups, since their drives are unknown."""
+    """All sequences as one set; images with object labels form ten groups, since their drives are
+    unknown.
+    """
     is_images = len(parts) > 1 and all((part.track_id < 0).all() for part in parts)
-    names = tuple(f"group-{k}" for k in range(_OBJECT_GROUPS)) if is_images else tuple(file.stem for file in files)
+    names = (
+        tuple(f"group-{k}" for k in range(_OBJECT_GROUPS))
+        if is_images
+        else tuple(file.stem for file in files)
+    )
     numbers = [k * _OBJECT_GROUPS // len(parts) if is_images else k for k in range(len(parts))]
-    names_of_columns = [field.name for field in fields(BoxSet)[2:] if getattr(parts[0], field.name) is not None]
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names_of_columns}
+    names_of_columns = [
+        field.name for field in fields(BoxSet)[2:] if getattr(parts[0], field.name) is not None
+    ]
+    columns = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names_of_columns
+    }
     if is_images:
         columns["frame"] = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
-    sequence = np.concatenate([np.full(len(part), k) for part, k in zip(parts, numbers, strict=True)])
+    sequence = np.concatenate(
+        [np.full(len(part), k) for part, k in zip(parts, numbers, strict=True)]
+    )
     return BoxSet(sequence_names=names, sequence=sequence, **columns)

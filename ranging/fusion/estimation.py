@@ -1,6 +1,8 @@
-"""Generalised least squares estimate of log distances from one frame's measurements and the biases of its tracks.
+"""Generalised least squares estimate of log distances from one frame's measurements and the biases
+of its tracks.
 
-Arrays are over M methods and N tracks, tracks last. Symbols are defined in the docstring of `fusion`.
+Arrays are over M methods and N tracks, tracks last. Symbols are defined in the docstring of
+`fusion`.
 """
 
 from __future__ import annotations
@@ -22,12 +24,17 @@ class Measurements:
     """Ranges of N tracks in one frame by M methods, as logarithms."""
 
     z: FloatArray  # (M, N) log distance; 0 = not measured
-    sigma: FloatArray  # (M, N) standard deviation of z, equal to the relative one of the distance; 0 = not measured
+    # (M, N) standard deviation of z, equal to the relative one of the distance; 0 = not measured
+    sigma: FloatArray
     valid: BoolArray  # (M, N) whether the track is measured
 
     @classmethod
-    def of(cls, by_method: Mapping[str, Ranges], model: ErrorModel, track_id: IntArray) -> Measurements:
-        """Measurements of the model's methods; a method that is missing in `by_method` has not measured any track."""
+    def of(
+        cls, by_method: Mapping[str, Ranges], model: ErrorModel, track_id: IntArray
+    ) -> Measurements:
+        """Measurements of the model's methods; a method that is missing in `by_method` has not
+        measured any track.
+        """
         distance_m, sigma_m = np.full((2, len(model.names), len(track_id)), np.nan)
         for i, name in enumerate(model.names):
             if name in by_method:
@@ -54,7 +61,8 @@ class TrackBiases:
     log_m: FloatArray  # (N,) log distance at the last measurement; NaN = never measured
     variance: FloatArray  # (N,) variance of `log_m`; NaN = never measured
     time_s: FloatArray  # (N,) time of the last measurement; NaN = never measured
-    n_agreements: FloatArray  # (N,) frames in which methods agreed, minus 2 for each with a conflict; limited
+    # (N,) frames in which methods agreed, minus 2 for each with a conflict; limited
+    n_agreements: FloatArray
     n_conflicts: FloatArray  # (N,) frames with a conflict that the track's history did not resolve
     reference_s: FloatArray  # (N,) time of the last measurement of a scale reference; NaN = never
 
@@ -65,14 +73,23 @@ class TrackBiases:
 
     def to_columns(self) -> FloatArray:
         """(M + M M + 6, N) all attributes, one column per track."""
-        others = [self.log_m, self.variance, self.time_s, self.n_agreements, self.n_conflicts, self.reference_s]
+        others = [
+            self.log_m,
+            self.variance,
+            self.time_s,
+            self.n_agreements,
+            self.n_conflicts,
+            self.reference_s,
+        ]
         return np.concatenate([self.u, self.C.reshape(len(self.u) ** 2, self.u.shape[1]), others])
 
     @staticmethod
     def initial_column(model: ErrorModel) -> FloatArray:
         """(M + M M + 6,) column of a new track: u = 0, C = C0."""
         others = [np.nan, np.nan, np.nan, 0.0, 0.0, np.nan]
-        return np.concatenate([np.zeros(len(model.names)), model.systematic_correlation.ravel(), others])
+        return np.concatenate(
+            [np.zeros(len(model.names)), model.systematic_correlation.ravel(), others]
+        )
 
     def of_tracks(self, tracks: IntArray) -> TrackBiases:
         """The biases of the tracks with the indices `tracks`."""
@@ -91,7 +108,9 @@ class TrackBiases:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Log distances from one frame's measurements, given the biases; entries without a measurement are 0."""
+    """Log distances from one frame's measurements, given the biases; entries without a measurement
+    are 0.
+    """
 
     log_m: FloatArray  # (N,) log distance
     variance: FloatArray  # (N,) variance of `log_m`; undefined for tracks without a measurement
@@ -100,16 +119,23 @@ class Estimate:
     A: FloatArray  # (M, M, N) covariance of y
     P: FloatArray  # (M, M, N) information of the differences between the valid methods
     residual: FloatArray  # (M, N) P y
-    t2: FloatArray  # (N,) largest t_i^2: squared deviation of a method from all others, in units of its variance
+    # (N,) largest t_i^2: squared deviation of a method from all others, in units of its variance
+    t2: FloatArray
     chi2_per_dof: FloatArray  # (N,) chi^2 of the differences per degree of freedom
     n_valid: IntArray  # (N,) number of valid methods
 
 
 def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> Estimate:
-    """Estimate of log d by generalised least squares over the valid methods, with their residuals."""
+    """Estimate of log d by generalised least squares over the valid methods, with their
+    residuals.
+    """
     k = used.sigma * model.systematic
     y = used.z - k * track.u
-    A = used.sigma[:, None] * used.sigma * (model.systematic_covariance * track.C + model.independent_covariance)
+    A = (
+        used.sigma[:, None]
+        * used.sigma
+        * (model.systematic_covariance * track.C + model.independent_covariance)
+    )
     n_valid = used.valid.sum(axis=0)
 
     A_inv = _inverse(A, used.valid)
@@ -130,17 +156,24 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 
 
-def _without_extrapolation(w: FloatArray, A: FloatArray, valid: BoolArray, similar: IntArray) -> FloatArray:
-    """(M, N) least-squares weights after similar methods with negative weights were removed one by one.
+def _without_extrapolation(
+    w: FloatArray, A: FloatArray, valid: BoolArray, similar: IntArray
+) -> FloatArray:
+    """(M, N) least-squares weights after similar methods with negative weights were removed one by
+    one.
 
-    `A` (M, M, N) is the covariance of the measurements, `similar` (2, K) are pairs of methods that share most errors.
+    `A` (M, M, N) is the covariance of the measurements, `similar` (2, K) are pairs of methods that
+    share most errors.
     """
     w, valid = w.copy(), valid.copy()
     while True:
         similar_w = np.zeros_like(w)
         for i, j in similar.T.tolist():
             both = valid[i] & valid[j]
-            similar_w[i], similar_w[j] = np.where(both, w[i], similar_w[i]), np.where(both, w[j], similar_w[j])
+            similar_w[i], similar_w[j] = (
+                np.where(both, w[i], similar_w[i]),
+                np.where(both, w[j], similar_w[j]),
+            )
         worst = similar_w.min(axis=0, initial=0.0)
         columns = np.flatnonzero(worst < 0)
         if not len(columns):
@@ -152,7 +185,9 @@ def _without_extrapolation(w: FloatArray, A: FloatArray, valid: BoolArray, simil
 
 
 def _inverse(A: FloatArray, valid: BoolArray) -> FloatArray:
-    """(M, M, N) inverses of covariances A, which are 0 outside their valid parts; the identity is inserted there."""
+    """(M, M, N) inverses of covariances A, which are 0 outside their valid parts; the identity is
+    inserted there.
+    """
     complete = A.transpose(2, 0, 1).copy()
     complete.reshape(-1, len(A) ** 2)[:, :: len(A) + 1] += ~valid.T
     return np.asarray(np.linalg.inv(complete).transpose(1, 2, 0), np.float64)

@@ -1,15 +1,17 @@
-"""Fusion: one distance from any number of methods, by generalised least squares with biases estimated per track.
+"""Fusion: one distance from any number of methods, by generalised least squares with biases
+estimated per track.
 
     z_i = log d + k_i u_i + n_i         z_i: log distance of method i
 
-The relative sigma of a method has a systematic part k, constant over a track (the car is larger than average, the rig
-is misaligned), and an independent part n, new in every frame. u, with variance 1, is the bias of a method for the
-track in units of k. It shows in differences between methods: while stereo matches a track it calibrates the size that
-mono assumes, and mono continues with that size when stereo fails. Without a scale reference no bias is learnt: the
-errors of ground and lane change with the distance (horizon, lines), and mono would be corrected by what is not its
-own error. The estimator is a Schmidt-Kalman filter: its state is log d, without prior in each frame, and u (M,) with
-covariance C, which decays slowly to its prior C0. With K = diag(k), N = cov(n), 1 = (1, ..., 1)' and y = z - K u,
-over the valid methods:
+The relative sigma of a method has a systematic part k, constant over a track (the car is larger
+than average, the rig is misaligned), and an independent part n, new in every frame. u, with
+variance 1, is the bias of a method for the track in units of k. It shows in differences between
+methods: while stereo matches a track it calibrates the size that mono assumes, and mono continues
+with that size when stereo fails. Without a scale reference no bias is learnt: the errors of ground
+and lane change with the distance (horizon, lines), and mono would be corrected by what is not its
+own error. The estimator is a Schmidt-Kalman filter: its state is log d, without prior in each
+frame, and u (M,) with covariance C, which decays slowly to its prior C0. With K = diag(k), N =
+cov(n), 1 = (1, ..., 1)' and y = z - K u, over the valid methods:
 
     A = K C K + N,    w = A^-1 1 / (1' A^-1 1)                  generalised least squares
     log d = w' y,     var = w' A w
@@ -17,25 +19,29 @@ over the valid methods:
     chi^2 = y' P y,   t_i^2 = (P y)_i^2 / P_ii                  total, and of method i against all others
     u' = u + T C K P y,   C' = C - T B - B T + T B T,   B = C K P K C
 
-For two methods, with S = A_ii - 2 A_ij + A_jj: w_j = (A_ii - A_ij) / S and chi^2 = t^2 = (y_i - y_j)^2 / S. C0 and N
-come from the error sources that the methods declare (`error_model`).
+For two methods, with S = A_ii - 2 A_ij + A_jj: w_j = (A_ii - A_ij) / S and chi^2 = t^2 = (y_i -
+y_j)^2 / S. C0 and N come from the error sources that the methods declare (`error_model`).
 
-A weight w_i < 0 extrapolates from one method through another one with correlated errors. Between methods that share
-most of their variance the result would depend on the exact correlation, so such weights are set to 0. T = diag(t) is
-the identity, except 0 for scale references: there is no independent scale to compare them with, and a wrong match can
-exceed any bias (Schmidt, 1966: a "considered" bias is part of the covariance, but not estimated). When methods differ
-by more than their sigmas allow, sigma is scaled up by the Birge ratio (square root of chi^2 per degree of freedom), T
-and the certainty of the biases are reduced, and methods may be rejected, by the error sources that they declare.
+A weight w_i < 0 extrapolates from one method through another one with correlated errors. Between
+methods that share most of their variance the result would depend on the exact correlation, so such
+weights are set to 0. T = diag(t) is the identity, except 0 for scale references: there is no
+independent scale to compare them with, and a wrong match can exceed any bias (Schmidt, 1966: a
+"considered" bias is part of the covariance, but not estimated). When methods differ by more than
+their sigmas allow, sigma is scaled up by the Birge ratio (square root of chi^2 per degree of
+freedom), T and the certainty of the biases are reduced, and methods may be rejected, by the error
+sources that they declare.
 
-On a new track, a matching method that differs from all size methods by more than a factor of 2.5 is rejected: within a
-class sizes vary less, and even a half-occluded object appears no smaller than half its size, while a match on an
-occluder or on the background can be anywhere. But if a contact-point method, which does not depend on the class,
-agrees with matching, the size methods are rejected instead: the class is wrong.
+On a new track, a matching method that differs from all size methods by more than a factor of 2.5 is
+rejected: within a class sizes vary less, and even a half-occluded object appears no smaller than
+half its size, while a match on an occluder or on the background can be anywhere. But if a
+contact-point method, which does not depend on the class, agrees with matching, the size methods are
+rejected instead: the class is wrong.
 
-When methods are in conflict, these are rejected, in this order: methods far from the track's previous distance, if at
-least as many are near it; of three or more methods, the one without which all others agree; methods that depend on the
-lane width, if they contradict the size methods (the lines may belong to another lane), or the size methods if a
-method that depends on the horizon is nearer to the lane methods.
+When methods are in conflict, these are rejected, in this order: methods far from the track's
+previous distance, if at least as many are near it; of three or more methods, the one without which
+all others agree; methods that depend on the lane width, if they contradict the size methods (the
+lines may belong to another lane), or the size methods if a method that depends on the horizon is
+nearer to the lane methods.
 """
 
 import math
@@ -54,27 +60,38 @@ from track_range.ranging.method import RangingMethod
 from track_range.ranging.ranges import Ranges
 
 _CONFLICT_T2 = 9.0  # value of t^2 above which methods are in conflict: 3 standard deviations
-_TRUSTED_FRAMES = 5  # number of frames in agreement after which the history of a track decides which method is wrong
-_LOG_MAX_SIZE_RATIO = math.log(2.5)  # largest plausible difference between matching and size methods
-_OUTLIER_SIGMA = 3.0  # deviation from history or another method: above an outlier, below in agreement
+# number of frames in agreement after which the history of a track decides which method is wrong
+_TRUSTED_FRAMES = 5
+# largest plausible difference between matching and size methods
+_LOG_MAX_SIZE_RATIO = math.log(2.5)
+# deviation from history or another method: above an outlier, below in agreement
+_OUTLIER_SIGMA = 3.0
 _MAX_SPEED_MPS = 20.0  # largest rate of change of distances, for the prediction from the last frame
-_SAME_ERRORS = 0.5  # correlation of systematic errors above which two methods do not confirm each other
-_MEMORY_LOG = 5.0  # change of log distance over which biases decay to 1/e; on KITTI mono's lose 16 % of their variance
-_MEMORY_S = 60.0  # time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
+# correlation of systematic errors above which two methods do not confirm each other
+_SAME_ERRORS = 0.5
+# change of log distance over which biases decay to 1/e; on KITTI mono's lose 16 % of their variance
+_MEMORY_LOG = 5.0
+# time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
+_MEMORY_S = 60.0
 _MAX_GAP_S = 3.0  # longest absence in s after which the biases of a track are still used
-_MAX_AGREEMENTS = 2 * _TRUSTED_FRAMES  # so that a few conflicts (-2 each) end the trust in a track's history
+# so that a few conflicts (-2 each) end the trust in a track's history
+_MAX_AGREEMENTS = 2 * _TRUSTED_FRAMES
 _CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
-_MAX_BIAS_SIGMA = 2.5  # largest difference in sigmas that biases are learnt from: others are mismatches or hidden boxes
-_VAGUE_SIGMA = 0.4  # relative sigma above which a method is not used if another is better: its bias would be too large
+# largest difference in sigmas that biases are learnt from: others are mismatches or hidden boxes
+_MAX_BIAS_SIGMA = 2.5
+# relative sigma above which a method is not used if another is better: its bias would be too large
+_VAGUE_SIGMA = 0.4
 _REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as the reference's
-_KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = not learnt
+# variance of a size method's u below which its scale is the reference's; 1 = not learnt
+_KNOWN_BIAS_VARIANCE = 0.3
 
 
 class ScaleSource(IntEnum):
     """Origin of the scale of a fused distance."""
 
     ASSUMED = 0  # assumed sizes of classes, camera height or lane width
-    REFERENCE = 1  # a scale reference, such as a calibrated pair, directly or through biases learnt from it
+    # a scale reference, such as a calibrated pair, directly or through biases learnt from it
+    REFERENCE = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +100,20 @@ class Fused:
 
     ranges: Ranges  # distance and sigma, NaN = no method measured the track
     scale_source: IntArray  # (N,) `ScaleSource` of each distance
-    n_conflicts: IntArray  # (N,) frames so far with a conflict that the track's history did not resolve
+    # (N,) frames so far with a conflict that the track's history did not resolve
+    n_conflicts: IntArray
 
     @property
     def condition(self) -> IntArray:
-        """(N,) code of `scale_source` and `n_conflicts`; a step in distance at a change of the code is not motion."""
+        """(N,) code of `scale_source` and `n_conflicts`; a step in distance at a change of the code
+        is not motion.
+        """
         return np.asarray(len(ScaleSource) * self.n_conflicts + self.scale_source)
 
 
 class Fusion:
-    """Fuses the distances of several methods frame by frame, and estimates the biases of the methods per track.
+    """Fuses the distances of several methods frame by frame, and estimates the biases of the
+    methods per track.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -107,12 +128,15 @@ class Fusion:
     """
 
     def __init__(self, methods: Sequence[RangingMethod] | None = None) -> None:
-        """Start without tracks; `methods` are the methods to fuse, None = all registered methods."""
+        """Start without tracks; `methods` are the methods to fuse, None = all registered
+        methods.
+        """
         self._model = ErrorModel.of(registry.methods() if methods is None else methods)
         self._tracks = TrackState(TrackBiases.initial_column(self._model))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
-        """Fused ranges of the tracks (N,) of a frame, in the order of time, from the ranges of each method.
+        """Fused ranges of the tracks (N,) of a frame, in the order of time, from the ranges of each
+        method.
 
         The ranges are in the order of `track_id`; ranges of methods that are not fused are ignored.
         """
@@ -126,8 +150,12 @@ class Fusion:
         track = track.decayed(np.exp(elapsed_s / -_MEMORY_S), model)
 
         # Select methods, estimate, reject outliers.
-        is_fallback = np.array([name not in by_method or by_method[name].is_fallback for name in model.names])
-        superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1) & is_fallback[:, None]
+        is_fallback = np.array(
+            [name not in by_method or by_method[name].is_fallback for name in model.names]
+        )
+        superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1) & is_fallback[
+            :, None
+        ]
         usable = measured.valid & ~superseded
         is_vague = measured.sigma > _VAGUE_SIGMA
         usable &= ~(is_vague & (usable & ~is_vague).any(axis=0))
@@ -136,7 +164,9 @@ class Fusion:
         estimate = least_squares(used, track, model)
         in_conflict = estimate.t2 > _CONFLICT_T2
         if in_conflict.any():
-            rejected = _outliers(used, measured, estimate, track, model, in_conflict=in_conflict, time_s=time_s)
+            rejected = _outliers(
+                used, measured, estimate, track, model, in_conflict=in_conflict, time_s=time_s
+            )
             if rejected.any():
                 used = used.only(used.valid & ~rejected)
                 estimate = least_squares(used, track, model)
@@ -154,7 +184,9 @@ class Fusion:
             time_s=np.where(has_any, time_s, track.time_s),
             n_agreements=np.minimum(np.maximum(track.n_agreements + change, 0.0), _MAX_AGREEMENTS),
             n_conflicts=track.n_conflicts + is_unresolved,
-            reference_s=np.where(used.valid[model.reference].any(axis=0), time_s, track.reference_s),
+            reference_s=np.where(
+                used.valid[model.reference].any(axis=0), time_s, track.reference_s
+            ),
         )
         is_recent = time_s - TrackBiases.from_columns(self._tracks.known, m).time_s <= _MAX_GAP_S
         self._tracks.put(track_id, track.to_columns(), keep_known=is_recent)
@@ -165,11 +197,18 @@ class Fusion:
             track.u_variance[model.size] < _KNOWN_BIAS_VARIANCE
         ).any(axis=0)
         scale_source = np.where(is_reference, int(ScaleSource.REFERENCE), int(ScaleSource.ASSUMED))
-        return Fused(Ranges(track_id, distance_m, sigma_m), scale_source, track.n_conflicts.astype(np.int64))
+        return Fused(
+            Ranges(track_id, distance_m, sigma_m), scale_source, track.n_conflicts.astype(np.int64)
+        )
 
 
 def _with_biases_learnt(
-    track: TrackBiases, used: Measurements, estimate: Estimate, model: ErrorModel, *, in_conflict: BoolArray
+    track: TrackBiases,
+    used: Measurements,
+    estimate: Estimate,
+    model: ErrorModel,
+    *,
+    in_conflict: BoolArray,
 ) -> TrackBiases:
     size, matching = model.size[:, None], model.matching
     is_apart = np.abs(used.z[size] - used.z[matching]) > _MAX_BIAS_SIGMA * np.hypot(
@@ -193,9 +232,11 @@ def _with_biases_learnt(
 def _inconsistent_with_size(
     measured: Measurements, usable: BoolArray, track: TrackBiases, model: ErrorModel
 ) -> BoolArray:
-    """(M, N) matching, or size, methods of new tracks that imply an implausible object size for the class.
+    """(M, N) matching, or size, methods of new tracks that imply an implausible object size for the
+    class.
 
-    `measured` has all measurements: methods that are not `usable` (M, N) may also confirm other methods.
+    `measured` has all measurements: methods that are not `usable` (M, N) may also confirm other
+    methods.
     """
     rejected = np.zeros_like(usable)
     is_new = usable[model.matching] & (track.n_agreements < _TRUSTED_FRAMES)
@@ -203,13 +244,17 @@ def _inconsistent_with_size(
         return rejected
     z, sigma, has_size = measured.z, measured.sigma, usable[model.size]
     ratio = np.abs(z[model.matching, None] - z[model.size])
-    is_apart = is_new & has_size.any(axis=0) & ((ratio > _LOG_MAX_SIZE_RATIO) | ~has_size).all(axis=1)
+    is_apart = (
+        is_new & has_size.any(axis=0) & ((ratio > _LOG_MAX_SIZE_RATIO) | ~has_size).all(axis=1)
+    )
     for j, tracks in zip(model.matching.tolist(), is_apart, strict=True):
         if tracks.any():
             difference = np.abs(z[model.contact] - z[j])
             agrees = difference < _OUTLIER_SIGMA * np.hypot(sigma[model.contact], sigma[j])
             agrees &= measured.valid[model.contact]
-            from_size = np.where(has_size, np.abs(z[model.contact, None] - z[model.size]), np.inf).min(axis=1)
+            from_size = np.where(
+                has_size, np.abs(z[model.contact, None] - z[model.size]), np.inf
+            ).min(axis=1)
             is_wrong_class = (agrees & (difference < from_size)).any(axis=0)
             rejected[j] |= tracks & ~is_wrong_class
             rejected[model.size] |= has_size & tracks & is_wrong_class
@@ -226,14 +271,17 @@ def _outliers(
     in_conflict: BoolArray,
     time_s: float,
 ) -> BoolArray:
-    """(M, N) outliers among the `used` methods of tracks that are `in_conflict` (N,), by their `estimate`.
+    """(M, N) outliers among the `used` methods of tracks that are `in_conflict` (N,), by their
+    `estimate`.
 
     `measured` has all measurements: methods that are not used may also confirm other methods.
     """
     rejected = in_conflict & _far_from_history(used, estimate, track, model, time_s)
     unresolved = np.flatnonzero(in_conflict & ~rejected.any(axis=0) & (estimate.n_valid > 2))
     if len(unresolved):
-        rejected[:, unresolved] = _outvoted(used.of_tracks(unresolved), track.of_tracks(unresolved), model)
+        rejected[:, unresolved] = _outvoted(
+            used.of_tracks(unresolved), track.of_tracks(unresolved), model
+        )
     in_conflict = in_conflict & ~rejected.any(axis=0)
     if not in_conflict.any():
         return rejected
@@ -243,19 +291,28 @@ def _outliers(
 def _far_from_history(
     used: Measurements, estimate: Estimate, track: TrackBiases, model: ErrorModel, time_s: float
 ) -> BoolArray:
-    """(M, N) methods far from the previous distance of a trusted track, if at least as many methods are near it."""
+    """(M, N) methods far from the previous distance of a trusted track, if at least as many methods
+    are near it.
+    """
     n = used.sigma * model.independent
     moved = _MAX_SPEED_MPS * (time_s - track.time_s) / np.exp(track.log_m)
     variance = estimate.k**2 * track.u_variance + n * n + track.variance + moved * moved
     deviation = np.abs(estimate.y - track.log_m) / np.sqrt(variance)  # NaN for a new track
-    is_near, is_far = used.valid & (deviation < _OUTLIER_SIGMA), used.valid & (deviation > _OUTLIER_SIGMA)
+    is_near, is_far = (
+        used.valid & (deviation < _OUTLIER_SIGMA),
+        used.valid & (deviation > _OUTLIER_SIGMA),
+    )
     n_near = is_near.sum(axis=0)
-    decides = (track.n_agreements >= _TRUSTED_FRAMES) & (n_near > 0) & (n_near >= is_far.sum(axis=0))
+    decides = (
+        (track.n_agreements >= _TRUSTED_FRAMES) & (n_near > 0) & (n_near >= is_far.sum(axis=0))
+    )
     return np.asarray(is_far & decides)
 
 
 def _outvoted(used: Measurements, track: TrackBiases, model: ErrorModel) -> BoolArray:
-    """(M, N) the one method of three or more without which all others agree, two of them with independent errors."""
+    """(M, N) the one method of three or more without which all others agree, two of them with
+    independent errors.
+    """
     is_independent = model.systematic_correlation < _SAME_ERRORS
     t2_without = np.full(used.valid.shape, np.inf)
     for i in np.flatnonzero(used.valid.any(axis=1)).tolist():
@@ -269,9 +326,14 @@ def _outvoted(used: Measurements, track: TrackBiases, model: ErrorModel) -> Bool
 
 
 def _wrong_lane(
-    used: Measurements, measured: Measurements, estimate: Estimate, model: ErrorModel, in_conflict: BoolArray
+    used: Measurements,
+    measured: Measurements,
+    estimate: Estimate,
+    model: ErrorModel,
+    in_conflict: BoolArray,
 ) -> BoolArray:
-    """(M, N) lane-width methods that contradict size methods, or the size methods if the horizon supports the lane.
+    """(M, N) lane-width methods that contradict size methods, or the size methods if the horizon
+    supports the lane.
 
     The lines may belong to another lane, an error that is not part of sigma.
     """

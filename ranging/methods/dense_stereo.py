@@ -17,12 +17,20 @@ from track_range.tracking.tracks import Tracks
 
 
 class DenseRanger(Ranger):
-    """Ranges each box by the median dense disparity in its inner half; matching runs in a background thread."""
+    """Ranges each box by the median dense disparity in its inner half; matching runs in a
+    background thread.
+    """
 
     def __init__(
-        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: AlignmentSource | None = None
+        self,
+        rig: StereoRig,
+        settings: SgbmSettings | None = None,
+        *,
+        alignment: AlignmentSource | None = None,
     ) -> None:
-        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = the rig's alignment."""
+        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = the
+        rig's alignment.
+        """
         self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
@@ -38,7 +46,9 @@ class DenseRanger(Ranger):
         if frame.index not in self._pending:
             self.start(frame)
         self.disparity = disparity = self._pending.pop(frame.index).result()
-        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
+        disparity_px, sigma_px = inner_half_median(
+            disparity, tracks.xyxy_px, settings=self._settings
+        )
         disparity_px = np.where(tracks.observed, disparity_px, np.nan)
         return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
 
@@ -59,7 +69,9 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         return None
     settings = SgbmSettings.for_rig(context.rig, chosen=context.sgbm_options)
-    return DenseRanger(context.rig, settings, alignment=context.drifting_alignment or context.alignment)
+    return DenseRanger(
+        context.rig, settings, alignment=context.drifting_alignment or context.alignment
+    )
 
 
 SGBM = RangingMethod(

@@ -1,14 +1,17 @@
-r"""ExpansionRanger: time to collision from the growth of an object in the image, without distances and focal length.
+r"""ExpansionRanger: time to collision from the growth of an object in the image, without distances
+and focal length.
 
-An object at the distance d with the size s in the image has s ~ 1 / d, so that its growth gives the time to collision
-(Lee, A theory of visual control of braking based on information about time-to-collision, Perception 1976)
+An object at the distance d with the size s in the image has s ~ 1 / d, so that its growth gives the
+time to collision (Lee, A theory of visual control of braking based on information about
+time-to-collision, Perception 1976)
 
     T = d / -d' = s / s'
 
-The filter of distances (`distance_filter`) estimates T, with d = 1 / s in the unit in which objects of the class have
-their typical size. It has two measurements: the size of the box in every frame, and the growth of its patch in the
-images since a key frame (`patch_scale`), which is tens of times as precise. The typical size and the focal length only
-set what changes of speed are likely. The growth is also a measurement for the filters of distances (`Ranges.growth`).
+The filter of distances (`distance_filter`) estimates T, with d = 1 / s in the unit in which objects
+of the class have their typical size. It has two measurements: the size of the box in every frame,
+and the growth of its patch in the images since a key frame (`patch_scale`), which is tens of times
+as precise. The typical size and the focal length only set what changes of speed are likely. The
+growth is also a measurement for the filters of distances (`Ranges.growth`).
 """
 
 import numpy as np
@@ -27,15 +30,18 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 _HEIGHT_M = np.array([1.7, 1.7, 1.5, 1.5, 3.0, 3.0, 0.9, 0.7])  # typical height by road class
-_SIZE_SIGMA = 0.15  # relative standard deviation of sizes in a class: step where a box begins to count by height only
-_MAX_SIDE = 0.25  # largest fraction of the width that may be an object's side; it grows faster than the object
+# relative standard deviation of sizes in a class: step where a box begins to count by height only
+_SIZE_SIGMA = 0.15
+# largest fraction of the width that may be an object's side; it grows faster than the object
+_MAX_SIDE = 0.25
 _RIGID = np.isin(ROAD_CLASSES, ("car", "bus", "truck", "traffic sign"))  # whose widths count
 _MIN_HEIGHT_PX = 4.0
 _MAX_SIGMA = 0.3  # largest relative standard deviation of a time to collision
 
 
 class ExpansionRanger(Ranger):
-    """Times to collision from boxes and, if frames have pixels, from the images; it measures no distance.
+    """Times to collision from boxes and, if frames have pixels, from the images; it measures no
+    distance.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -51,16 +57,24 @@ class ExpansionRanger(Ranger):
         np.True_
     """
 
-    def __init__(self, camera: PinholeCamera, *, noise: BoxNoise | None = None, has_images: bool = True) -> None:
-        """Create a ranger for `camera` (undistorted); `noise` of box edges: None = typical of a detector."""
+    def __init__(
+        self, camera: PinholeCamera, *, noise: BoxNoise | None = None, has_images: bool = True
+    ) -> None:
+        """Create a ranger for `camera` (undistorted); `noise` of box edges: None = typical of a
+        detector.
+        """
         self._camera = camera
         self._noise = noise or detector_noise(camera.width_px)
         self._scales = PatchScales(camera) if has_images else None
         self._filter = DistanceFilters({"": 1.0}, FilterSettings(max_rate_sigma_mps=np.inf))
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Times to collision of the tracks and their sigmas as details, and the growth; without distances."""
-        growth = None if self._scales is None else self._scales.measure(tracks, frame.left, frame.time_s)
+        """Times to collision of the tracks and their sigmas as details, and the growth; without
+        distances.
+        """
+        growth = (
+            None if self._scales is None else self._scales.measure(tracks, frame.left, frame.time_s)
+        )
         by_size, condition = self._by_size(tracks)
         filtered = self._filter.update(
             {"": by_size},
@@ -76,7 +90,9 @@ class ExpansionRanger(Ranger):
         return Ranges(tracks.track_id, nan, nan, details=details, growth=growth)
 
     def _by_size(self, tracks: Tracks) -> tuple[Ranges, IntArray]:
-        """Distances of N tracks by the typical sizes of their classes, and (N,) which sides of the boxes they use."""
+        """Distances of N tracks by the typical sizes of their classes, and (N,) which sides of the
+        boxes they use.
+        """
         camera, class_id = self._camera, tracks.class_id
         x1, y1, x2, y2 = tracks.xyxy_px.T
         size_px = np.stack([x2 - x1, y2 - y1], axis=1)
@@ -93,9 +109,12 @@ class ExpansionRanger(Ranger):
         log_m[:, 0] *= uses_width
         edge_sigma[:, 0] *= uses_width
         distance_m = np.where(is_usable, np.exp(log_m.sum(axis=1) / n_sides), np.nan)
-        independent = np.sqrt(2) * np.linalg.norm(edge_sigma, axis=1) / n_sides  # two edges per side
+        # two edges per side
+        independent = np.sqrt(2) * np.linalg.norm(edge_sigma, axis=1) / n_sides
         sigma = np.hypot(independent, _SIZE_SIGMA)
-        return Ranges(tracks.track_id, distance_m, distance_m * sigma, distance_m * _SIZE_SIGMA), uses_width.astype(int)
+        return Ranges(
+            tracks.track_id, distance_m, distance_m * sigma, distance_m * _SIZE_SIGMA
+        ), uses_width.astype(int)
 
 
 def _create(context: MethodContext) -> Ranger:

@@ -2,34 +2,38 @@ r"""GroundRanger: distance from the contact point of an object, the camera heigh
 
     d = fy H / (y - y0)
 
-              o camera -------------- y0, horizon (vanishing line of the road; moves with pitch and slope)
+              o camera -------------- y0, horizon (vanishing line of the road; moves with pitch and
+              slope)
               |  \
             H |     \   y, bottom edge of the box
     __________|________\[object]___
 
-The horizon y0 is not part of a calibration: it moves with every bump, and differs between roads by 3 degrees or 40 px.
-Image motion measures it, and the curvature k of the road in the vertical plane (`stereo.odometry.road_horizon`):
+The horizon y0 is not part of a calibration: it moves with every bump, and differs between roads by
+3 degrees or 40 px. Image motion measures it, and the curvature k of the road in the vertical plane
+(`stereo.odometry.road_horizon`):
 
     y = y0 + H s - fy k d / 2,   s = fy / d
 
-The objects on the road add to this estimate, and replace it where there are no images or no motion. With its distance
-d_i by size, object i is a measurement
+The objects on the road add to this estimate, and replace it where there are no images or no motion.
+With its distance d_i by size, object i is a measurement
 
     y_i = y0 + H s_i (1 - b) - fy k d_i / 2,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
     R = pitch^2 + edge^2 + (kerb s_i)^2 + (crossfall x_i)^2 + curvature ahead^2
 
-of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
-tracks, with priors from image motion, the camera height and the drive (`DriveScale`). A track contributes the average
-of its recent measurements once, since its size error is the same in every frame. For the same reason each object is
-ranged with the road from the other objects only; otherwise its distance would repeat the distance by size. Without
-image motion, k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
+of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least
+squares over all tracks, with priors from image motion, the camera height and the drive
+(`DriveScale`). A track contributes the average of its recent measurements once, since its size
+error is the same in every frame. For the same reason each object is ranged with the road from the
+other objects only; otherwise its distance would repeat the distance by size. Without image motion,
+k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
 
-Where the camera height is known, distances from image motion alone, without any size, are the reference from which the
-drive's scale is measured.
+Where the camera height is known, distances from image motion alone, without any size, are the
+reference from which the drive's scale is measured.
 
-The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
-meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`). The box of a detector
-ends at the tyres, which in a rear view are behind the bumper.
+The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray
+through the box centre meets the object, for a car seen from the side up to half a metre farther
+(`surface_offset_m`). The box of a detector ends at the tyres, which in a rear view are behind the
+bumper.
 """
 
 from __future__ import annotations
@@ -49,18 +53,30 @@ from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidenc
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.road_horizon import RoadView, curvature_fraction, unknown_curvature_variance
+from track_range.stereo.odometry.road_horizon import (
+    RoadView,
+    curvature_fraction,
+    unknown_curvature_variance,
+)
 from track_range.tracking.tracks import Tracks
 
 GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")  # on the ground
 _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])  # (size classes,)
-_HUBER_SIGMA = 2.0  # residual in standard deviations beyond which measurements are down-weighted (Huber)
-_MAX_HEIGHT_SIGMA = 0.05  # largest relative standard deviation of a measured camera height that counts as known
-_REFERENCE_SIGMA = 0.04  # relative, of all distances from image motion: camera height, and the horizon's mean error
-_DRIVE_S = 60.0  # time constant with which tracks that left are forgotten: the angle of the mounting changes with load
-_PAST_WEIGHT = 0.25  # of a track that left: tracks that are in view together have the pitch in common
-_LINES_RAD = 0.006  # error of the row in which lane lines meet as a measurement of the horizon: hills, curves
-_MAX_LINES_SIGMA = 3.0  # deviation of that row from the horizon of image motion beyond which they are not lane lines
+# residual in standard deviations beyond which measurements are down-weighted (Huber)
+_HUBER_SIGMA = 2.0
+# largest relative standard deviation of a measured camera height that counts as known
+_MAX_HEIGHT_SIGMA = 0.05
+# relative, of all distances from image motion: camera height, and the horizon's mean error
+_REFERENCE_SIGMA = 0.04
+# time constant with which tracks that left are forgotten: the angle of the mounting changes with
+# load
+_DRIVE_S = 60.0
+# of a track that left: tracks that are in view together have the pitch in common
+_PAST_WEIGHT = 0.25
+# error of the row in which lane lines meet as a measurement of the horizon: hills, curves
+_LINES_RAD = 0.006
+# deviation of that row from the horizon of image motion beyond which they are not lane lines
+_MAX_LINES_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,19 +84,26 @@ class GroundSettings:
     """Settings of the ground plane."""
 
     height_m: float = 1.5  # prior mean of the camera height H above the road
-    height_sigma_m: float = 0.3  # standard deviation of `height_m`: small if measured, large if assumed
-    horizon_sigma_rad: float = 0.05  # prior standard deviation of the angle between the camera's axis and the horizon
-    # error of the horizon from image motion that lasts: the difference from planes fitted to stereo on KITTI 0003, 0005
-    # and gray51 is 0.003, 0.003 and 0.006 rad
+    # standard deviation of `height_m`: small if measured, large if assumed
+    height_sigma_m: float = 0.3
+    # prior standard deviation of the angle between the camera's axis and the horizon
+    horizon_sigma_rad: float = 0.05
+    # error of the horizon from image motion that lasts: the difference from planes fitted to stereo
+    # on KITTI 0003, 0005 and gray51 is 0.003, 0.003 and 0.006 rad
     road_sigma_rad: float = 0.0035
     average_s: float = 0.3  # time constant for averaging the measurements of a track
-    memory_s: float = 1.5  # time constant of the decay of a track's measurement after the track ended
-    pitch_sigma_rad: float = 0.008  # initial standard deviation of pitch and slope; updated from the residuals
+    # time constant of the decay of a track's measurement after the track ended
+    memory_s: float = 1.5
+    # initial standard deviation of pitch and slope; updated from the residuals
+    pitch_sigma_rad: float = 0.008
     pitch_memory_s: float = 5.0  # time constant of the update of `pitch_sigma_rad`
-    kerb_m: float = 0.08  # standard deviation of the height of contact points above the road (kerbs, camber)
-    # standard deviation of the slope to the side within the road; roads are built with 0.02 to 0.025
+    # standard deviation of the height of contact points above the road (kerbs, camber)
+    kerb_m: float = 0.08
+    # standard deviation of the slope to the side within the road; roads are built with 0.02 to
+    # 0.025
     crossfall: float = 0.02
-    has_visible_boxes: bool = False  # boxes end at the tyres (detector), not at the bumper (projected 3-D boxes)
+    # boxes end at the tyres (detector), not at the bumper (projected 3-D boxes)
+    has_visible_boxes: bool = False
     box_sigma_px: float = 1.5  # standard deviation of one box edge
     max_sigma: float = 0.5  # largest relative standard deviation of a reported distance
 
@@ -102,18 +125,23 @@ class Horizon:
 _N = 4  # number of the unknowns x = (y0, H, fy k, b)
 _LOWER = np.tril_indices(_N, k=-1)
 _FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
-_N_CURVE_ROUNDS = 3  # of fixed-point iteration on a curved road; the fraction of the curvature changes slowly
-_MIN_SLOPE = 0.3  # smallest change of the row with distance, relative to that on a plane road: near a crest
-_MIN_OWN = 0.4  # smallest fraction of the variance of a distance by size that belongs to the object and the box
+# of fixed-point iteration on a curved road; the fraction of the curvature changes slowly
+_N_CURVE_ROUNDS = 3
+# smallest change of the row with distance, relative to that on a plane road: near a crest
+_MIN_SLOPE = 0.3
+# smallest fraction of the variance of a distance by size that belongs to the object and the box
+_MIN_OWN = 0.4
 _MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new in every frame
-# Distance to the side over which the slope to the side doubles: beyond the road are pavements, verges and side streets.
-# Heights of contact points on KITTI and nuScenes, in m: 0.12 and 0.21 at 3 to 6 m, 0.29 and 0.39 at 6 to 10 m, 0.4 to
-# 0.9 at 10 to 16 m, 0.6 and 1.2 beyond.
+# Distance to the side over which the slope to the side doubles: beyond the road are pavements,
+# verges and side streets. Heights of contact points on KITTI and nuScenes, in m: 0.12 and 0.21 at 3
+# to 6 m, 0.29 and 0.39 at 6 to 10 m, 0.4 to 0.9 at 10 to 16 m, 0.6 and 1.2 beyond.
 _VERGE_M, _MAX_VERGE = 10.0, 1.0
-_MIN_INFORMATION = 1e-3  # about the horizon, relative to a new measurement; tracks with less are dropped
+# about the horizon, relative to a new measurement; tracks with less are dropped
+_MIN_INFORMATION = 1e-3
 
 
-# Normal equations of the weighted measurements y = a'x are arrays (4, 5), with the tracks on further axes:
+# Normal equations of the weighted measurements y = a'x are arrays (4, 5), with the tracks on
+# further axes:
 #
 #     A x = v,   [A | v] = sum of w [a a' | a y],   a = (1, s, -fraction(d) d / 2, -H s)
 
@@ -125,7 +153,9 @@ class _Plane(NamedTuple):
     P: FloatArray  # (..., 4, 4) covariance
 
     def rows(self, basis: FloatArray) -> FloatArray:
-        """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of their distances."""
+        """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of
+        their distances.
+        """
         return np.asarray(np.vecdot(basis.T, self.x))
 
     def variance(self, basis: FloatArray) -> FloatArray:
@@ -142,15 +172,19 @@ class _Contacts:
     offset_m: FloatArray  # distance from the contact point to the visible surface
     s: FloatArray  # fy / d with the distance by size, in px/m; 1 = no distance by size
     s_variance: FloatArray  # variance of `s`
-    basis: FloatArray  # (4, N) derivatives of the row of the ground at `s` by the unknowns, without b
+    # (4, N) derivatives of the row of the ground at `s` by the unknowns, without b
+    basis: FloatArray
     R: FloatArray  # variance of `y` about the ground plane, px^2
     side_px: FloatArray  # column of the middle of the box right of the camera's axis
     on_ground: BoolArray  # whether the bottom edge is visible and the object is on the ground
-    is_informative: BoolArray  # whether there is also a distance by size, so that the track measures the horizon
+    # whether there is also a distance by size, so that the track measures the horizon
+    is_informative: BoolArray
 
 
 class GroundPlane:
-    """Estimator of the horizon, the camera height and the curvature of the road from the tracks of a video."""
+    """Estimator of the horizon, the camera height and the curvature of the road from the tracks of
+    a video.
+    """
 
     def __init__(self, camera: PinholeCamera, settings: GroundSettings | None = None) -> None:
         """Start from the prior in the settings; `camera` is undistorted."""
@@ -159,12 +193,14 @@ class GroundPlane:
         self._ids = np.zeros(0, np.int64)
         self._terms = np.zeros((_N, _N + 1, 0))  # of each track in `_ids`
         self._lane_terms = np.zeros((_N, _N + 1))
-        self._past_terms = np.zeros((_N, _N + 1))  # of tracks that left, about the mounting of the camera
+        # of tracks that left, about the mounting of the camera
+        self._past_terms = np.zeros((_N, _N + 1))
         self._pitch_px2 = (self._settings.pitch_sigma_rad * camera.fy_px) ** 2
         self._time_s: float | None = None
         self._road: RoadView | None = None
         self._bias_variance = _FIXED**2
-        self._known_prior: FloatArray | None = None  # computed when it is needed: its inputs change more often
+        # computed when it is needed: its inputs change more often
+        self._known_prior: FloatArray | None = None
 
     @property
     def horizon(self) -> Horizon:
@@ -184,9 +220,11 @@ class GroundPlane:
         return self._road is not None or bool(self._lane_terms[0, 0] > 0)
 
     def update_road(self, road: RoadView | None, *, bias_sigma: float | None = None) -> None:
-        """Set the road in the next frame as image motion shows it, with lengths in metres; None = unknown.
+        """Set the road in the next frame as image motion shows it, with lengths in metres; None =
+        unknown.
 
-        `bias_sigma` is the standard deviation of the bias that all distances by size share; None = no change.
+        `bias_sigma` is the standard deviation of the bias that all distances by size share; None =
+        no change.
         """
         self._road = road
         if bias_sigma is not None:
@@ -199,9 +237,11 @@ class GroundPlane:
         self._known_prior = None
 
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
-        """Add the row at which lane lines meet as a measurement of the horizon; it decays like measurements of tracks.
+        """Add the row at which lane lines meet as a measurement of the horizon; it decays like
+        measurements of tracks.
 
-        It is ignored where it contradicts image motion: the detected lines are then not lines of a lane.
+        It is ignored where it contradicts image motion: the detected lines are then not lines of a
+        lane.
         """
         self._drop_forgotten(is_present=False)
         self._lane_terms = np.zeros((_N, _N + 1))
@@ -216,20 +256,27 @@ class GroundPlane:
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
         """Distances of the tracks on the ground; their distances by size update the road first.
 
-        NaN for predicted boxes, boxes truncated at the bottom or above the horizon, and sigmas above `max_sigma`.
+        NaN for predicted boxes, boxes truncated at the bottom or above the horizon, and sigmas
+        above `max_sigma`.
         """
         step_s = 0.0 if self._time_s is None else max(frame.time_s - self._time_s, 0.0)
         self._time_s = frame.time_s
         memory = math.exp(-step_s / self._settings.memory_s)
         if self._road is None and step_s > 0:
             present = set(tracks.track_id.tolist())
-            left = [slot for slot, track_id in enumerate(self._ids.tolist()) if track_id not in present]
+            left = [
+                slot for slot, track_id in enumerate(self._ids.tolist()) if track_id not in present
+            ]
             self._past_terms *= math.exp(-step_s / _DRIVE_S)
             if left:
-                self._past_terms += _PAST_WEIGHT * (1.0 - memory) * self._terms[..., left].sum(axis=-1)
+                self._past_terms += (
+                    _PAST_WEIGHT * (1.0 - memory) * self._terms[..., left].sum(axis=-1)
+                )
             self._known_prior = None
         self._terms *= memory
-        self._lane_terms *= memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
+        self._lane_terms *= (
+            memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
+        )
         if not len(tracks):
             return Ranges.unmeasured(tracks.track_id)
         contacts = self._contacts(tracks, by_size, frame)
@@ -240,13 +287,17 @@ class GroundPlane:
         return self._ranges(tracks.track_id, contacts, others)
 
     def measure_alone(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the tracks on the ground from image motion and the camera height, without any size."""
+        """Distances of the tracks on the ground from image motion and the camera height, without
+        any size.
+        """
         contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
         return self._ranges(tracks.track_id, contacts, _solved(self._prior + self._lane_terms))
 
     @property
     def _prior(self) -> FloatArray:
-        """(4, 5) normal equations of the settings, of image motion or the mounting, and of the drive's bias."""
+        """(4, 5) normal equations of the settings, of image motion or the mounting, and of the
+        drive's bias.
+        """
         if self._known_prior is None:
             self._known_prior = self._prior_terms()
         return self._known_prior
@@ -254,7 +305,11 @@ class GroundPlane:
     def _prior_terms(self) -> FloatArray:
         settings, fy, road = self._settings, self._camera.fy_px, self._road
         mean, P = np.zeros(_N), np.zeros((_N, _N))
-        mean[1], P[1, 1], P[3, 3] = settings.height_m, settings.height_sigma_m**2, self._bias_variance
+        mean[1], P[1, 1], P[3, 3] = (
+            settings.height_m,
+            settings.height_sigma_m**2,
+            self._bias_variance,
+        )
         if road is None:
             P[0, 0], P[2, 2] = (settings.horizon_sigma_rad * fy) ** 2, _FIXED**2
         else:
@@ -272,7 +327,9 @@ class GroundPlane:
         return terms
 
     def _expected_px(self, x_px: FloatArray) -> FloatArray:
-        """Row (...) of the expected horizon at columns (...), from image motion or the camera's axis."""
+        """Row (...) of the expected horizon at columns (...), from image motion or the camera's
+        axis.
+        """
         camera, road = self._camera, self._road
         if road is None:
             return np.full(x_px.shape, camera.cy_px)
@@ -280,7 +337,9 @@ class GroundPlane:
         return np.asarray(camera.cy_px + camera.fy_px * tangent)
 
     def _basis(self, s: FloatArray) -> FloatArray:
-        """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without b."""
+        """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without
+        b.
+        """
         distance_m = self._camera.fy_px / s
         basis = np.zeros((_N, len(s)))
         basis[0], basis[1], basis[2] = 1.0, s, curvature_fraction(distance_m) * distance_m / -2
@@ -292,15 +351,21 @@ class GroundPlane:
         last_px = frame.left.shape[0] - 0.5 - BORDER_PX
         on_ground = tracks.observed & _ON_GROUND[tracks.class_id] & (y <= last_px)
         has_visible_boxes = self._settings.has_visible_boxes
-        offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=has_visible_boxes)
+        offset_m = surface_offset_m(
+            tracks.xyxy_px, tracks.class_id, has_visible_boxes=has_visible_boxes
+        )
         is_informative = on_ground & (by_size.distance_m > 2 * offset_m)  # False for NaN
-        s = self._camera.fy_px / np.where(is_informative, by_size.distance_m - offset_m, self._camera.fy_px)
+        s = self._camera.fy_px / np.where(
+            is_informative, by_size.distance_m - offset_m, self._camera.fy_px
+        )
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
         return _Contacts(
             y=y - self._expected_px(x),
             offset_m=offset_m,
             s=s,
-            s_variance=np.maximum(s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma),
+            s_variance=np.maximum(
+                s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma
+            ),
             basis=self._basis(s),
             R=self._row_variance(s, x - self._camera.cx_px),
             side_px=x - self._camera.cx_px,
@@ -309,7 +374,9 @@ class GroundPlane:
         )
 
     def _slots(self, track_id: IntArray) -> IntArray:
-        """(N,) index of each track in `_terms`; removes tracks with too little information and adds new tracks."""
+        """(N,) index of each track in `_terms`; removes tracks with too little information and adds
+        new tracks.
+        """
         if np.array_equal(track_id, self._ids):
             return np.arange(len(track_id))
         is_same = track_id[:, None] == self._ids
@@ -318,7 +385,9 @@ class GroundPlane:
         if not is_known.all():
             new_id = track_id[~is_known]
             self._ids = np.concatenate([self._ids, new_id])
-            self._terms = np.concatenate([self._terms, np.zeros((_N, _N + 1, len(new_id)))], axis=-1)
+            self._terms = np.concatenate(
+                [self._terms, np.zeros((_N, _N + 1, len(new_id)))], axis=-1
+            )
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
 
     def _drop_forgotten(self, is_present: BoolArray | bool) -> None:
@@ -328,7 +397,9 @@ class GroundPlane:
             self._ids, self._terms = self._ids[stays], self._terms[..., stays]
 
     def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
-        """(4, 5, N) normal equations of the tracks, with this frame's measurements in their running averages."""
+        """(4, 5, N) normal equations of the tracks, with this frame's measurements in their running
+        averages.
+        """
         plane = _solved(self._information)
         a, H = contacts.basis.copy(), float(plane.x[1])
         variance = H**2 * contacts.s_variance + contacts.R
@@ -346,14 +417,17 @@ class GroundPlane:
         return np.asarray(average)
 
     def _update_pitch(self, contacts: _Contacts, plane: _Plane, *, step_s: float) -> None:
-        """Update the pitch variance so that the squared residuals agree with their expected values."""
+        """Update the pitch variance so that the squared residuals agree with their expected
+        values.
+        """
         if step_s == 0.0 or self._road is not None:
             return
         basis, pitch_px2 = contacts.basis, self._pitch_px2
         residual = contacts.y - plane.rows(basis)
         expected = plane.x[:, 1] ** 2 * contacts.s_variance + plane.variance(basis) + contacts.R
         excess = np.minimum(residual**2, 10 * expected) - expected
-        weight = contacts.is_informative * (pitch_px2 / expected) ** 2  # small if other errors dominate
+        # small if other errors dominate
+        weight = contacts.is_informative * (pitch_px2 / expected) ** 2
         gain = 1.0 - math.exp(-step_s / self._settings.pitch_memory_s)
         pitch_px2 += gain * float(weight @ excess) / (1.0 + float(weight.sum()))
         initial_px2 = (self._settings.pitch_sigma_rad * self._camera.fy_px) ** 2
@@ -374,9 +448,17 @@ class GroundPlane:
         return Ranges(track_id, contact_m + contacts.offset_m, contact_m * sigma)
 
     def _row_variance(self, s: FloatArray, side_px: FloatArray) -> FloatArray:
-        """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in px/m."""
-        crossfall = self._settings.crossfall * (1.0 + np.minimum(np.abs(side_px) / (s * _VERGE_M), _MAX_VERGE))
-        box_and_kerb = self._settings.box_sigma_px**2 + (self._settings.kerb_m * s) ** 2 + (crossfall * side_px) ** 2
+        """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in
+        px/m.
+        """
+        crossfall = self._settings.crossfall * (
+            1.0 + np.minimum(np.abs(side_px) / (s * _VERGE_M), _MAX_VERGE)
+        )
+        box_and_kerb = (
+            self._settings.box_sigma_px**2
+            + (self._settings.kerb_m * s) ** 2
+            + (crossfall * side_px) ** 2
+        )
         if self._road is None:
             return np.asarray(self._pitch_px2 + box_and_kerb)
         fy = self._camera.fy_px
@@ -386,7 +468,8 @@ class GroundPlane:
 
 
 class GroundRanger(Ranger):
-    """Ranger of objects on the road; its horizon comes from image motion, or mono's distances and lane lines.
+    """Ranger of objects on the road; its horizon comes from image motion, or mono's distances and
+    lane lines.
 
     Attributes:
         plane: estimator of the horizon.
@@ -402,9 +485,10 @@ class GroundRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
-        `is_reference` is whether the camera height is known, so that image motion measures the drive's scale. With a
-        calibrated pair (`has_stereo`), the ground remains a fallback in fusion, since kerbs are an error that mono has
-        as well, and stereo measures the drive's scale.
+        `is_reference` is whether the camera height is known, so that image motion measures the
+        drive's scale. With a calibrated pair (`has_stereo`), the ground remains a fallback in
+        fusion, since kerbs are an error that mono has as well, and stereo measures the drive's
+        scale.
         """
         self._has_stereo = has_stereo
         self._usual = settings or GroundSettings()
@@ -417,13 +501,17 @@ class GroundRanger(Ranger):
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update the horizon."""
+        """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update
+        the horizon.
+        """
         return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure_with`; mono's distances share the uncertainty of the scale, which a known height measures."""
+        """See `measure_with`; mono's distances share the uncertainty of the scale, which a known
+        height measures.
+        """
         self.plane.update_road(self._road, bias_sigma=scale.bias_of("car").sigma)
         by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self.plane.has_seen_horizon and not self._has_stereo
@@ -437,7 +525,8 @@ class GroundRanger(Ranger):
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
         self._road = road
-        if not self._has_height:  # a height that is no longer measured, since its speed is in doubt, is unknown again
+        # a height that is no longer measured, since its speed is in doubt, is unknown again
+        if not self._has_height:
             height_m, sigma_m = road.height_m or (self._usual.height_m, self._usual.height_sigma_m)
             self.plane.set_height(height_m, sigma_m)
             self._is_reference = sigma_m < _MAX_HEIGHT_SIGMA * height_m
@@ -456,9 +545,11 @@ def _solved(normal: FloatArray) -> _Plane:
 
 
 def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:
-    """(N,) distances d of contact points: below = H / d - fraction(d) k d / 2; beyond a crest, the largest visible one.
+    """(N,) distances d of contact points: below = H / d - fraction(d) k d / 2; beyond a crest, the
+    largest visible one.
 
-    `below` (N,) are tangents below the horizon, positive; camera heights H in m, curvatures k of the road in 1/m.
+    `below` (N,) are tangents below the horizon, positive; camera heights H in m, curvatures k of
+    the road in 1/m.
     """
     distance_m = H / below
     for _ in range(_N_CURVE_ROUNDS):
@@ -473,7 +564,12 @@ def _create(context: MethodContext) -> Ranger:
     settings = replace(settings, has_visible_boxes=context.has_visible_boxes)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundRanger(context.camera, settings, is_reference=height_m is not None, has_stereo=context.rig is not None)
+    return GroundRanger(
+        context.camera,
+        settings,
+        is_reference=height_m is not None,
+        has_stereo=context.rig is not None,
+    )
 
 
 GROUND = RangingMethod(
@@ -490,5 +586,6 @@ GROUND = RangingMethod(
     ),
     fallback_for="mono",
 )
-"""The ground plane as a ranging method. It is a fallback for mono unless image motion and a known camera height
-determine it: otherwise its horizon comes from mono's distances, and it adds nothing for a track that mono measures."""
+"""The ground plane as a ranging method. It is a fallback for mono unless image motion and a known
+camera height determine it: otherwise its horizon comes from mono's distances, and it adds nothing
+for a track that mono measures."""

@@ -5,19 +5,23 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
       |box|        sigma_d / d = sqrt((sigma_w / w)^2 + (sigma_W / W)^2 + (w' sigma_y / w)^2)
      /-----\
     /   W   \      w' = dw/dy. On a flat road w = w' (y - y0) with the horizon y0, so the last term, the error of the
-                   bottom edge, grows with the distance as for all methods that use the contact point.
+                   bottom edge, grows with the distance as for all methods that use the contact
+                   point.
 
-Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
-lines in between. The contact point belongs to the nearest surface, or to tyres behind it (`surface_offset_m`).
+Pitch cancels if lines and box come from the same image; a run detects lines ten times per second
+and uses the latest lines in between. The contact point belongs to the nearest surface, or to tyres
+behind it (`surface_offset_m`).
 
-W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
+W has a prior by region and road, and is learnt from the distances d_i of the tracks by another
+method:
 
     log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: error of the track (its size)
 
-A track counts once, and the width that ranges a track is learnt from other tracks, since its own width would repeat
-d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its
-weight, and the error source `drive_scale` is what both methods have in common. A width far from the prior does not
-belong to a lane. Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
+A track counts once, and the width that ranges a track is learnt from other tracks, since its own
+width would repeat d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`):
+the prior of W keeps a part of its weight, and the error source `drive_scale` is what both methods
+have in common. A width far from the prior does not belong to a lane. Where the height H of the
+camera is known, the lines show their distance: W = H w' fy / fx.
 """
 
 import math
@@ -49,8 +53,10 @@ class LaneWidth:
     sigma: float  # relative standard deviation of W
 
 
-_GIVEN_SIGMA, _ANY_SIGMA, _FAST_SIGMA = 0.05, 0.13, 0.08  # relative, of widths given by the user and of those below
-_HEIGHT_SIGMA = 0.06  # relative, of a width from the height of the camera: the opening of the lines, height, hills
+# relative, of widths given by the user and of those below
+_GIVEN_SIGMA, _ANY_SIGMA, _FAST_SIGMA = 0.05, 0.13, 0.08
+# relative, of a width from the height of the camera: the opening of the lines, height, hills
+_HEIGHT_SIGMA = 0.06
 _FAST_MPS = 22.0  # 80 km/h; slower vehicles may be on any road
 _WIDTHS_M: Mapping[Region, tuple[float, float]] = {
     "unknown": (3.5, 3.6),
@@ -60,35 +66,48 @@ _WIDTHS_M: Mapping[Region, tuple[float, float]] = {
 }
 """Width of a lane on any road, and where traffic is fast.
 
-Germany: 2.75 to 3.25 m in towns, 3.5 m, 3.5 and 3.75 m on motorways (RASt 06, RAL 2012, RAA 2008); USA: 10 to 12 ft,
-12 ft on freeways (AASHTO, A Policy on Geometric Design of Highways and Streets, 2018); Japan: 2.75 to 3.5 m (Road
-Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG B01-2014). Roads without shoulders have wider lanes: 4.2 m
-on KITTI 0005.
+Germany: 2.75 to 3.25 m in towns, 3.5 m, 3.5 and 3.75 m on motorways (RASt 06, RAL 2012, RAA 2008);
+USA: 10 to 12 ft, 12 ft on freeways (AASHTO, A Policy on Geometric Design of Highways and Streets,
+2018); Japan: 2.75 to 3.5 m (Road Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG
+B01-2014). Roads without shoulders have wider lanes: 4.2 m on KITTI 0005.
 """
 
 
 def usual_width(region: Region, width_m: float | None = None) -> LaneWidth:
     """The width of a lane on any road of a region, or a given width."""
-    return LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA) if width_m is None else LaneWidth(width_m, _GIVEN_SIGMA)
+    return (
+        LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA)
+        if width_m is None
+        else LaneWidth(width_m, _GIVEN_SIGMA)
+    )
 
 
 _ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class are on the road."""
 
-_LATERAL_RANGE = (-1.1, 2.1)  # lane widths from the left line: the ego lane, 0 to 1, and one lane on either side
-_MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5  # factors of the distances of the farthest and nearest row
+# lane widths from the left line: the ego lane, 0 to 1, and one lane on either side
+_LATERAL_RANGE = (-1.1, 2.1)
+# factors of the distances of the farthest and nearest row
+_MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5
 _MIN_WIDTH_PX = 8.0  # smallest usable width of the lane in the image
 _MAX_SIGMA = 0.3  # largest relative standard deviation of a reported distance
-_MIN_WIDTH_SIGMA = 0.015  # smallest relative sigma of a learnt width: bias of bottom edges, alignment of the pair
-_MEMORY_S = 30.0  # time constant with which tracks are forgotten: the lane widens, or is another one
+# smallest relative sigma of a learnt width: bias of bottom edges, alignment of the pair
+_MIN_WIDTH_SIGMA = 0.015
+# time constant with which tracks are forgotten: the lane widens, or is another one
+_MEMORY_S = 30.0
 _FRAMES = 5.0  # frames over which the width at a track is averaged; the errors of more are the same
 _MIN_OWN = 0.4  # smallest fraction of the variance of a distance that belongs to the track
-_CAUCHY_SIGMA, _N_ROUNDS = 2.0, 2  # scale of the weights 1 / (1 + (residual / scale)^2) in sigmas, and rounds
-_MEASURABLE_SIGMA = 0.25  # of the prior where a calibrated pair measures the width, whatever the lines are
-_MAX_DEVIATION = 3.0  # of a width by sizes from the prior, in sigmas; more is not the width of a lane
-_HILL_RAD = 0.004  # error of the row in which the lines meet, by hills and the fit: 0.001 to 0.006 on real roads
+# scale of the weights 1 / (1 + (residual / scale)^2) in sigmas, and rounds
+_CAUCHY_SIGMA, _N_ROUNDS = 2.0, 2
+# of the prior where a calibrated pair measures the width, whatever the lines are
+_MEASURABLE_SIGMA = 0.25
+# of a width by sizes from the prior, in sigmas; more is not the width of a lane
+_MAX_DEVIATION = 3.0
+# error of the row in which the lines meet, by hills and the fit: 0.001 to 0.006 on real roads
+_HILL_RAD = 0.004
 _ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
-_Widths = tuple[FloatArray, FloatArray, BoolArray]  # (N,) w in px at bottom edges, relative sigma, whether usable
+# (N,) w in px at bottom edges, relative sigma, whether usable
+_Widths = tuple[FloatArray, FloatArray, BoolArray]
 
 
 class LaneWidthRanger(Ranger):
@@ -108,9 +127,10 @@ class LaneWidthRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
-        `width_m` is the lane width W between the centre lines of the markings, None = the usual width of the region;
-        its relative standard deviation is `width_sigma`. `width_from` is the method that it is learnt from, None = it
-        is fixed. `has_visible_boxes`: boxes end at the tyres, as a detector's boxes do, within `box_sigma_px`.
+        `width_m` is the lane width W between the centre lines of the markings, None = the usual
+        width of the region; its relative standard deviation is `width_sigma`. `width_from` is the
+        method that it is learnt from, None = it is fixed. `has_visible_boxes`: boxes end at the
+        tyres, as a detector's boxes do, within `box_sigma_px`.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
@@ -120,8 +140,10 @@ class LaneWidthRanger(Ranger):
         self._width_from = width_from
         self._height_m, self._has_visible_boxes = camera_height_m, has_visible_boxes
         self._lines = LaneLines()
-        self._last: tuple[Tracks, _Widths] | None = None  # cache: learning needs the widths of `measure`
-        # of each track: number of frames, log width, its variance without the shared part, time of the last frame
+        # cache: learning needs the widths of `measure`
+        self._last: tuple[Tracks, _Widths] | None = None
+        # of each track: number of frames, log width, its variance without the shared part, time of
+        # the last frame
         self._tracks = TrackState(np.zeros(4))
 
     def update_lanes(self, lines: LaneLines) -> None:
@@ -131,10 +153,13 @@ class LaneWidthRanger(Ranger):
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the tracks; NaN unless both lines of the ego lane are known.
 
-        NaN also for predicted boxes, boxes truncated at the bottom, traffic lights and signs, objects beyond the
-        neighbouring lanes, and contact points far outside the rows in which the lines were detected.
+        NaN also for predicted boxes, boxes truncated at the bottom, traffic lights and signs,
+        objects beyond the neighbouring lanes, and contact points far outside the rows in which the
+        lines were detected.
         """
-        return self._ranges(tracks, frame, np.array(math.log(self.lane.width_m)), np.array(self.lane.sigma))
+        return self._ranges(
+            tracks, frame, np.array(math.log(self.lane.width_m)), np.array(self.lane.sigma)
+        )
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """See `measure_at_scale`; without a measured scale of the drive."""
@@ -143,7 +168,8 @@ class LaneWidthRanger(Ranger):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure`; the width is learnt from the method `width_from` in this frame and earlier frames.
+        """See `measure`; the width is learnt from the method `width_from` in this frame and earlier
+        frames.
 
         Sigmas are inflated if the other methods disagree with the distances of the whole frame.
         """
@@ -153,7 +179,9 @@ class LaneWidthRanger(Ranger):
             is_by_size = self._width_from == "mono"
             shared_sigma = scale.bias_of("car").sigma if is_by_size else _MIN_WIDTH_SIGMA
             own = self._learn(tracks, widths, others[self._width_from], shared_sigma, frame.time_s)
-            log_width, sigma = self._learnt(own & is_by_size, shared_sigma, frame.time_s, is_measured=not is_by_size)
+            log_width, sigma = self._learnt(
+                own & is_by_size, shared_sigma, frame.time_s, is_measured=not is_by_size
+            )
         ranges = self._ranges(tracks, frame, log_width, sigma)
         return Measured(inflated_by_disagreement(ranges, list(others.values())))
 
@@ -166,10 +194,17 @@ class LaneWidthRanger(Ranger):
     def _learn(
         self, tracks: Tracks, widths: _Widths, measured: Ranges, shared_sigma: float, time_s: float
     ) -> BoolArray:
-        """Add the widths at the tracks by another method's distances; returns which of the tracks (N,) have a width."""
+        """Add the widths at the tracks by another method's distances; returns which of the tracks
+        (N,) have a width.
+        """
         w, sigma_w, is_valid = widths
-        usable = np.asarray(is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m))
-        distance_m, ids = (measured.distance_m - self._offset_m(tracks))[usable], tracks.track_id[usable]
+        usable = np.asarray(
+            is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m)
+        )
+        distance_m, ids = (
+            (measured.distance_m - self._offset_m(tracks))[usable],
+            tracks.track_id[usable],
+        )
         variance = sigma_w[usable] ** 2 + (measured.sigma_m[usable] / distance_m) ** 2
         variance = np.maximum(variance - shared_sigma**2, _MIN_OWN * variance)
         n_frames, log_width, _, _ = self._tracks.get(ids)
@@ -183,10 +218,11 @@ class LaneWidthRanger(Ranger):
     def _learnt(
         self, own: BoolArray, shared_sigma: float, time_s: float, *, is_measured: bool
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) log width and its sigma for each of the tracks of the frame, from the other tracks; inf = not a lane.
+        """(N,) log width and its sigma for each of the tracks of the frame, from the other tracks;
+        inf = not a lane.
 
-        The tracks in the mask `own` (N,) are the first of the known tracks, and are left out for themselves. Sets
-        `lane` to the estimate from all tracks.
+        The tracks in the mask `own` (N,) are the first of the known tracks, and are left out for
+        themselves. Sets `lane` to the estimate from all tracks.
         """
         _, z, variance, seen_s = self._tracks.known
         unweighted = weight = np.exp((seen_s - time_s) / _MEMORY_S) / variance
@@ -210,7 +246,9 @@ class LaneWidthRanger(Ranger):
         self.lane = LaneWidth(float(np.exp(log_width[-1])), float(sigma[-1]))
         return log_width[:-1], sigma[:-1]
 
-    def _ranges(self, tracks: Tracks, frame: Frame, log_width: FloatArray, width_sigma: FloatArray) -> Ranges:
+    def _ranges(
+        self, tracks: Tracks, frame: Frame, log_width: FloatArray, width_sigma: FloatArray
+    ) -> Ranges:
         """Distances with the log width of the lane and its sigma, (N,) or () each."""
         widths = self._widths_of(tracks, frame)
         if widths is None:
@@ -222,10 +260,14 @@ class LaneWidthRanger(Ranger):
         return Ranges(tracks.track_id, distance_m + self._offset_m(tracks), distance_m * sigma)
 
     def _offset_m(self, tracks: Tracks) -> FloatArray:
-        return surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=self._has_visible_boxes)
+        return surface_offset_m(
+            tracks.xyxy_px, tracks.class_id, has_visible_boxes=self._has_visible_boxes
+        )
 
     def _prior_of_lines(self) -> LaneWidth:
-        """The prior, and the width of the lines in view from the height of the camera, if it is known."""
+        """The prior, and the width of the lines in view from the height of the camera, if it is
+        known.
+        """
         left, right, prior = self._lines.left, self._lines.right, self._prior
         if self._height_m is None or left is None or right is None:
             return prior
@@ -243,7 +285,8 @@ class LaneWidthRanger(Ranger):
             return None
         x1_px, _, x2_px, y_px = tracks.xyxy_px.T
         powers = np.array([np.ones_like(y_px), y_px, y_px * y_px])
-        width = right.coefficients - left.coefficients  # coefficients of w as a polynomial in the row
+        # coefficients of w as a polynomial in the row
+        width = right.coefficients - left.coefficients
         left_px, w = left.coefficients @ powers, width @ powers
         divisor = np.maximum(w, 1.0)
         lateral = ((x1_px + x2_px) / 2 - left_px) / divisor
@@ -272,15 +315,18 @@ class LaneWidthRanger(Ranger):
 
 
 def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges:
-    """Distances by lane width, with sigmas inflated by a common relative error that other methods show.
+    """Distances by lane width, with sigmas inflated by a common relative error that other methods
+    show.
 
-    If the lines belong to another lane, or are no lane lines, all distances of a frame are wrong by the same factor,
-    which the sigma of the lines does not contain. With e_i the log ratio of the other distance with the smallest sigma
-    to the distance by lane width, and s_i its standard deviation, the common error is estimated as
+    If the lines belong to another lane, or are no lane lines, all distances of a frame are wrong by
+    the same factor, which the sigma of the lines does not contain. With e_i the log ratio of the
+    other distance with the smallest sigma to the distance by lane width, and s_i its standard
+    deviation, the common error is estimated as
 
         max(|median e| - 1.25 (sum 1 / s_i^2)^-1/2, 0)
 
-    where the second term is the standard error of the median. `others` are methods that do not use the lane.
+    where the second term is the standard error of the median. `others` are methods that do not use
+    the lane.
     """
     variance, log_ratio = np.full((2, len(ranges)), np.inf)
     for other in others:
@@ -294,7 +340,9 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
     standard_error = 1.25 / math.sqrt(float((1.0 / variance[both]).sum()))
     e = np.sort(log_ratio[both])
     common = max(abs(float(e[(len(e) - 1) // 2] + e[len(e) // 2]) / 2) - standard_error, 0.0)
-    return Ranges(ranges.track_id, ranges.distance_m, np.hypot(ranges.sigma_m, common * ranges.distance_m))
+    return Ranges(
+        ranges.track_id, ranges.distance_m, np.hypot(ranges.sigma_m, common * ranges.distance_m)
+    )
 
 
 def _create(context: MethodContext) -> Ranger:
@@ -324,5 +372,5 @@ LANE = RangingMethod(
     ),
     fallback_for="stereo",
 )
-"""Lane width as a ranging method. It is a fallback for stereo: with a calibrated pair the width is learnt from stereo,
-so it adds no information for a track that stereo has measured."""
+"""Lane width as a ranging method. It is a fallback for stereo: with a calibrated pair the width is
+learnt from stereo, so it adds no information for a track that stereo has measured."""

@@ -1,22 +1,24 @@
-r"""PatchScales: growth of the image of each track since a key frame, by registration of patches with scale.
+r"""PatchScales: growth of the image of each track since a key frame, by registration of patches
+with scale.
 
-A patch is the inner part of a box, sampled on a grid of fixed size from the level of the image pyramid whose pixels are
-as far apart as the grid's points. The template T of a track, from its key frame, is aligned with the current image I by
-the inverse compositional algorithm (Baker and Matthews, Lucas-Kanade 20 years on, IJCV 2004), with gain and offset:
+A patch is the inner part of a box, sampled on a grid of fixed size from the level of the image
+pyramid whose pixels are as far apart as the grid's points. The template T of a track, from its key
+frame, is aligned with the current image I by the inverse compositional algorithm (Baker and
+Matthews, Lucas-Kanade 20 years on, IJCV 2004), with gain and offset:
 
     I(c + t + s x) = g T((1 + ds) x + dt) + b       minimised over dt, ds, g, b with Cauchy weights of the residuals
     s <- s / (1 + ds),   t <- t - s dt              s: width and height now / those in the key frame
 
-First only t is estimated, on the next coarser level. Points that a nearer box covers, in the key frame or now, and
-points outside the image have no weight. The covariance of log s follows from least squares, with floors for other
-errors:
+First only t is estimated, on the next coarser level. Points that a nearer box covers, in the key
+frame or now, and points outside the image have no weight. The covariance of log s follows from
+least squares, with floors for other errors:
 
     cov log s = (_FIT r)^2 (A^T W A)^-1 / g^2 + diag(_FLOOR_PX / half extent)^2 + (_DEPTH log s)^2
 
-r is the residual; _DEPTH is the relative difference of the growth at other depths of the object. The growth is the
-weighted mean of both estimates. The side of a vehicle beside the camera's axis grows up to twice as fast in width,
-since the bearing of its ends differs: its fraction of the width, for traffic along the road, is the sigma of that
-growth.
+r is the residual; _DEPTH is the relative difference of the growth at other depths of the object.
+The growth is the weighted mean of both estimates. The side of a vehicle beside the camera's axis
+grows up to twice as fast in width, since the bearing of its ends differs: its fraction of the
+width, for traffic along the road, is the sigma of that growth.
 """
 
 from __future__ import annotations
@@ -35,31 +37,41 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
 _GRID = 20  # points of a patch along each side
-_INNER = 0.8  # fraction of the width and height of a box that is its patch, so that little background is in it
+# fraction of the width and height of a box that is its patch, so that little background is in it
+_INNER = 0.8
 _MIN_SIDE_PX, _N_LEVELS = 8.0, 5  # smallest side of a box, and levels of the image pyramid
 _N_COARSE, _N_FINE = 2, 4  # iterations on the coarser level, and on that of the patch
 _SCALES = (0.3, 3.0)  # limits of s
-WIDTH_M = np.array([0.5, 0.5, 1.7, 0.7, 2.5, 2.4, 0.3, 0.6])  # typical width by road class, seen from behind
+# typical width by road class, seen from behind
+WIDTH_M = np.array([0.5, 0.5, 1.7, 0.7, 2.5, 2.4, 0.3, 0.6])
 _GAIT = np.array([0.1, 0.1, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0])  # sigma of the log width: limbs
-_MAX_STEP = 0.3  # largest step of t in an iteration, as a fraction of the patch's half extent; that of s is a third
+# largest step of t in an iteration, as a fraction of the patch's half extent; that of s is a third
+_MAX_STEP = 0.3
 _CAUCHY = 2.0  # residual with half the weight, in robust standard deviations
 _NOISE_GREY = 0.5  # smallest standard deviation of residuals, of the camera's noise and rounding
-_MIN_CORRELATION, _MIN_WEIGHT, _MAX_SIGMA = 0.8, 0.3, 0.1  # of accepted alignments; mean weight of the points
-_MAX_SHIFT = 0.25  # largest distance of the patch from the middle of its box, as a fraction of the box
+# of accepted alignments; mean weight of the points
+_MIN_CORRELATION, _MIN_WEIGHT, _MAX_SIGMA = 0.8, 0.3, 0.1
+# largest distance of the patch from the middle of its box, as a fraction of the box
+_MAX_SHIFT = 0.25
 _CONVERGED = 0.01, 0.5  # largest last step of s: absolute, or in standard deviations
 _FIT, _FLOOR_PX, _DEPTH = 2.0, 0.05, 0.05  # see above
-_MAX_AGE_S, _MAX_LOG_RATIO = 1.0, 0.25  # longest time since the key frame, and largest growth since then
+# longest time since the key frame, and largest growth since then
+_MAX_AGE_S, _MAX_LOG_RATIO = 1.0, 0.25
 _SMALL = 0.01  # steps of all patches, in points of the grid, that end the iterations
-_INTERVALS_S = 0.09, 0.19  # between two measurements of a track, after its key frame and later: their errors are alike
+# between two measurements of a track, after its key frame and later: their errors are alike
+_INTERVALS_S = 0.09, 0.19
 _MAX_GAP_S = 0.5  # longest time without a measurement
 
 _LINE = np.linspace(-1.0, 1.0, _GRID, dtype=np.float32)
 _X, _Y = np.tile(_LINE, _GRID), np.repeat(_LINE, _GRID)  # (P,) points, in half extents
-_COARSE = np.arange(_GRID**2).reshape(_GRID, _GRID)[::2, ::2].ravel()  # every second point, for the coarser level
+# every second point, for the coarser level
+_COARSE = np.arange(_GRID**2).reshape(_GRID, _GRID)[::2, ::2].ravel()
 
 
 class _Key(NamedTuple):
-    """Key frames of N tracks and the alignment of the last frame: the rows of `TrackState`, in this order."""
+    """Key frames of N tracks and the alignment of the last frame: the rows of `TrackState`, in this
+    order.
+    """
 
     template: FloatArray  # (P, N)
     weight: FloatArray  # (P, N) 1 = in the image and not covered by a nearer box
@@ -84,7 +96,9 @@ _N_ROWS = 2 * _GRID**2 + 13
 
 
 class _Pyramid:
-    """An image and its halved copies side by side, so that patches of all levels are sampled at once."""
+    """An image and its halved copies side by side, so that patches of all levels are sampled at
+    once.
+    """
 
     def __init__(self, image: Image) -> None:
         grey = small_grey(image, 0)
@@ -96,7 +110,10 @@ class _Pyramid:
             height, width = grey.shape
             self._pixels[y : y + height, x : x + width] = grey
             places.append((x, y, width - 1, height - 1))
-            x, y = self._pixels.shape[1] - self._pixels.shape[1] // 3, 0 if len(places) == 1 else y + height
+            x, y = (
+                self._pixels.shape[1] - self._pixels.shape[1] // 3,
+                0 if len(places) == 1 else y + height,
+            )
             grey = halved(grey)
         self._places = np.array(places, np.float32).reshape(-1, 4)
 
@@ -108,22 +125,31 @@ class _Pyramid:
     def sampled(
         self, centre_px: FloatArray, extent_px: FloatArray, level: IntArray, points: IntArray
     ) -> tuple[FloatArray32, BoolArray]:
-        """(N, P) values of patches (N, 2) with half extents (N, 2) in px of the image, and which points are inside.
+        """(N, P) values of patches (N, 2) with half extents (N, 2) in px of the image, and which
+        points are inside.
 
         `points` (P,) are indices of points of the grid.
         """
         level = np.minimum(level, len(self._places) - 1)
         factor = 0.5 ** level[:, None]
         x0, y0, x_last, y_last = self._places[level].T[..., None]
-        centre, extent = ((centre_px + 0.5) * factor - 0.5).astype(np.float32), (extent_px * factor).astype(np.float32)
-        x, y = centre[:, :1] + extent[:, :1] * _X[points], centre[:, 1:] + extent[:, 1:] * _Y[points]
+        centre, extent = (
+            ((centre_px + 0.5) * factor - 0.5).astype(np.float32),
+            (extent_px * factor).astype(np.float32),
+        )
+        x, y = (
+            centre[:, :1] + extent[:, :1] * _X[points],
+            centre[:, 1:] + extent[:, 1:] * _Y[points],
+        )
         is_inside = (x >= 0) & (x <= x_last) & (y >= 0) & (y <= y_last)
         x, y = np.clip(x, 0, x_last) + x0, np.clip(y, 0, y_last) + y0
         return np.asarray(cv2.remap(self._pixels, x, y, cv2.INTER_LINEAR), np.float32), is_inside
 
 
 def side_fraction(camera: PinholeCamera, middle_px: FloatArray, class_id: IntArray) -> FloatArray:
-    """(N,) fraction of the width of objects along the road that is their side, by the middle columns of their boxes."""
+    """(N,) fraction of the width of objects along the road that is their side, by the middle
+    columns of their boxes.
+    """
     side_m = np.abs(middle_px - camera.cx_px) / camera.fx_px * LENGTH_M[class_id]
     return np.asarray(side_m / (side_m + WIDTH_M[class_id]))
 
@@ -137,12 +163,16 @@ class PatchScales:
         self._tracks = TrackState(np.full(_N_ROWS, np.nan))
 
     def measure(self, tracks: Tracks, image: Image, time_s: float) -> Growth:
-        """Growth of N tracks since their key frames, in the image at `time_s`, BGR or grey; NaN for predicted boxes."""
+        """Growth of N tracks since their key frames, in the image at `time_s`, BGR or grey; NaN for
+        predicted boxes.
+        """
         log_ratio, sigma = np.full((2, len(tracks)), np.nan)
         pyramid = _Pyramid(image)
         sides_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
         middle_px = (tracks.xyxy_px[:, 2:] + tracks.xyxy_px[:, :2]) / 2
-        is_usable = tracks.observed & (sides_px >= _MIN_SIDE_PX).all(axis=1) & (pyramid.n_levels > 0)
+        is_usable = (
+            tracks.observed & (sides_px >= _MIN_SIDE_PX).all(axis=1) & (pyramid.n_levels > 0)
+        )
         state = self._tracks.get(tracks.track_id)
         last = _Key.of(state)
         is_usable &= ~(time_s - last.time_s < np.where(last.time_s == last.key_s, *_INTERVALS_S))
@@ -150,9 +180,15 @@ class PatchScales:
         if len(rows):
             key = _Key.of(state[:, rows])
             start_px = key.shift_px.T + middle_px[rows] - key.box_px.T
-            shift_px, scale, covariance, is_good = _aligned(pyramid, key, start_px, tracks.xyxy_px, rows)
-            is_good &= (np.abs(key.centre_px.T + shift_px - middle_px[rows]) < _MAX_SHIFT * sides_px[rows]).all(axis=1)
-            growth = self._growth(np.log(scale), covariance, key, middle_px[rows], tracks.class_id[rows])
+            shift_px, scale, covariance, is_good = _aligned(
+                pyramid, key, start_px, tracks.xyxy_px, rows
+            )
+            is_good &= (
+                np.abs(key.centre_px.T + shift_px - middle_px[rows]) < _MAX_SHIFT * sides_px[rows]
+            ).all(axis=1)
+            growth = self._growth(
+                np.log(scale), covariance, key, middle_px[rows], tracks.class_id[rows]
+            )
             is_good &= growth[1] < _MAX_SIGMA
             log_ratio[rows], sigma[rows] = np.where(is_good, growth, np.nan)
             state[-8:-2, rows] = np.concatenate([shift_px.T, scale.T, middle_px[rows].T])
@@ -168,13 +204,29 @@ class PatchScales:
             weight = is_inside & ~_covered(centre_px, half_px, tracks.xyxy_px, new)
             start = np.array([[0.0, 0.0, 1.0, 1.0]] * len(new))
             times = np.full((len(new), 2), time_s)
-            columns = [template, weight, centre_px, half_px, level[:, None], start, centre_px, times]
+            columns = [
+                template,
+                weight,
+                centre_px,
+                half_px,
+                level[:, None],
+                start,
+                centre_px,
+                times,
+            ]
             state[:, new] = np.concatenate(columns, axis=1).T
-        self._tracks.put(tracks.track_id, state, keep_known=time_s - self._tracks.known[-1] <= _MAX_GAP_S)
+        self._tracks.put(
+            tracks.track_id, state, keep_known=time_s - self._tracks.known[-1] <= _MAX_GAP_S
+        )
         return Growth(log_ratio, sigma, is_key)
 
     def _growth(
-        self, log_s: FloatArray, covariance: FloatArray, key: _Key, middle_px: FloatArray, class_id: IntArray
+        self,
+        log_s: FloatArray,
+        covariance: FloatArray,
+        key: _Key,
+        middle_px: FloatArray,
+        class_id: IntArray,
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) growth and standard deviation from log s (N, 2) and its covariance (N, 2, 2)."""
         grown, side = log_s[:, 1], side_fraction(self._camera, middle_px[:, 0], class_id)
@@ -189,22 +241,35 @@ class PatchScales:
 def _aligned(
     pyramid: _Pyramid, key: _Key, shift_px: FloatArray, xyxy_px: FloatArray, rows: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Shift t (N, 2) and scales s (N, 2), covariance of log s (N, 2, 2), and whether the alignment is accepted.
+    """Shift t (N, 2) and scales s (N, 2), covariance of log s (N, 2, 2), and whether the alignment
+    is accepted.
 
-    The N patches belong to the boxes `rows` (N,) of `xyxy_px`; the search starts from the shift `shift_px` (N, 2).
+    The N patches belong to the boxes `rows` (N,) of `xyxy_px`; the search starts from the shift
+    `shift_px` (N, 2).
     """
     n, P = len(rows), _GRID**2
     half_px, centre_px, s, t = key.half_px.T, key.centre_px.T, key.scale.T, shift_px
     T, step_px = key.template.T.astype(np.float32), 2 * half_px / (_GRID - 1)
-    T_y, T_x = (slope.reshape(n, P) for slope in np.gradient(T.reshape(n, _GRID, _GRID), axis=(1, 2)))
+    T_y, T_x = (
+        slope.reshape(n, P) for slope in np.gradient(T.reshape(n, _GRID, _GRID), axis=(1, 2))
+    )
     contrast = T - T.mean(axis=1, keepdims=True)
-    A = np.stack([T_x, T_y, T_x * _X, T_y * _Y, contrast, np.ones_like(T)], axis=1)  # t in points, s in half extents
+    # t in points, s in half extents
+    A = np.stack([T_x, T_y, T_x * _X, T_y * _Y, contrast, np.ones_like(T)], axis=1)
     unit = np.concatenate([step_px, step_px / half_px], axis=1)
     limit = np.concatenate([_MAX_STEP * half_px, np.full((n, 2), _MAX_STEP / 3)], axis=1)
     level = key.level.astype(np.int64)
-    weight = np.asarray(key.weight.T * ~_covered(centre_px + t, s * half_px, xyxy_px, rows), np.float32)
-    for points, terms, n_steps in ((_COARSE, [0, 1, 4, 5], _N_COARSE), (np.arange(P), [0, 1, 2, 3, 4, 5], _N_FINE)):
-        A_now, w_now = np.ascontiguousarray(A[:, terms][:, :, points]), np.ascontiguousarray(weight[:, points])
+    weight = np.asarray(
+        key.weight.T * ~_covered(centre_px + t, s * half_px, xyxy_px, rows), np.float32
+    )
+    for points, terms, n_steps in (
+        (_COARSE, [0, 1, 4, 5], _N_COARSE),
+        (np.arange(P), [0, 1, 2, 3, 4, 5], _N_FINE),
+    ):
+        A_now, w_now = (
+            np.ascontiguousarray(A[:, terms][:, :, points]),
+            np.ascontiguousarray(weight[:, points]),
+        )
         w = w_now
         for _ in range(n_steps):
             is_coarse = len(points) < P
@@ -236,11 +301,17 @@ def _aligned(
     return t, s, covariance, is_good
 
 
-def _covered(centre_px: FloatArray, extent_px: FloatArray, xyxy_px: FloatArray, rows: IntArray) -> BoolArray:
-    """(N, P) whether points of patches (N, 2) of the boxes `rows` (N,) are in a nearer box, which ends lower."""
+def _covered(
+    centre_px: FloatArray, extent_px: FloatArray, xyxy_px: FloatArray, rows: IntArray
+) -> BoolArray:
+    """(N, P) whether points of patches (N, 2) of the boxes `rows` (N,) are in a nearer box, which
+    ends lower.
+    """
     is_covered = np.zeros((len(rows), _GRID**2), np.bool_)
     low_px, high_px = centre_px - extent_px, centre_px + extent_px
-    meets = (low_px[:, None] <= xyxy_px[:, 2:]).all(axis=2) & (high_px[:, None] >= xyxy_px[:, :2]).all(axis=2)
+    meets = (low_px[:, None] <= xyxy_px[:, 2:]).all(axis=2) & (
+        high_px[:, None] >= xyxy_px[:, :2]
+    ).all(axis=2)
     meets &= xyxy_px[rows, 3:] < xyxy_px[:, 3]
     for i, j in np.argwhere(meets).tolist():
         first, last = ((xyxy_px[j, k : k + 2] - centre_px[i]) / extent_px[i] for k in (0, 2))

@@ -5,9 +5,10 @@ SizeScaledRanger: stereo without calibration; the scale is learnt from the sizes
     Z = K / d        K = f B, the product of focal length and baseline that a calibration would give
     K_i = Z_mono d   one measurement per track of a class of known size; K is their weighted median
 
-A single object is a poor measurement, since sizes vary within a class; the median of many is a good measurement.
-Distances are then consistent with each other and over time, and only their common scale is uncertain. The error of the
-focal length is common to all methods and not part of these sigmas.
+A single object is a poor measurement, since sizes vary within a class; the median of many is a good
+measurement. Distances are then consistent with each other and over time, and only their common
+scale is uncertain. The error of the focal length is common to all methods and not part of these
+sigmas.
 """
 
 from collections import Counter
@@ -19,7 +20,11 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, weighted_median
 from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
-from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
+from track_range.ranging.methods.triangulation import (
+    TrackMatcher,
+    Triangulation,
+    disparities_by_size,
+)
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
@@ -30,14 +35,22 @@ from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outco
 from track_range.tracking.tracks import Tracks
 
 _DETAILS = ("surfaces", "probability")
-_REFERENCE_SIGMA = 0.01  # relative error of all distances of a pair, as a reference for the scale of the drive
-_UNALIGNED_SIGMA_PX = 1.0  # standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
-_SIZES_SIGMA = 0.08  # relative, of the mean size of a class: countries, car models and detectors differ
-_TRACK_SIGMA = 0.15  # relative, of K from single tracks, in addition to the sigma of their distances by size
-_MIN_TRACKS_FOR_SCATTER = 6  # effective number from which the observed scatter replaces `_TRACK_SIGMA`
-_MIN_DISPARITY_PX = 3.0  # that K is learnt from; smaller ones depend more on the alignment than on the scale
-_MAX_WEIGHTED_SAMPLES = 10  # after which a track's weight is constant: its size error is always the same
-_MAX_SAMPLES, _MAX_TRACKS = 30, 500  # per track and of tracks, to bound memory; more do not change the median
+# relative error of all distances of a pair, as a reference for the scale of the drive
+_REFERENCE_SIGMA = 0.01
+# standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
+_UNALIGNED_SIGMA_PX = 1.0
+# relative, of the mean size of a class: countries, car models and detectors differ
+_SIZES_SIGMA = 0.08
+# relative, of K from single tracks, in addition to the sigma of their distances by size
+_TRACK_SIGMA = 0.15
+# effective number from which the observed scatter replaces `_TRACK_SIGMA`
+_MIN_TRACKS_FOR_SCATTER = 6
+# that K is learnt from; smaller ones depend more on the alignment than on the scale
+_MIN_DISPARITY_PX = 3.0
+# after which a track's weight is constant: its size error is always the same
+_MAX_WEIGHTED_SAMPLES = 10
+# per track and of tracks, to bound memory; more do not change the median
+_MAX_SAMPLES, _MAX_TRACKS = 30, 500
 
 
 class StereoRanger(Ranger):
@@ -55,20 +68,26 @@ class StereoRanger(Ranger):
     """
 
     def __init__(
-        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: AlignmentSource | None = None
+        self,
+        rig: StereoRig,
+        matcher: BoxMatcher | None = None,
+        *,
+        alignment: AlignmentSource | None = None,
     ) -> None:
         """Create a ranger for a rectified rig.
 
         Args:
             rig: the rectified pair (`Recording.rig`, `Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
-            alignment: correction of the disparities; None = the alignment of the rig, which `open_recording` has
-            estimated.
+            alignment: correction of the disparities; None = the alignment of the rig, which
+                `open_recording` has estimated.
 
         Raises ValueError: the rig is not rectified.
         """
         if not rig.is_rectified:
-            raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
+            raise ValueError(
+                "rig: expected a rectified pair; use Rectifier(rig).rig, and its images"
+            )
         self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
         self._rig = rig
         self._n_surfaces: Counter[int] = Counter()
@@ -80,7 +99,9 @@ class StereoRanger(Ranger):
         return self._matcher.outcomes
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match; NaN where the match is rejected or there is no right image."""
+        """Distances of the boxes that match; NaN where the match is rejected or there is no right
+        image.
+        """
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
@@ -90,33 +111,45 @@ class StereoRanger(Ranger):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure_with`; the distances are evidence of the drive's scale, and do not depend on it."""
+        """See `measure_with`; the distances are evidence of the drive's scale, and do not depend on
+        it.
+        """
         by_size = None
         if "mono" in others:
             image_hw = (frame.left.shape[0], frame.left.shape[1])
             by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
         details = self._surfaces(tracks) if frame.right is not None else None
-        ranges = self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details)
+        ranges = self._triangulate.ranges(
+            tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details
+        )
         return Measured(ranges, ScaleEvidence(tracks.class_id, None, ranges, _REFERENCE_SIGMA))
 
     @property
     def matches(self) -> PatchMatches | None:
-        """Matches of the observed boxes in the last frame, with the number of surfaces; None before the first frame."""
+        """Matches of the observed boxes in the last frame, with the number of surfaces; None before
+        the first frame.
+        """
         return self._matcher.matches
 
     def _surfaces(self, tracks: Tracks) -> dict[str, FloatArray]:
-        """Number of surfaces, and probability of the measured surface, of the tracks matched in this frame."""
+        """Number of surfaces, and probability of the measured surface, of the tracks matched in
+        this frame.
+        """
         details = np.full((len(_DETAILS), len(tracks)), np.nan)
         if (matches := self._matcher.matches) is not None:
             is_matched = np.isfinite(matches.disparity_px)
             surfaces = np.array([matches.n_surfaces, matches.probability])
-            details[:, tracks.observed] = np.where(is_matched & (matches.n_surfaces > 0), surfaces, np.nan)
+            details[:, tracks.observed] = np.where(
+                is_matched & (matches.n_surfaces > 0), surfaces, np.nan
+            )
             self._n_surfaces.update(matches.n_surfaces[is_matched].tolist())
         return dict(zip(_DETAILS, details, strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """Number of boxes that were not matched, by reason, and of matched boxes by the number of their surfaces."""
+        """Number of boxes that were not matched, by reason, and of matched boxes by the number of
+        their surfaces.
+        """
         counts = self.outcomes.most_common()
         unmatched = {REASONS[outcome]: n for outcome, n in counts if outcome is not Outcome.MATCHED}
         surfaces = {str(n): count for n, count in sorted(self._n_surfaces.items()) if n}
@@ -133,7 +166,9 @@ class FocalBaseline:
         self._weight: dict[int, float] = {}
 
     def learn(self, disparity_px: FloatArray, by_size: Ranges) -> None:
-        """Add a frame: (N,) disparities, NaN = not matched, and distances of the same tracks by size."""
+        """Add a frame: (N,) disparities, NaN = not matched, and distances of the same tracks by
+        size.
+        """
         with np.errstate(invalid="ignore"):
             usable_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
             log_k = np.log(usable_px * by_size.distance_m)
@@ -165,24 +200,34 @@ class FocalBaseline:
         n_effective = float(weight.sum() ** 2 / (weight @ weight))
         scatter = scatter if n_effective >= _MIN_TRACKS_FOR_SCATTER else max(scatter, _TRACK_SIGMA)
         # The standard error of a median is 1.25 times that of a mean.
-        return float(np.exp(centre)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
+        return float(np.exp(centre)), float(
+            np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective))
+        )
 
 
 class SizeScaledRanger(Ranger):
-    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked objects."""
+    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked
+    objects.
+    """
 
     def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
-        """Create a ranger without tracks; the focal length of distances by size and its sigma are for the summary."""
+        """Create a ranger without tracks; the focal length of distances by size and its sigma are
+        for the summary.
+        """
         self._matcher = TrackMatcher(matcher)
         self._focal_px, self._focal_sigma = focal_px, focal_sigma
         self.scale = FocalBaseline()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match, with the scale learnt so far; NaN for all before the first sample."""
+        """Distances of the boxes that match, with the scale learnt so far; NaN for all before the
+        first sample.
+        """
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for other boxes."""
+        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for
+        other boxes.
+        """
         disparity_px, sigma_px = self._matcher.match(tracks, frame)
         if "mono" in others:
             self.scale.learn(disparity_px, others["mono"])
@@ -195,18 +240,22 @@ class SizeScaledRanger(Ranger):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The baseline implied by object sizes, with its uncertainty; empty before the first matched track."""
+        """The baseline implied by object sizes, with its uncertainty; empty before the first
+        matched track.
+        """
         learnt = self.summary().get("learnt_scale")
         if learnt is None:
             return ()
         return (
             f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the sizes of "
-            f"{learnt['n_tracks']} tracks imply a baseline of {learnt['baseline_m']:.2f} m; all distances share a "
-            f"scale uncertainty of about {100 * learnt['relative_sigma']:.0f} %.",
+            f"{learnt['n_tracks']} tracks imply a baseline of {learnt['baseline_m']:.2f} m; all "
+            f"distances share a scale uncertainty of about {100 * learnt['relative_sigma']:.0f} %.",
         )
 
     def summary(self) -> dict[str, Any]:
-        """The learnt scale: focal length, baseline, relative sigma of all distances, number of tracks."""
+        """The learnt scale: focal length, baseline, relative sigma of all distances, number of
+        tracks.
+        """
         if not self.scale.n_tracks:
             return {}
         focal_baseline, sigma = self.scale.estimate()
@@ -225,7 +274,9 @@ def _create(context: MethodContext) -> Ranger | None:
         return None
     if context.rig is None:
         matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
-        return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
+        return SizeScaledRanger(
+            matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma
+        )
     return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment)
 
 

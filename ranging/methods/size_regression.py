@@ -1,4 +1,6 @@
-"""SizeRanger: monocular distance from the size and the bottom edge of a box, with a size model per class."""
+"""SizeRanger: monocular distance from the size and the bottom edge of a box, with a size model per
+class.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,19 +30,23 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
-_MIN_HEIGHT_PX = 4.0  # lower boxes are not ranged: an edge error of 1 px is a quarter of the distance
+# lower boxes are not ranged: an edge error of 1 px is a quarter of the distance
+_MIN_HEIGHT_PX = 4.0
 
 
-_CUT_SIGMA = 0.085  # relative, of boxes cut at the left or right, whose middle is not the object's; on KITTI
+# relative, of boxes cut at the left or right, whose middle is not the object's; on KITTI
+_CUT_SIGMA = 0.085
 _MIN_AREA_PX2 = 1e-6  # smallest area of a box, so that one without an area is not covered
-_COVERED_SIGMA = 0.06  # relative, of the distance of a box that nearer ones cover wholly, of a detector on KITTI
+# relative, of the distance of a box that nearer ones cover wholly, of a detector on KITTI
+_COVERED_SIGMA = 0.06
 
 
 def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
-    """(N,) relative standard deviation of distances by size because of the parts of objects that are not visible.
+    """(N,) relative standard deviation of distances by size because of the parts of objects that
+    are not visible.
 
-    Boxes of the frame (N, 4) that end lower in the image are nearer; `is_cut` (N,) is whether the left or
-    right side is at the border of the image.
+    Boxes of the frame (N, 4) that end lower in the image are nearer; `is_cut` (N,) is whether the
+    left or right side is at the border of the image.
     """
     bottom_px = xyxy_px[:, 3]
     covered_px2 = intersection_px2(xyxy_px, xyxy_px)
@@ -50,9 +56,11 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes by size, or by height alone if a side is cut or hidden; not boxes cut at top or bottom.
+    """Ranges observed boxes by size, or by height alone if a side is cut or hidden; not boxes cut
+    at top or bottom.
 
-    A ranger belongs to one drive: it learns the ground plane and the body types of its tracks (`DriveState`).
+    A ranger belongs to one drive: it learns the ground plane and the body types of its tracks
+    (`DriveState`).
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -78,10 +86,11 @@ class SizeRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted); without curves, with the packaged priors.
 
-        `box_sigma_px` is the standard deviation of all box edges; `noise` overrides it, and without both it is typical
-        of a detector. `box_errors` are systematic errors of the detector's boxes; None = an unknown detector, or with
-        `box_sigma_px` no such errors. `parallax` triangulates static objects, which corrects their tracks.
-        `has_visible_boxes`: boxes end where a nearer object begins, as a detector's boxes do.
+        `box_sigma_px` is the standard deviation of all box edges; `noise` overrides it, and without
+        both it is typical of a detector. `box_errors` are systematic errors of the detector's
+        boxes; None = an unknown detector, or with `box_sigma_px` no such errors. `parallax`
+        triangulates static objects, which corrects their tracks. `has_visible_boxes`: boxes end
+        where a nearer object begins, as a detector's boxes do.
         """
         self._has_visible_boxes = has_visible_boxes
         self._parallax = parallax
@@ -91,19 +100,24 @@ class SizeRanger(Ranger):
         self._curves = curves or load_curves()
         uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
         self._noise = noise or uniform or detector_noise(camera.width_px)
-        self._errors = box_error_table(NO_ERRORS if box_errors is None and uniform is not None else box_errors)
+        self._errors = box_error_table(
+            NO_ERRORS if box_errors is None and uniform is not None else box_errors
+        )
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes without a model."""
+        """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes
+        without a model.
+        """
         return self.measure_at_scale(tracks, frame, {}, DriveScale()).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure`; corrected by the scale of the drive and by the triangulation of static objects.
+        """See `measure`; corrected by the scale of the drive and by the triangulation of static
+        objects.
 
-        The triangulated distances are evidence of the scale; distances triangulated in this frame already correct their
-        own tracks.
+        The triangulated distances are evidence of the scale; distances triangulated in this frame
+        already correct their own tracks.
         """
         by_size = self._by_size(tracks, frame)
         step, self._step = self._step, None
@@ -112,14 +126,23 @@ class SizeRanger(Ranger):
             static = self._parallax.measure(tracks, step, scale.expected(by_size, tracks.class_id))
             if step is not None:
                 evidence = replace(
-                    evidence, reference=static, reference_sigma=step.travelled_sigma, corrects_tracks=True
+                    evidence,
+                    reference=static,
+                    reference_sigma=step.travelled_sigma,
+                    corrects_tracks=True,
                 )
-        return Measured(scale.after([evidence], frame.time_s).corrected(by_size, tracks.class_id), evidence)
+        return Measured(
+            scale.after([evidence], frame.time_s).corrected(by_size, tracks.class_id), evidence
+        )
 
     def _by_size(self, tracks: Tracks, frame: Frame) -> Ranges:
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
-        first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
+        first_px, last_x_px, last_y_px = (
+            BORDER_PX - 0.5,
+            width_px - 0.5 - BORDER_PX,
+            height_px - 0.5 - BORDER_PX,
+        )
         usable = tracks.observed & (y1_px >= first_px) & (y2_px <= last_y_px)
         usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
         rows = usable.nonzero()[0]

@@ -18,12 +18,20 @@ from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity, Outcome, PatchMatches
+from track_range.stereo.matching.patch_matches import (
+    BoxMatcher,
+    ExpectedDisparity,
+    Outcome,
+    PatchMatches,
+)
 from track_range.tracking.tracks import Tracks
 
-_PRIOR_LIFETIME_S = 1.0  # after the last match, during which a track's disparity restricts the search
-_FULL_SEARCH_INTERVAL_S = 1.0  # after which the full range is searched, so that a track can leave an occluder
-_BORDER_PX = 2.0  # distance in px from the image border within which a box may show only a part of the object
+# after the last match, during which a track's disparity restricts the search
+_PRIOR_LIFETIME_S = 1.0
+# after which the full range is searched, so that a track can leave an occluder
+_FULL_SEARCH_INTERVAL_S = 1.0
+# distance in px from the image border within which a box may show only a part of the object
+_BORDER_PX = 2.0
 _CUT_LOG_SIGMA = 0.4  # additional standard deviation of the log disparity by size of such a box
 
 
@@ -43,7 +51,9 @@ class Triangulation:
         time_s: float = 0.0,
         details: Mapping[str, FloatArray] | None = None,
     ) -> Ranges:
-        """Distances of N tracks at a time from (N,) disparities and their standard deviations; NaN unless d > 0."""
+        """Distances of N tracks at a time from (N,) disparities and their standard deviations; NaN
+        unless d > 0.
+        """
         x_px = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
         alignment = self.alignment.at(time_s)
         d, sigma_d = alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
@@ -55,14 +65,23 @@ class Triangulation:
 def disparities_by_size(
     by_size: Ranges, xyxy_px: FloatArray, rig: StereoRig, image_hw: tuple[int, int]
 ) -> ExpectedDisparity:
-    """Disparities of boxes (N, 4) expected from their distances by size, in images of (height, width) `image_hw`."""
+    """Disparities of boxes (N, 4) expected from their distances by size, in images of (height,
+    width) `image_hw`.
+    """
     height, width = image_hw
-    border_px = np.array([1.0, 1.0, width - 2.0, height - 2.0]) + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
-    is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(axis=1)
+    border_px = (
+        np.array([1.0, 1.0, width - 2.0, height - 2.0])
+        + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
+    )
+    is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(
+        axis=1
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         disparity_px = rig.left.fx_px * rig.baseline_m / by_size.distance_m
         log_sigma = by_size.sigma_m / by_size.distance_m
-    return ExpectedDisparity(disparity_px, np.hypot(log_sigma, np.where(is_cut, _CUT_LOG_SIGMA, 0.0)))
+    return ExpectedDisparity(
+        disparity_px, np.hypot(log_sigma, np.where(is_cut, _CUT_LOG_SIGMA, 0.0))
+    )
 
 
 class TrackMatcher:
@@ -76,7 +95,8 @@ class TrackMatcher:
         self.matches: PatchMatches | None = None
         self._matcher = matcher
         self._state = TrackState(np.full(3, np.nan))
-        """By track: last matched disparity, its time, time of the last search over the full range."""
+        """By track: last matched disparity, its time, time of the last search over the full
+        range."""
         # number of boxes so far by outcome: matched, or the reason for the rejection
         self.outcomes: Counter[Outcome] = Counter()
 
@@ -93,10 +113,14 @@ class TrackMatcher:
         rows, time_s = np.flatnonzero(tracks.observed), frame.time_s
         previous = self._state.get(tracks.track_id[rows])
         last_px, matched_s, searched_s = previous
-        is_recent = (time_s - matched_s <= _PRIOR_LIFETIME_S) & (time_s - searched_s <= _FULL_SEARCH_INTERVAL_S)
+        is_recent = (time_s - matched_s <= _PRIOR_LIFETIME_S) & (
+            time_s - searched_s <= _FULL_SEARCH_INTERVAL_S
+        )
         prior_px = np.where(is_recent, last_px, np.nan)
         boxes, expected = tracks.xyxy_px[rows], None if by_size is None else by_size.select(rows)
-        self.matches = matches = self._matcher.match(frame.left, frame.right, boxes, prior_px, expected)
+        self.matches = matches = self._matcher.match(
+            frame.left, frame.right, boxes, prior_px, expected
+        )
         disparity_px[rows], sigma_px[rows] = matches.disparity_px, matches.sigma_px
         self.outcomes.update(map(Outcome, matches.outcome.tolist()))
         searched_s = np.where(is_recent, searched_s, time_s)

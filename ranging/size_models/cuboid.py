@@ -1,4 +1,5 @@
-r"""Bounding box of the projection of an upright cuboid on the road: the geometry behind ranging by size.
+r"""Bounding box of the projection of an upright cuboid on the road: the geometry behind ranging by
+size.
 
     camera o------ z            The cuboid has the yaw `yaw_rad` relative to the camera's axis; the ray through the
            |    ____            middle column of its box meets its surface at `distance_m`. Its position (x, z) is
@@ -6,8 +7,9 @@ r"""Bounding box of the projection of an upright cuboid on the road: the geometr
            x  /___/ |
                W                Image sizes are divided by the focal length (tangents).
 
-The box of a car is as wide as its rear seen from behind, and as its length seen from the side, so the width alone does
-not give a distance. But the joint distribution of width and height follows from the sizes of cars.
+The box of a car is as wide as its rear seen from behind, and as its length seen from the side, so
+the width alone does not give a distance. But the joint distribution of width and height follows
+from the sizes of cars.
 """
 
 from dataclasses import dataclass
@@ -20,7 +22,8 @@ import numpy.typing as npt
 _N_STEPS = 5  # iterations for the position of a cuboid, from a start behind the visible surface
 _N_STEPS_FROM_START = 2  # iterations for the position of a cuboid, from a cuboid of similar size
 _MIN_DEPTH_M = 0.3  # smallest depth in m of a corner, to keep corners in front of the camera
-_CORNERS = tuple(product((-0.5, 0.5), repeat=2))  # corners of the ground face in units of (length, width)
+# corners of the ground face in units of (length, width)
+_CORNERS = tuple(product((-0.5, 0.5), repeat=2))
 Floats = npt.NDArray[np.floating[Any]]  # of single or double precision, as the arguments
 
 _Pair = tuple[Floats, Floats]
@@ -32,7 +35,8 @@ class CuboidBox:
 
     log_height: Floats  # log of the box height divided by the focal length
     log_width: Floats  # log of the box width divided by the focal length
-    log_inverse_depth: Floats  # log of 1 / z of the nearest point on the ground; determines the bottom edge
+    # log of 1 / z of the nearest point on the ground; determines the bottom edge
+    log_inverse_depth: Floats
     xz_m: _Pair  # position of the cuboid's centre, x to the right and z ahead, in metres
 
 
@@ -45,11 +49,13 @@ def box_of_cuboid(
     camera_height_m: float,
     start: CuboidBox | None = None,
 ) -> CuboidBox:
-    """Projection of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
+    """Projection of cuboids with log sizes (height, width, length), for broadcast arrays of the
+    other arguments.
 
-    `log_hwl`, (3,) or (3, ...), is of metres; `yaw_rad` is the angle between the long side and the camera's axis,
-    `bearing` the tangent of the angle of the box's middle column, whose ray meets the surface at the depth
-    `distance_m`. From a `start`, the projection of cuboids of similar size, fewer iterations are needed.
+    `log_hwl`, (3,) or (3, ...), is of metres; `yaw_rad` is the angle between the long side and the
+    camera's axis, `bearing` the tangent of the angle of the box's middle column, whose ray meets
+    the surface at the depth `distance_m`. From a `start`, the projection of cuboids of similar
+    size, fewer iterations are needed.
     """
     height, width, length = np.exp(log_hwl)
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
@@ -69,20 +75,29 @@ def box_of_cuboid(
     column, inverse_depth = _corners((x, z), (width, length), (cos, sin))
     nearest = inverse_depth.max(axis=0)
     top = ((camera_height_m - height) * inverse_depth).min(axis=0)
-    log_height, log_width = np.log(camera_height_m * nearest - top), np.log(column.max(axis=0) - column.min(axis=0))
+    log_height, log_width = (
+        np.log(camera_height_m * nearest - top),
+        np.log(column.max(axis=0) - column.min(axis=0)),
+    )
     return CuboidBox(log_height, log_width, np.log(nearest), (x, z))
 
 
 def _corners(centre: _Pair, size: _Pair, yaw: _Pair) -> _Pair:
-    """(4, ...) column divided by the focal length, and 1 / z, of the four vertical edges; `yaw` is (cos, sin)."""
+    """(4, ...) column divided by the focal length, and 1 / z, of the four vertical edges; `yaw` is
+    (cos, sin).
+    """
     (x, z), (width, length), (cos, sin) = centre, size, yaw
     corner_x = np.stack([x + sin * i * length + cos * j * width for i, j in _CORNERS])
-    corner_z = np.stack([np.maximum(z + cos * i * length - sin * j * width, _MIN_DEPTH_M) for i, j in _CORNERS])
+    corner_z = np.stack(
+        [np.maximum(z + cos * i * length - sin * j * width, _MIN_DEPTH_M) for i, j in _CORNERS]
+    )
     return corner_x / corner_z, 1.0 / corner_z
 
 
 def _entry_depth(centre: _Pair, size: _Pair, yaw: _Pair, bearing: Floats) -> Floats:
-    """Depth at which the ray (bearing, 1) enters the cuboid: the slab test (Kay and Kajiya) in the ground plane."""
+    """Depth at which the ray (bearing, 1) enters the cuboid: the slab test (Kay and Kajiya) in the
+    ground plane.
+    """
     (x, z), (width, length), (cos, sin) = centre, size, yaw
     along, across = sin * bearing + cos, cos * bearing - sin
     along, across = (np.where(np.abs(part) < 1e-9, 1e-9, part) for part in (along, across))

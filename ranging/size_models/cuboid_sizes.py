@@ -1,7 +1,8 @@
 """CuboidSizes: distances of a frame's boxes from size priors and the common ground plane.
 
-A box detected as a car may show a van: the prior of such a class is a mixture (`CLASS_CONFUSION`), and the bottom edge
-of the box on the road distinguishes the two. Only classes of objects on the road contribute to the ground plane.
+A box detected as a car may show a van: the prior of such a class is a mixture (`CLASS_CONFUSION`),
+and the bottom edge of the box on the road distinguishes the two. Only classes of objects on the
+road contribute to the ground plane.
 """
 
 from __future__ import annotations
@@ -25,24 +26,40 @@ from track_range.ranging.size_models.posterior import (
     on_grid,
 )
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
-from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, DriveState, SizeClass, SizeRanges
+from track_range.ranging.size_models.shared_ground import (
+    GroundContacts,
+    GroundPrior,
+    ground_from_others,
+)
+from track_range.ranging.size_models.size_model import (
+    SIZE_CLASSES,
+    BoxExtents,
+    DriveState,
+    SizeClass,
+    SizeRanges,
+)
 
 KIND = "cuboids"  # value of "kind" in curve files of this model
-CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {  # true classes of a detected one: vans are reported as cars
+# true classes of a detected one: vans are reported as cars
+CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
     "car": {"car": 0.96, "van": 0.04},
     "van": {"van": 0.95, "truck": 0.05},
 }
-_QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])  # median and one standard deviation to either side
-_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])  # one and two standard deviations to either side
+# median and one standard deviation to either side
+_QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])
+# one and two standard deviations to either side
+_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])
 _MEDIAN = np.array([0.5])  # under p(log d) / d, which has the smallest expected relative error
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
-"""Factors of sigma for classes with several body types and with a single type, since the width of the posterior is too
-large on average. Cross-validated on KITTI: 60-76 % of distances are within one sigma, and at least 93 % within two."""
+"""Factors of sigma for classes with several body types and with a single type, since the width of
+the posterior is too large on average. Cross-validated on KITTI: 60-76 % of distances are within one
+sigma, and at least 93 % within two."""
 
-_USUAL_CHI2 = 6.0  # of 95 % of boxes, from the usual sizes and yaws of their class; larger ones scale the variance
-_MIN_SYSTEMATIC = 1e-4  # smallest systematic fraction of the variance: the size of an object is never known exactly
+# of 95 % of boxes, from the usual sizes and yaws of their class; larger ones scale the variance
+_USUAL_CHI2 = 6.0
+# smallest systematic fraction of the variance: the size of an object is never known exactly
+_MIN_SYSTEMATIC = 1e-4
 _MIN_SIGMA = 0.01  # smallest relative standard deviation of a distance
 
 
@@ -61,16 +78,24 @@ class CuboidSizes:
         """Create a model from priors by size class; boxes of other classes are not ranged (NaN)."""
         self.priors = dict(priors)
         self.ground = ground or GroundPrior()
-        self._is_on_ground = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
+        self._is_on_ground = np.array(
+            [name in priors and priors[name].stands for name in SIZE_CLASSES]
+        )
         self._has_prior = np.array([name in priors for name in SIZE_CLASSES])
-        self._drive_sigma = np.array([priors[name].drive_sigma if name in priors else np.nan for name in SIZE_CLASSES])
+        self._drive_sigma = np.array(
+            [priors[name].drive_sigma if name in priors else np.nan for name in SIZE_CLASSES]
+        )
         self._calibration = np.array(
-            [_CALIBRATION if name in priors and priors[name].bodies else _ONE_BODY_CALIBRATION for name in SIZE_CLASSES]
+            [
+                _CALIBRATION if name in priors and priors[name].bodies else _ONE_BODY_CALIBRATION
+                for name in SIZE_CLASSES
+            ]
         )
 
     @cached_property
     def _tables(self) -> ShapeTables:
-        return ShapeTables(self.priors)  # when they are needed: priors of another region are often made from these
+        # when they are needed: priors of another region are often made from these
+        return ShapeTables(self.priors)
 
     @cached_property
     def _mixture(self) -> tuple[IntArray, FloatArray]:
@@ -89,7 +114,9 @@ class CuboidSizes:
             columns[:, rows] = self._measured(boxes.select(rows), drive, rows)
         return SizeRanges(*columns)
 
-    def _measured(self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray) -> tuple[FloatArray, ...]:
+    def _measured(
+        self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray
+    ) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
         body, log_fraction = self._bodies_of(boxes)
         n_possible = int((log_fraction > IMPOSSIBLE).sum(axis=0).max())
@@ -98,7 +125,8 @@ class CuboidSizes:
             log_fraction += drive.body_evidence(n_bodies)[body, rows]
         by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
         grid = on_grid(by_size)
-        low, median, high = grid.quantiles(_QUANTILES_68)  # unlike moments not affected by unlikely body types
+        # unlike moments not affected by unlikely body types
+        low, median, high = grid.quantiles(_QUANTILES_68)
         size_sigma = (high - low) / 2
         contacts = GroundContacts(
             bottom=boxes.bottom,
@@ -122,20 +150,28 @@ class CuboidSizes:
         else:
             likelihood, terms = np.ones_like(grid.log_m), None
         if drive is not None:
-            drive.add(rows, terms, self._body_likelihood(body, log_fraction, by_size, grid, likelihood))
+            drive.add(
+                rows, terms, self._body_likelihood(body, log_fraction, by_size, grid, likelihood)
+            )
         grid = grid.times(likelihood)
         lowest, low, high, highest = grid.quantiles(_QUANTILES)
         (best,) = grid.quantiles(_MEDIAN, is_relative=True)
-        sigma = np.maximum(np.maximum((high - low) / 2, np.maximum(highest - best, best - lowest) / 2), _MIN_SIGMA)
-        # The ground plane comes from sizes that share the errors of drive and detector, so that it cannot reduce them.
+        sigma = np.maximum(
+            np.maximum((high - low) / 2, np.maximum(highest - best, best - lowest) / 2), _MIN_SIGMA
+        )
+        # The ground plane comes from sizes that share the errors of drive and detector, so that it
+        # cannot reduce them.
         sigma *= self._calibration[boxes.size_class]
         drive_sigma = np.hypot(self._drive_sigma[boxes.size_class], boxes.systematic_sigma[:, 1])
         drive_sigma = np.minimum(drive_sigma, size_sigma)
         reduction = np.minimum((sigma / size_sigma) ** 2, 1.0)
         sigma = np.sqrt(sigma**2 + (1.0 - reduction) * drive_sigma**2)
         sigma = sigma * np.sqrt(1.0 + np.maximum(by_size.chi2 - _USUAL_CHI2, 0.0) / _USUAL_CHI2)
-        # The ground reduces the systematic and the independent part alike, so their ratio is that by size alone.
-        systematic_fraction = np.maximum(1.0 - by_size.frame_variance / size_sigma**2, _MIN_SYSTEMATIC)
+        # The ground reduces the systematic and the independent part alike, so their ratio is that
+        # by size alone.
+        systematic_fraction = np.maximum(
+            1.0 - by_size.frame_variance / size_sigma**2, _MIN_SYSTEMATIC
+        )
         systematic = sigma * np.sqrt(systematic_fraction)
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * systematic
@@ -146,13 +182,22 @@ class CuboidSizes:
         return body.take(boxes.size_class, axis=1), log_fraction.take(boxes.size_class, axis=1)
 
     def _body_likelihood(
-        self, body: IntArray, log_fraction: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
+        self,
+        body: IntArray,
+        log_fraction: FloatArray,
+        by_size: SizeMixture,
+        grid: LogGrid,
+        likelihood: FloatArray,
     ) -> FloatArray:
-        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type, -inf = impossible."""
+        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type,
+        -inf = impossible.
+        """
         (m, n), n_bodies = body.shape, len(self._tables.class_name)
         by_term = np.vecdot(grid.by_term, likelihood)
         index = by_size.body.T * n + np.arange(n)
-        evidence = np.bincount(index.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(m, n)
+        evidence = np.bincount(index.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(
+            m, n
+        )
         log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_fraction
         is_possible = log_fraction > IMPOSSIBLE / 2
         log_likelihood -= log_likelihood.max(axis=0, where=is_possible, initial=-np.inf)
@@ -162,16 +207,20 @@ class CuboidSizes:
         return result
 
     def log_evidence(self, boxes: BoxExtents) -> FloatArray:
-        """(N,) log likelihood of the sizes of boxes over distances, sizes and yaws, up to a constant per box.
+        """(N,) log likelihood of the sizes of boxes over distances, sizes and yaws, up to a
+        constant per box.
 
         It depends on the focal length through the bearings. All boxes need a class with a prior.
         """
         return log_evidence(self._tables, boxes, *self._bodies_of(boxes))
 
     def with_flat_distance(self, log_sigma: float) -> CuboidSizes:
-        """The same sizes with the standard deviation `log_sigma` of the log distance of every class."""
+        """The same sizes with the standard deviation `log_sigma` of the log distance of every
+        class.
+        """
         priors = {
-            name: replace(prior, log_distance=(prior.log_distance[0], log_sigma)) for name, prior in self.priors.items()
+            name: replace(prior, log_distance=(prior.log_distance[0], log_sigma))
+            for name, prior in self.priors.items()
         }
         return CuboidSizes(priors, self.ground)
 
@@ -183,22 +232,31 @@ class CuboidSizes:
 
 def cuboids_in(content: CuboidFile) -> CuboidSizes:
     """The model in the content of a curve file; ValueError if a prior has an impossible value."""
-    if invalid := [f"{name}: {faults}" for name, prior in content.classes.items() if (faults := prior.faults())]:
+    if invalid := [
+        f"{name}: {faults}" for name, prior in content.classes.items() if (faults := prior.faults())
+    ]:
         raise ValueError(invalid[0])
     return CuboidSizes(content.classes, content.ground)
 
 
 def _body_mixture(tables: ShapeTables) -> tuple[IntArray, FloatArray]:
-    """(M, classes) body types that each detected class may show, and the logarithms of their probabilities."""
+    """(M, classes) body types that each detected class may show, and the logarithms of their
+    probabilities.
+    """
     mixtures = []
     for detected in SIZE_CLASSES:
         fractions = CLASS_CONFUSION.get(detected, {detected: 1.0})
         bodies = [
-            (k, fractions[name] * tables.fraction[k]) for k, name in enumerate(tables.class_name) if name in fractions
+            (k, fractions[name] * tables.fraction[k])
+            for k, name in enumerate(tables.class_name)
+            if name in fractions
         ]
         mixtures.append(bodies)
     m = max(len(mixture) for mixture in mixtures)
-    body, log_fraction = np.zeros((m, len(SIZE_CLASSES)), np.int64), np.full((m, len(SIZE_CLASSES)), IMPOSSIBLE)
+    body, log_fraction = (
+        np.zeros((m, len(SIZE_CLASSES)), np.int64),
+        np.full((m, len(SIZE_CLASSES)), IMPOSSIBLE),
+    )
     for column, mixture in enumerate(mixtures):
         for row, (k, fraction) in enumerate(mixture):
             body[row, column], log_fraction[row, column] = k, np.log(fraction)

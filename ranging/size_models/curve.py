@@ -1,7 +1,8 @@
 """Curve files: size models as JSON, with a version and the kind of model.
 
-`cuboids` (packaged): priors over sizes, yaw and the ground plane (`cuboid_sizes`). `log-linear`: a log-linear curve per
-class (`log_linear`). `table`: a plain curve per class, such as Zhang's polynomial, made monotonic (`tables`).
+`cuboids` (packaged): priors over sizes, yaw and the ground plane (`cuboid_sizes`). `log-linear`: a
+log-linear curve per class (`log_linear`). `table`: a plain curve per class, such as Zhang's
+polynomial, made monotonic (`tables`).
 """
 
 import json
@@ -23,14 +24,18 @@ from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
 CURVE_VERSION = 2  # version of the file format that is written and read
-_VERSION_KEY = "track_range_size_curves"  # key of the version in a curve file, which also identifies the format
+# key of the version in a curve file, which also identifies the format
+_VERSION_KEY = "track_range_size_curves"
 
 
 class CurveError(UserError):
-    """A curve file that cannot be used, or labels to which no curve can be fitted; the message gives the reason."""
+    """A curve file that cannot be used, or labels to which no curve can be fitted; the message
+    gives the reason.
+    """
 
 
-_MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {  # content, and size model from it
+# content, and size model from it
+_MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {
     cuboid_sizes.KIND: (cuboid_sizes.CuboidFile, cuboid_sizes.cuboids_in),
     log_linear.KIND: (log_linear.LogLinearFile, log_linear.log_linear_in),
     plain_curves.KIND: (plain_curves.TableFile, plain_curves.tables_in),
@@ -43,19 +48,23 @@ class _CurveFile(BaseModel):
 
 
 def load_curves(path: Path | None = None, region: Region = "unknown") -> StoredSizeModel:
-    """The size model in a curve file, which has its own sizes; None = the packaged sizes of a region.
+    """The size model in a curve file, which has its own sizes; None = the packaged sizes of a
+    region.
 
-    Raises CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
+    Raises CurveError: no such file, another format or version, an unknown kind or class, or an
+    invalid value.
     """
     if path is None:
-        with resources.as_file(resources.files("track_range.ranging").joinpath("curves/cuboids.json")) as packaged:
+        with resources.as_file(
+            resources.files("track_range.ranging").joinpath("curves/cuboids.json")
+        ) as packaged:
             return in_region(cast(CuboidSizes, load_curves(packaged)), region)
     document = read_json(path, CurveError, "a curve file written by `track-range fit`")
     head = validated(_CurveFile, document, path, CurveError)
     if head.track_range_size_curves != CURVE_VERSION:
         raise CurveError(
-            f"{path}: expected curve file version {CURVE_VERSION}, got {head.track_range_size_curves}; fit it again "
-            "with `track-range fit`."
+            f"{path}: expected curve file version {CURVE_VERSION}, got "
+            f"{head.track_range_size_curves}; fit it again with `track-range fit`."
         )
     model, model_of = _MODELS[head.kind]
     content = validated(model, document, path, CurveError)

@@ -1,16 +1,19 @@
-r"""DriveScale: error of the distances by size that all objects of a drive share, and its uncertainty.
+r"""DriveScale: error of the distances by size that all objects of a drive share, and its
+uncertainty.
 
     log d_i - log s_i = a + c_k + e_i + n_it        d_i: reference distance of object i, s_i: its distance by size
 
-a is common to all classes (focal length, detector), c_k to the objects of class k (cars differ between streets and
-countries), e_i belongs to the object, n_it to the frame. a and c_k have normal priors; e_i has the systematic sigma of
-the distance by size without the part that a drive shares. Each track is one measurement: the average of its frames by
-information, in which errors are correlated over `_CORRELATED_S`. The estimate is the posterior mean over all tracks
-(ridge regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
+a is common to all classes (focal length, detector), c_k to the objects of class k (cars differ
+between streets and countries), e_i belongs to the object, n_it to the frame. a and c_k have normal
+priors; e_i has the systematic sigma of the distance by size without the part that a drive shares.
+Each track is one measurement: the average of its frames by information, in which errors are
+correlated over `_CORRELATED_S`. The estimate is the posterior mean over all tracks (ridge
+regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
 
-Distances by size are multiplied by exp(a + c_k). Their sigma contains the variance of the bias instead of its prior
-variance. This variance shrinks with evidence, first from other classes, then from the class. A reference that is not
-used elsewhere (`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
+Distances by size are multiplied by exp(a + c_k). Their sigma contains the variance of the bias
+instead of its prior variance. This variance shrinks with evidence, first from other classes, then
+from the class. A reference that is not used elsewhere (`ScaleEvidence.corrects_tracks`) also
+corrects its own track, by the posterior mean of a + c_k + e_i.
 
 A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`DriveScale.after`).
 """
@@ -27,17 +30,22 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.065  # of a and c_k: together 0.07, as drives of unknown region and detector have
+# of a and c_k: together 0.07, as drives of unknown region and detector have
+_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.065
 
 _PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
 
-_MAX_SHARED = 0.4  # largest fraction of the systematic variance of a distance by size that the drive is taken to cause
-_CORRELATED_S = 0.5  # time over which the errors of a track's frames are correlated: pitch, and boxes of a detector
+# largest fraction of the systematic variance of a distance by size that the drive is taken to cause
+_MAX_SHARED = 0.4
+# time over which the errors of a track's frames are correlated: pitch, and boxes of a detector
+_CORRELATED_S = 0.5
 _MEMORY_S = 180.0  # time constant with which tracks are forgotten: streets change
 _OWN_S = 5.0  # time for which a track without references stays corrected by its own ones
 _MAX_TRACKS = 400  # largest number of tracks; more do not change the estimate
-_N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0  # of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in sigmas
-_MAX_LOG_RATIO = 0.5  # largest difference of log distance that is evidence; larger ones are mistakes
+# of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in sigmas
+_N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0
+# largest difference of log distance that is evidence; larger ones are mistakes
+_MAX_LOG_RATIO = 0.5
 
 
 class BiasOfClass(NamedTuple):
@@ -52,9 +60,12 @@ class ScaleEvidence:
     """Evidence of the scale of a drive by one method in one frame, for N tracks."""
 
     class_id: IntArray  # (N,) classes of the tracks
-    by_size: Ranges | None = None  # distances by size before their correction; None = the method has none
-    reference: Ranges | None = None  # distances with a known scale, NaN = none; None = the method has none
-    reference_sigma: float = 0.0  # relative standard deviation of an error that all references share
+    # distances by size before their correction; None = the method has none
+    by_size: Ranges | None = None
+    # distances with a known scale, NaN = none; None = the method has none
+    reference: Ranges | None = None
+    # relative standard deviation of an error that all references share
+    reference_sigma: float = 0.0
     corrects_tracks: bool = False  # whether the tracks are corrected by their own references, too
 
 
@@ -70,7 +81,9 @@ class _Tracks(NamedTuple):
 
 
 class _Corrections(NamedTuple):
-    """References that correct their own tracks, (K,) each: information, weighted log ratio, latest time."""
+    """References that correct their own tracks, (K,) each: information, weighted log ratio, latest
+    time.
+    """
 
     track_id: IntArray
     information: FloatArray
@@ -82,7 +95,9 @@ class _Corrections(NamedTuple):
         row, is_known = _rows(track_id, self.track_id)
         if not len(self.track_id):
             return np.zeros(len(track_id)), np.zeros(len(track_id))
-        return np.where(is_known, self.information[row], 0.0), np.where(is_known, self.weighted_ratio[row], 0.0)
+        return np.where(is_known, self.information[row], 0.0), np.where(
+            is_known, self.weighted_ratio[row], 0.0
+        )
 
 
 _NO_IDS = np.zeros(0, np.int64)
@@ -90,15 +105,22 @@ _NO_IDS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class DriveScale:
-    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has none."""
+    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has
+    none.
+    """
 
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))
     # (K,) its variance
-    variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE))
+    variance: FloatArray = field(
+        default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE)
+    )
     _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
-    _corrections: _Corrections = field(default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0))))
-    _last_s: tuple[float, float] = (0.0, 0.0)  # of evidence by references that do not correct their tracks; that do
+    _corrections: _Corrections = field(
+        default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0)))
+    )
+    # of evidence by references that do not correct their tracks; that do
+    _last_s: tuple[float, float] = (0.0, 0.0)
 
     @property
     def n_tracks(self) -> int:
@@ -136,7 +158,10 @@ class DriveScale:
         if not self.n_tracks:
             return of_drive
         row, is_known = _rows(by_size.track_id, self._tracks.track_id)
-        information, weighted_ratio = self._tracks.information[row], self._tracks.weighted_ratio[row]
+        information, weighted_ratio = (
+            self._tracks.information[row],
+            self._tracks.weighted_ratio[row],
+        )
         systematic = _systematic_variance(of_drive)
         gain = np.where(is_known, systematic * information / (1.0 + systematic * information), 0.0)
         log_factor = self.log_factor[class_id]
@@ -150,7 +175,8 @@ class DriveScale:
     def after(self, evidence: Iterable[ScaleEvidence], time_s: float) -> DriveScale:
         """The scale after the evidence of all methods in one frame.
 
-        References are compared with the distances by size of the same frame, in the order of the methods.
+        References are compared with the distances by size of the same frame, in the order of the
+        methods.
         """
         scale, by_size = self, None
         for item in evidence:
@@ -159,12 +185,17 @@ class DriveScale:
                 scale = scale._after(item, by_size, item.reference, time_s)
         return scale
 
-    def _after(self, item: ScaleEvidence, by_size: Ranges, reference: Ranges, time_s: float) -> DriveScale:
+    def _after(
+        self, item: ScaleEvidence, by_size: Ranges, reference: Ranges, time_s: float
+    ) -> DriveScale:
         step_s = min(max(time_s - self._last_s[item.corrects_tracks], 0.0), _CORRELATED_S)
         last_s = (self._last_s[0], time_s) if item.corrects_tracks else (time_s, self._last_s[1])
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.log(reference.distance_m / by_size.distance_m)
-            size_variance, systematic = (by_size.sigma_m / by_size.distance_m) ** 2, _systematic_variance(by_size)
+            size_variance, systematic = (
+                (by_size.sigma_m / by_size.distance_m) ** 2,
+                _systematic_variance(by_size),
+            )
             reference_variance = (reference.sigma_m / reference.distance_m) ** 2
             noise = reference_variance + size_variance - systematic
         rows = np.flatnonzero(np.abs(ratio) < _MAX_LOG_RATIO)  # False for NaN
@@ -172,7 +203,9 @@ class DriveScale:
             return replace(self, _last_s=last_s)
         ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
         own = systematic[rows] - np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic[rows])
-        frame = _Tracks(ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s))
+        frame = _Tracks(
+            ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s)
+        )
         scale = replace(self, _tracks=_averaged(self._tracks, frame), _last_s=last_s)._solved(
             time_s, item.reference_sigma
         )
@@ -184,7 +217,12 @@ class DriveScale:
         stays = np.minimum(1.0, limit / (information + added))
         others = self._corrections
         kept = np.flatnonzero((time_s - others.time_s < _OWN_S) & ~np.isin(others.track_id, ids))
-        new = (ids, stays * (information + added), stays * (weighted_ratio + added * ratio[rows]), frame.time_s)
+        new = (
+            ids,
+            stays * (information + added),
+            stays * (weighted_ratio + added * ratio[rows]),
+            frame.time_s,
+        )
         merged = (np.concatenate([a, b[kept]]) for a, b in zip(new, others, strict=True))
         return replace(scale, _corrections=_Corrections(*merged))
 
@@ -199,14 +237,18 @@ class DriveScale:
         prior = np.diag([_COMMON_SIGMA**-2, *[_CLASS_SIGMA**-2] * n_classes])
         log_factor = self.log_factor
         for _ in range(_N_ROUNDS):
-            residual2 = (m - log_factor[tracks.class_id]) ** 2 / (variance + self.variance[tracks.class_id])
+            residual2 = (m - log_factor[tracks.class_id]) ** 2 / (
+                variance + self.variance[tracks.class_id]
+            )
             weight = fresh / variance / (1.0 + residual2 / _CAUCHY_SIGMA**2)
             covariance = np.linalg.inv(prior + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
             log_factor = beta[0] + beta[1:]
         class_variance = covariance[0, 0] + 2 * covariance[0, 1:] + np.diag(covariance)[1:]
         return replace(
-            self, log_factor=log_factor, variance=np.minimum(class_variance + reference_sigma**2, _PRIOR_VARIANCE)
+            self,
+            log_factor=log_factor,
+            variance=np.minimum(class_variance + reference_sigma**2, _PRIOR_VARIANCE),
         )
 
     def summary(self) -> dict[str, Any]:
@@ -225,8 +267,12 @@ class DriveScale:
 
 def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
     is_new = ~_rows(frame.track_id, known.track_id)[1]
-    added = frame._replace(information=0.0 * frame.information, weighted_ratio=0.0 * frame.weighted_ratio)
-    tracks = _Tracks._make(np.concatenate([a, b[is_new]]) for a, b in zip(known, added, strict=True))
+    added = frame._replace(
+        information=0.0 * frame.information, weighted_ratio=0.0 * frame.weighted_ratio
+    )
+    tracks = _Tracks._make(
+        np.concatenate([a, b[is_new]]) for a, b in zip(known, added, strict=True)
+    )
     row, _ = _rows(frame.track_id, tracks.track_id)
     tracks.information[row] += frame.information
     tracks.weighted_ratio[row] += frame.weighted_ratio
@@ -236,7 +282,9 @@ def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
 
 
 def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
-    """(N,) row of each track in `known` (K,), 0 for an unknown track, and whether the track is known."""
+    """(N,) row of each track in `known` (K,), 0 for an unknown track, and whether the track is
+    known.
+    """
     if not len(known):
         return np.zeros(len(track_id), np.int64), np.zeros(len(track_id), np.bool_)
     is_same = track_id[:, None] == known
@@ -244,6 +292,8 @@ def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
 
 
 def _systematic_variance(by_size: Ranges) -> FloatArray:
-    """(N,) relative systematic variance of distances by size; the entire variance if its parts are unknown."""
+    """(N,) relative systematic variance of distances by size; the entire variance if its parts are
+    unknown.
+    """
     sigma_m = by_size.sigma_m if by_size.sigma_systematic_m is None else by_size.sigma_systematic_m
     return np.asarray((sigma_m / by_size.distance_m) ** 2)

@@ -1,11 +1,14 @@
-"""SizeCurves: distance from the size of a box by a log-linear curve per class, with sizes divided by the focal length.
+"""SizeCurves: distance from the size of a box by a log-linear curve per class, with sizes divided
+by the focal length.
 
-    log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan bearing|
+    log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan
+    bearing|
 
-For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres. Unlike the
-polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and monotonic also outside the fitted
-range. Boxes truncated at a side are ranged by a second set of coefficients without the width. Sigma has a relative
-part (residuals on left-out sequences) and a part from the noise of the box in px.
+For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres.
+Unlike the polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and
+monotonic also outside the fitted range. Boxes truncated at a side are ranged by a second set of
+coefficients without the width. Sigma has a relative part (residuals on left-out sequences) and a
+part from the noise of the box in px.
 """
 
 from collections.abc import Mapping
@@ -22,7 +25,8 @@ from track_range.ranging.size_models import size_model
 KIND = "log-linear"  # value of "kind" in curve files of this model
 
 _Intercept = Annotated[Number, Field(ge=-20, le=20)]
-_Slope = Annotated[Number, Field(ge=-10, le=10)]  # coefficients in a file; exp(20) m is far beyond any distance
+# coefficients in a file; exp(20) m is far beyond any distance
+_Slope = Annotated[Number, Field(ge=-10, le=10)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +37,8 @@ class SizeCurve:
     per_log_height: _Slope  # slope in log(h / fy), negative
     per_log_width: _Slope  # slope in log(w / fx), <= 0; 0 = the width is not used
     per_bearing: _Slope  # slope in |tan bearing|
-    sigma_relative: size_model.Sigma  # standard deviation of the relative error on exact boxes of left-out sequences
+    # standard deviation of the relative error on exact boxes of left-out sequences
+    sigma_relative: size_model.Sigma
     n: Integer  # number of fitted boxes; 0 = from a standard size
     source: str  # origin of the coefficients
 
@@ -54,8 +59,11 @@ class LogLinearFile(BaseModel):
 class SizeCurves:
     """Size model with a log-linear curve per class."""
 
-    def __init__(self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]) -> None:
-        """Create a model from curves by size class, for whole boxes and for boxes truncated at a side.
+    def __init__(
+        self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]
+    ) -> None:
+        """Create a model from curves by size class, for whole boxes and for boxes truncated at a
+        side.
 
         Boxes of other classes are not ranged (NaN).
         """
@@ -76,11 +84,16 @@ class SizeCurves:
         noise = (of_width_height * boxes.noise_variance).sum(axis=1)
         systematic = table[:, 4] ** 2 + (of_width_height * boxes.systematic_sigma**2).sum(axis=1)
         systematic_m = distance_m * np.sqrt(systematic)
-        return size_model.SizeRanges(distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m)
+        return size_model.SizeRanges(
+            distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m
+        )
 
     def document(self) -> dict[str, Any]:
         """Content of a curve file with this model."""
-        equation = "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + per_bearing |x/z|"
+        equation = (
+            "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + "
+            "per_bearing |x/z|"
+        )
         sections = {
             "whole": {name: asdict(curve) for name, curve in self.whole.items()},
             "height_only": {name: asdict(curve) for name, curve in self.height_only.items()},
@@ -89,21 +102,26 @@ class SizeCurves:
 
 
 def log_linear_in(content: LogLinearFile) -> SizeCurves:
-    """The model in the content of a curve file; ValueError if a distance increases with the size."""
+    """The model in the content of a curve file; ValueError if a distance increases with the
+    size.
+    """
     for section in (content.whole, content.height_only):
         for name, curve in section.items():
             if not (curve.per_log_height < 0 and curve.per_log_width <= 0):
                 raise ValueError(
-                    f"{name}: expected per_log_height < 0 and per_log_width <= 0, found {curve.per_log_height:g} and "
-                    f"{curve.per_log_width:g}"
+                    f"{name}: expected per_log_height < 0 and per_log_width <= 0, found "
+                    f"{curve.per_log_height:g} and {curve.per_log_width:g}"
                 )
     return SizeCurves(content.whole, content.height_only)
 
 
 def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:
-    """(number of classes, 5) the four coefficients and sigma_relative; NaN = the class has no curve."""
+    """(number of classes, 5) the four coefficients and sigma_relative; NaN = the class has no
+    curve.
+    """
     table = np.full((len(size_model.SIZE_CLASSES), 5), np.nan)
-    defaults = {"van": curves["car"]} if "car" in curves else {}  # for files without vans, which detectors call cars
+    # for files without vans, which detectors call cars
+    defaults = {"van": curves["car"]} if "car" in curves else {}
     for name, curve in {**defaults, **curves}.items():
         table[size_model.SIZE_CLASSES.index(name)] = (*curve.coefficients, curve.sigma_relative)
     return table

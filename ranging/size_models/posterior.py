@@ -1,15 +1,17 @@
-"""Posterior of the log distance of a box from its size and its bottom edge, given the size priors of its class.
+"""Posterior of the log distance of a box from its size and its bottom edge, given the size priors
+of its class.
 
     p(log d | box)  ~  p(log d)  sum_k w_k N(log h, log w; m_k(log d), S_k + R)  p(bottom | log d)
 
-The sum is over yaw bins and body types k with prior weight w_k; m_k and S_k are mean and covariance of the log box
-size, R the noise and systematic errors of the box. m_k is linear in log d about a node of the `ShapeTables`, so that
-without the bottom edge log d is a mixture of Gaussians. The likelihood of the bottom edge is not linear, so the product
-of prior and likelihood is evaluated on a grid of log d.
+The sum is over yaw bins and body types k with prior weight w_k; m_k and S_k are mean and covariance
+of the log box size, R the noise and systematic errors of the box. m_k is linear in log d about a
+node of the `ShapeTables`, so that without the bottom edge log d is a mixture of Gaussians. The
+likelihood of the bottom edge is not linear, so the product of prior and likelihood is evaluated on
+a grid of log d.
 
-The reported distance has the smallest expected relative error: it is the median under p(log d) / d. Sigma is half the
-width of the central 68 %, or half the distance to the farther end of the central 95 % if it is larger: a second body
-type widens sigma if it is likely enough.
+The reported distance has the smallest expected relative error: it is the median under p(log d) / d.
+Sigma is half the width of the central 68 %, or half the distance to the farther end of the central
+95 % if it is larger: a second body type widens sigma if it is likely enough.
 """
 
 from __future__ import annotations
@@ -22,23 +24,31 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
-from track_range.ranging.size_models.shared_ground import GroundContacts, GroundFromOthers, GroundPrior
+from track_range.ranging.size_models.shared_ground import (
+    GroundContacts,
+    GroundFromOthers,
+    GroundPrior,
+)
 from track_range.ranging.size_models.size_model import BoxExtents
 
 IMPOSSIBLE = -1e9  # log probability of a body type that a box cannot have
-_UNSEEN_VARIANCE = 1e4  # variance of the log width of a box truncated at a side: the width carries no information
+# variance of the log width of a box truncated at a side: the width carries no information
+_UNSEEN_VARIANCE = 1e4
 
 N_TERMS = 24  # number of Gaussians per box: the most likely yaw bins and body types
 _N_GRID = 37  # number of points of the grid of log distance
 _GRID_SIGMAS = 4.5  # half width of the grid in standard deviations of the distance by size
-_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)  # (G,) grid points in standard deviations
+# (G,) grid points in standard deviations
+_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)
 
 _TRAPEZOIDS = (np.triu(np.ones((_N_GRID, _N_GRID))) + np.triu(np.ones((_N_GRID, _N_GRID)), k=1)) / 2
 _TRAPEZOIDS[0] -= 0.5
-"""(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each point."""
+"""(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to
+each point."""
 
 _NOT_ON_THE_ROAD = 0.003  # likelihood per unit of tangent of a bottom edge on a bridge or balcony
-_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale) of Gaussians: Student's t with 2 d.o.f.
+# (weight, scale) of Gaussians: Student's t with 2 d.o.f.
+_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))
 
 _Float32 = npt.NDArray[np.float32]
 
@@ -50,17 +60,21 @@ class SizeMixture:
     mean: FloatArray  # (N, K) means of log d, d in metres
     variance: FloatArray  # (N, K) variances of log d
     weight: FloatArray  # (N, K) weights, which sum to 1 per box
-    frame_variance: FloatArray  # (N,) part of the variance of log d that comes from the noise of the box
+    # (N,) part of the variance of log d that comes from the noise of the box
+    frame_variance: FloatArray
     log_contact_ratio: FloatArray  # (N,) log of the distance divided by the nearest ground point's
     body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
-    chi2: FloatArray  # (N,) smallest squared deviation from a body type, plus 2 log (best weight / its weight)
+    # (N,) smallest squared deviation from a body type, plus 2 log (best weight / its weight)
+    chi2: FloatArray
 
 
-def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> SizeMixture:
+def mixture_by_size(
+    tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray
+) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
 
-    `body` (M, N) are the possible body types of each box, `log_fraction` (M, N) their log probabilities; `IMPOSSIBLE` =
-    excluded.
+    `body` (M, N) are the possible body types of each box, `log_fraction` (M, N) their log
+    probabilities; `IMPOSSIBLE` = excluded.
     """
     packed, n = _packed_terms(tables, boxes, body, log_fraction), len(boxes)
     n_all = packed.shape[1]
@@ -81,15 +95,23 @@ def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_
     )
 
 
-def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> FloatArray:
-    """(N,) log likelihood of log height and log width of N boxes, up to a constant per box; arguments as above."""
-    log_weight = _Terms._make(_packed_terms(tables, boxes, body, log_fraction)).log_weight.astype(np.float64)
+def log_evidence(
+    tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray
+) -> FloatArray:
+    """(N,) log likelihood of log height and log width of N boxes, up to a constant per box;
+    arguments as above.
+    """
+    log_weight = _Terms._make(_packed_terms(tables, boxes, body, log_fraction)).log_weight.astype(
+        np.float64
+    )
     largest = log_weight.max(axis=0)
     return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
 
 
 class _Terms(NamedTuple):
-    """Gaussians of log d, arrays of equal shape: the rows of one packed array, so that one `take` selects the best."""
+    """Gaussians of log d, arrays of equal shape: the rows of one packed array, so that one `take`
+    selects the best.
+    """
 
     log_weight: FloatArray
     mean: FloatArray
@@ -99,26 +121,30 @@ class _Terms(NamedTuple):
     chi2: FloatArray
 
 
-def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> _Float32:
+def _packed_terms(
+    tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray
+) -> _Float32:
     """(6, K * M, N) the `_Terms` of all Gaussians of N boxes.
 
-    With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
-    relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:
+    With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 /
+    p0), the log size relative to the node is e = s x + N(0, V). Completing the square gives one
+    Gaussian for x:
 
         precision   p = g's + p0,                   g = V^-1 s
         mean        x = (g'e + p0 x0) / p
         weight      log w - (e'V^-1 e + p0 x0^2 - p x^2 + log(p |V| / p0)) / 2
 
-    For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of V^-1 = [c -b; -b a].
-    Arrays are (K, M, N), for K yaw bins, or broadcastable to this shape; arrays derived from the nodes are in single
-    precision.
+    For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of
+    V^-1 = [c -b; -b a]. Arrays are (K, M, N), for K yaw bins, or broadcastable to this shape;
+    arrays derived from the nodes are in single precision.
     """
     log_hw = np.log(boxes.wh_over_f.T[::-1])
     log_height, mean_log_m, precision = tables.typical.take(body, axis=1)
     guess = log_height - log_hw[0]
     inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
     bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
-    scaled = log_hw[:, None] + (guess - inside)  # outside the nodes, size is inversely proportional to distance
+    # outside the nodes, size is inversely proportional to distance
+    scaled = log_hw[:, None] + (guess - inside)
     noise = boxes.noise_variance.T[::-1]
     errors = noise + boxes.systematic_sigma.T[::-1] ** 2
     errors[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
@@ -126,7 +152,11 @@ def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fr
 
     x0, p0 = (mean_log_m - log_m).astype(np.float32), precision.astype(np.float32)
     R = errors.astype(np.float32)[:, None, None]
-    e = scaled.astype(np.float32)[:, None] - nodes.log_hw - bearing_step.astype(np.float32) * nodes.per_bearing
+    e = (
+        scaled.astype(np.float32)[:, None]
+        - nodes.log_hw
+        - bearing_step.astype(np.float32) * nodes.per_bearing
+    )
     s, b, (e_h, e_w) = nodes.per_log_m, nodes.covariance, e
     V = nodes.variance + R
     det = V[0] * V[1] - b * b  # |V|
@@ -170,7 +200,9 @@ class LogGrid:
         return LogGrid(self.log_m, density, self.by_term)
 
     def quantiles(self, levels: FloatArray, *, is_relative: bool = False) -> FloatArray:
-        """(L, N) log distance at the quantiles `levels` (L,), 0..1, of the density, or of density / d."""
+        """(L, N) log distance at the quantiles `levels` (L,), 0..1, of the density, or of density /
+        d.
+        """
         first = self.log_m[:, :1]
         weight = self.density * np.exp(first - self.log_m) if is_relative else self.density
         cumulative = weight @ _TRAPEZOIDS
@@ -209,24 +241,32 @@ def ground_likelihood(
     prior: GroundPrior,
     roughness: float,
 ) -> FloatArray:
-    """(N, G) likelihood of the bottom edges at the log distances `log_m` (N, G), given the `ground` from other objects.
+    """(N, G) likelihood of the bottom edges at the log distances `log_m` (N, G), given the `ground`
+    from other objects.
 
-    `log_contact_ratio` (N,) is the log of the ratio of the distance to the distance of the nearest point on the ground.
-    Objects that are not on the ground have the likelihood 1.
+    `log_contact_ratio` (N,) is the log of the ratio of the distance to the distance of the nearest
+    point on the ground. Objects that are not on the ground have the likelihood 1.
     """
     inverse_depth = np.exp(log_contact_ratio[:, None] - log_m)
-    residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth) ** 2
+    residual2 = (
+        (contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth
+    ) ** 2
     edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
     variance = (ground.variance + edge_variance)[:, None]
-    likelihood = _contact_likelihood(residual2, variance, prior, roughness * inverse_depth * inverse_depth)
-    alone = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
+    likelihood = _contact_likelihood(
+        residual2, variance, prior, roughness * inverse_depth * inverse_depth
+    )
+    # a Student's t prior of the horizon, instead of a Gaussian estimate
+    alone = ground.is_prior_only
     if alone.any():
         near, residual2 = inverse_depth[alone], residual2[alone]
         variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * near) ** 2
         likelihood[alone] = 0.0
         for weight, scale in _T_COMPONENTS:
             total = variance + (scale * prior.horizon_sigma) ** 2
-            likelihood[alone] += weight * _contact_likelihood(residual2, total, prior, roughness * near * near)
+            likelihood[alone] += weight * _contact_likelihood(
+                residual2, total, prior, roughness * near * near
+            )
     likelihood += _NOT_ON_THE_ROAD
     likelihood[~contacts.is_on_ground] = 1.0
     return likelihood
@@ -235,11 +275,16 @@ def ground_likelihood(
 def _contact_likelihood(
     residual2: FloatArray, variance: FloatArray, prior: GroundPrior, per_height2: FloatArray
 ) -> FloatArray:
-    """Likelihood of squared residuals of contact points at the height of the road and at other heights (kerbs).
+    """Likelihood of squared residuals of contact points at the height of the road and at other
+    heights (kerbs).
 
-    `variance` excludes the height of the contact points, whose variance is multiplied by `per_height2`.
+    `variance` excludes the height of the contact points, whose variance is multiplied by
+    `per_height2`.
     """
     half = -0.5 * residual2
-    smooth, rough = variance + prior.kerb_m[0] ** 2 * per_height2, variance + prior.kerb_m[1] ** 2 * per_height2
+    smooth, rough = (
+        variance + prior.kerb_m[0] ** 2 * per_height2,
+        variance + prior.kerb_m[1] ** 2 * per_height2,
+    )
     on_the_road = (1 - prior.rough_share) * np.exp(half / smooth) / np.sqrt(smooth)
     return np.asarray(on_the_road + prior.rough_share * np.exp(half / rough) / np.sqrt(rough))

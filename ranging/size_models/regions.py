@@ -3,16 +3,19 @@
     log size of an object = class and region  +  drive         +  body type  +  object
                             mean_r               N(0, drive^2)     fractions_r   N(0, sigma^2)
 
-The packaged priors were fitted to KITTI's labels, from Germany. Other populations have other fractions of the same body
-types. A drive deviates from its region by `_DRIVE_SIGMA`, as data sets of one region do, since streets and the people
-who draw boxes differ. In an unknown region, the deviation of the regions from their mean is added.
+The packaged priors were fitted to KITTI's labels, from Germany. Other populations have other
+fractions of the same body types. A drive deviates from its region by `_DRIVE_SIGMA`, as data sets
+of one region do, since streets and the people who draw boxes differ. In an unknown region, the
+deviation of the regions from their mean is added.
 
-Cars and people have one Gaussian with the moments of the mixture, in whose covariance the aspect ratio of a box depends
-on its type; other classes keep the types as components (`SizePrior.bodies`), whose heights differ more.
+Cars and people have one Gaussian with the moments of the mixture, in whose covariance the aspect
+ratio of a box depends on its type; other classes keep the types as components (`SizePrior.bodies`),
+whose heights differ more.
 
-Sizes are sizes of frequent models. Fractions in North America: EPA, Automotive Trends Report (production by type, model
-years 2008 to 2018); in East Asia: our estimate from sales of Japan, China and Singapore. Heights of people: NCD-RisC,
-A century of trends in adult human height, eLife 2016, with shoes and some children.
+Sizes are sizes of frequent models. Fractions in North America: EPA, Automotive Trends Report
+(production by type, model years 2008 to 2018); in East Asia: our estimate from sales of Japan,
+China and Singapore. Heights of people: NCD-RisC, A century of trends in adult human height, eLife
+2016, with shoes and some children.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +31,9 @@ from track_range.ranging.size_models.region import Region
 
 
 class _Type(NamedTuple):
-    """Sizes of the models of a body type: height, width, length in m, and their relative standard deviations."""
+    """Sizes of the models of a body type: height, width, length in m, and their relative standard
+    deviations.
+    """
 
     hwl_m: tuple[float, float, float]
     log_sigma: tuple[float, float, float]
@@ -36,7 +41,8 @@ class _Type(NamedTuple):
 
 _TYPES: Mapping[str, Mapping[str, _Type]] = {  # body types of the classes
     "car": {
-        "saloon": _Type((1.46, 1.79, 4.50), (0.035, 0.04, 0.08)),  # Corolla, Golf, Camry; also estates
+        # Corolla, Golf, Camry; also estates
+        "saloon": _Type((1.46, 1.79, 4.50), (0.035, 0.04, 0.08)),
         "SUV": _Type((1.70, 1.86, 4.60), (0.05, 0.05, 0.07)),  # RAV4, CR-V, Explorer
         "pickup": _Type((1.88, 2.00, 5.70), (0.04, 0.04, 0.06)),  # F-150, Silverado, Tacoma
         "minivan": _Type((1.82, 1.92, 5.00), (0.06, 0.06, 0.06)),  # Sienna, Odyssey, Alphard
@@ -56,7 +62,8 @@ _TYPES: Mapping[str, Mapping[str, _Type]] = {  # body types of the classes
     },
     "truck": {
         "pickup": _Type((1.88, 2.00, 5.70), (0.05, 0.05, 0.07)),
-        "light": _Type((2.60, 2.10, 6.00), (0.12, 0.08, 0.15)),  # up to 3.5 t, with a box or platform
+        # up to 3.5 t, with a box or platform
+        "light": _Type((2.60, 2.10, 6.00), (0.12, 0.08, 0.15)),
         "heavy": _Type((3.45, 2.52, 9.50), (0.10, 0.07, 0.26)),  # 7.5 to 40 t
         "semi-trailer": _Type((4.05, 2.60, 16.5), (0.04, 0.03, 0.15)),  # 13 ft 6 in
     },
@@ -71,7 +78,8 @@ _TWO_WHEELERS = {
     "bicycle": {"with rider": 0.75, "without rider": 0.25},
     "motorcycle": {"with rider": 0.6, "without rider": 0.4},
 }
-_FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {  # by region and class; missing = the packaged prior
+# by region and class; missing = the packaged prior
+_FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
     "europe": {
         **_TWO_WHEELERS,
         "bus": {"single deck": 0.7, "minibus": 0.1, "coach": 0.2},
@@ -96,9 +104,10 @@ _DRIVE_SIGMA: Mapping[Region, Mapping[str, float]] = {
     "north-america": {"car": 0.06, "person": 0.05},
     "east-asia": {"car": 0.06, "person": 0.05},
 }
-"""Standard deviation of the log size of all objects of a class in a drive about their region. Mean heights of cars in
-data sets of North America are 1.60 (TuSimple), 1.71 (Lyft L5), 1.77 (Waymo) and 1.79 m (nuScenes, Boston). KITTI's
-drives, all from one city and autumn, deviate by 0.022 (cars) and 0.026 (people); other cities and years by more."""
+"""Standard deviation of the log size of all objects of a class in a drive about their region. Mean
+heights of cars in data sets of North America are 1.60 (TuSimple), 1.71 (Lyft L5), 1.77 (Waymo) and
+1.79 m (nuScenes, Boston). KITTI's drives, all from one city and autumn, deviate by 0.022 (cars) and
+0.026 (people); other cities and years by more."""
 
 _GAUSSIAN = ("car", "person")  # classes whose types differ too little for components
 _CORRELATION = 0.3  # between any two log sizes of the objects of one type
@@ -122,11 +131,19 @@ def _populated(name: str, prior: SizePrior, region: Region) -> SizePrior:
         return _sized(prior, np.log(prior.hwl_m), wider, drive_sigma)
     types = [_TYPES[name][body] for body in fractions]
     weight = np.array(list(fractions.values()))
-    mean, covariance = _moments(weight, np.log([one.hwl_m for one in types]), np.array([_within(one) for one in types]))
+    mean, covariance = _moments(
+        weight, np.log([one.hwl_m for one in types]), np.array([_within(one) for one in types])
+    )
     if name in _GAUSSIAN:
         return _sized(prior, mean, covariance + drive_sigma**2, drive_sigma)
     bodies = [
-        BodyType(name=body, share=fraction, hwl_m=one.hwl_m, log_sigma=one.log_sigma, correlation=(_CORRELATION,) * 3)
+        BodyType(
+            name=body,
+            share=fraction,
+            hwl_m=one.hwl_m,
+            log_sigma=one.log_sigma,
+            correlation=(_CORRELATION,) * 3,
+        )
         for (body, fraction), one in zip(fractions.items(), types, strict=True)
     ]
     return replace(_sized(prior, mean, covariance, drive_sigma), bodies=tuple(bodies))
@@ -137,17 +154,22 @@ def _mean(priors: Sequence[SizePrior]) -> SizePrior:
     mean = np.log([prior.hwl_m for prior in priors])
     weight = np.full(len(priors), 1 / len(priors))
     total, covariance = _moments(weight, mean, np.array([prior.covariance for prior in priors]))
-    drive_sigma = float(np.sqrt(np.mean([prior.drive_sigma**2 for prior in priors]) + mean[:, 0].var()))
+    drive_sigma = float(
+        np.sqrt(np.mean([prior.drive_sigma**2 for prior in priors]) + mean[:, 0].var())
+    )
     fractions: dict[str, float] = {}
     for prior in priors:
         for body in prior.bodies:
             fractions[body.name] = fractions.get(body.name, 0.0) + body.share / len(priors)
-    kinds = {body.name: body for prior in reversed(priors) for body in prior.bodies}  # fitted sizes before tables
+    # fitted sizes before tables
+    kinds = {body.name: body for prior in reversed(priors) for body in prior.bodies}
     bodies = tuple(replace(kinds[name], share=fraction) for name, fraction in fractions.items())
     return replace(_sized(priors[0], total, covariance, drive_sigma), bodies=bodies)
 
 
-def _sized(prior: SizePrior, mean: FloatArray, covariance: FloatArray, drive_sigma: float) -> SizePrior:
+def _sized(
+    prior: SizePrior, mean: FloatArray, covariance: FloatArray, drive_sigma: float
+) -> SizePrior:
     sigma = np.sqrt(np.diag(covariance))
     hw, hl, wl = (covariance / np.outer(sigma, sigma))[[0, 0, 1], [1, 2, 2]].tolist()
     height, width, length = np.exp(mean).tolist()
@@ -167,8 +189,12 @@ def _within(one: _Type) -> FloatArray:
     return np.asarray(correlation * np.outer(one.log_sigma, one.log_sigma))
 
 
-def _moments(weight: FloatArray, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians: (K,) weights, (K, 3) means, (K, 3, 3) covariances."""
+def _moments(
+    weight: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians: (K,) weights, (K, 3) means, (K, 3,
+    3) covariances.
+    """
     total = weight @ mean
     shift = mean - total
     return total, np.einsum("k,kij->ij", weight, covariance) + (shift.T * weight) @ shift

@@ -1,14 +1,16 @@
-"""Ground plane common to the objects of one frame: horizon and camera height from their sizes and bottom edges.
+"""Ground plane common to the objects of one frame: horizon and camera height from their sizes and
+bottom edges.
 
     y_i = y0 + H x_i + r_i                  y_i: bottom edge, y0: horizon, as tangents below the camera's axis
     x_i = 1 / z_i                           z_i: distance of the contact point by size, H: camera height
     var r_i = (roll b_i)^2 + (kerb x_i)^2   b_i: tangent of the bearing
 
-z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are 0.1 m above or
-below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
-times the bearing. Far objects, whose contact points matter little, determine the horizon for near objects. y0 and H
-are estimated for each object from the other objects only, so that they are independent of its size: objects of the
-frame, and objects that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
+z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are
+0.1 m above or below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll
+and side roads, which act as an angle times the bearing. Far objects, whose contact points matter
+little, determine the horizon for near objects. y0 and H are estimated for each object from the
+other objects only, so that they are independent of its size: objects of the frame, and objects that
+were seen earlier in the drive (`DriveState`), between which the pitch has changed.
 """
 
 from dataclasses import dataclass
@@ -22,7 +24,8 @@ from track_range.foundation.validation import Number
 from track_range.ranging.size_models.size_model import DriveState, GroundTerms, Sigma
 
 _N_ITERATIONS = 3  # iterations of reweighted least squares
-_CAUCHY_SIGMA = 2.0  # scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations
+# scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations
+_CAUCHY_SIGMA = 2.0
 
 _Real = TypeVar("_Real", float, FloatArray)
 
@@ -31,19 +34,26 @@ _Real = TypeVar("_Real", float, FloatArray)
 class GroundPrior:
     """Prior of the ground plane; the names of the attributes are keys of curve files.
 
-    The last four are larger than the measured values, since neighbouring objects have correlated heights.
+    The last four are larger than the measured values, since neighbouring objects have correlated
+    heights.
     """
 
-    camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5  # mean of the camera height H above the road
+    # mean of the camera height H above the road
+    camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5
     camera_height_sigma_m: Sigma = 0.3  # standard deviation of H
-    horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0  # mean of the horizon y0, a tangent below the camera's axis
-    horizon_sigma: Sigma = 0.04  # scale of y0, with long tails (Student's t with 2 degrees of freedom)
-    pitch_sigma: Sigma = 0.015  # standard deviation of y0 over the time of a drive, by pitch and slope
-    roll_sigma: Sigma = 0.05  # standard deviation of the cross slope relative to the camera, tangent
-    # standard deviations of the height of contact points above the plane ahead, for most objects and for the fraction
-    # `rough_share`
+    # mean of the horizon y0, a tangent below the camera's axis
+    horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0
+    # scale of y0, with long tails (Student's t with 2 degrees of freedom)
+    horizon_sigma: Sigma = 0.04
+    # standard deviation of y0 over the time of a drive, by pitch and slope
+    pitch_sigma: Sigma = 0.015
+    # standard deviation of the cross slope relative to the camera, tangent
+    roll_sigma: Sigma = 0.05
+    # standard deviations of the height of contact points above the plane ahead, for most objects
+    # and for the fraction `rough_share`
     kerb_m: tuple[Sigma, Sigma] = (0.15, 0.5)
-    rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18  # fraction of objects with the second standard deviation
+    # fraction of objects with the second standard deviation
+    rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +75,8 @@ class GroundFromOthers:
     horizon: FloatArray  # tangent y0 of the horizon below the camera's axis
     height_m: FloatArray  # height H of the camera above the road
     variance: FloatArray  # variance of the bottom edge y0 + H x predicted for the object
-    is_prior_only: BoolArray  # True if no other object is or was on the ground, so that the estimate is the prior
+    # True if no other object is or was on the ground, so that the estimate is the prior
+    is_prior_only: BoolArray
     terms: GroundTerms  # measurements of the ground plane by the objects, for `DriveState`
 
 
@@ -78,7 +89,8 @@ def ground_from_others(
     """
     drive = drive or DriveState()
     x, y = contacts.inverse_depth, contacts.bottom
-    basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # terms of the normal equations for (y0, H)
+    # terms of the normal equations for (y0, H)
+    basis = np.array([np.ones_like(x), x, x * x, y, x * y])
     rough = (prior.kerb_m[0] * x) ** 2 + (prior.roll_sigma * contacts.bearing) ** 2
     other = contacts.edge_sigma**2 + (prior.camera_height_m * x * contacts.sigma) ** 2
     R = drive.roughness * rough + other
@@ -108,23 +120,29 @@ def ground_from_others(
 
 
 def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> FloatArray:
-    """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier objects of the drive.
+    """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier
+    objects of the drive.
 
-    The prior's variance of y0 is the variance of Student's t at `y0`. The pitch changes after the earlier objects.
+    The prior's variance of y0 is the variance of Student's t at `y0`. The pitch changes after the
+    earlier objects.
     """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2
     terms = np.array([of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m])
     if drive.information[0] <= 0.0:
         return terms
-    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(*(terms + drive.information).tolist())
+    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(
+        *(terms + drive.information).tolist()
+    )
     y0_variance += drive.roughness * prior.pitch_sigma**2
     scale = 1.0 / (y0_variance * H_variance - covariance**2)
     a, b, c = H_variance * scale, -covariance * scale, y0_variance * scale
     return np.array([a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H])
 
 
-def solve_ground(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
+def solve_ground(
+    a: _Real, b: _Real, c: _Real, u: _Real, v: _Real
+) -> tuple[_Real, _Real, _Real, _Real, _Real]:
     """Horizon y0 and camera height H from their normal equations, with var y0, cov(y0, H), var H.
 
     [a b] [y0]   [u]

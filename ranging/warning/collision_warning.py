@@ -1,20 +1,22 @@
-"""CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis for each.
+"""CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis
+for each.
 
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
-Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on another object.
-The filtered rate v has a model of the motion, and takes about a second to forget another object; so a filter without a
-model has to confirm it before an alarm starts.
+Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on
+another object. The filtered rate v has a model of the motion, and takes about a second to forget
+another object; so a filter without a model has to confirm it before an alarm starts.
 
-Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the density q. In its
-coordinates, an object at the distance z, which the ego vehicle reaches after T = z / V, has
+Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the
+density q. In its coordinates, an object at the distance z, which the ego vehicle reaches after T =
+z / V, has
 
     o = x - V (w T^2 / 2 + w' T^3 / 6)         o' = u_x - (w T + w' T^2 / 2) u
     var o = P_oo + V^2 (P_ww T^4 / 4 + P_ww' T^5 / 6 + P_w'w' T^6 / 36 + q T^7 / 252)
 
-both of which are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
-no probability of contact: they hang above the road, or are beside it.
+both of which are constant for static objects and for all vehicles that follow the road. Traffic
+lights and signs have no probability of contact: they hang above the road, or are beside it.
 """
 
 import math
@@ -44,40 +46,53 @@ from track_range.ranging.warning.warnings import Warnings
 from track_range.tracking.tracks import Tracks
 
 _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters restart
-_JERK_NOISE = 2.0  # process noise: random walk of accelerations in m/s^2 per square root of a second
+# process noise: random walk of accelerations in m/s^2 per square root of a second
+_JERK_NOISE = 2.0
 _INITIAL_ACCELERATION_MPS2 = 1.0  # standard deviation of the acceleration at the start
 _EGO_SPEED_SIGMA_MPS = 0.1  # standard deviation of a value of the ego speed, m/s
 _INITIAL_YAW_RAD_S2 = 0.03  # standard deviation of the change of the yaw rate at the start, rad/s^2
 _BENDS_S = 5.0  # time constant of the mean square of the lateral acceleration, s
-_INITIAL_LATERAL_MPS2 = 0.5  # root mean square of the lateral acceleration at the start of a drive, m/s^2
-_TYPICAL_SPEED_MPS = 12.0  # speed assumed for the curvature if the yaw rate is known but not the speed, m/s
+# root mean square of the lateral acceleration at the start of a drive, m/s^2
+_INITIAL_LATERAL_MPS2 = 0.5
+# speed assumed for the curvature if the yaw rate is known but not the speed, m/s
+_TYPICAL_SPEED_MPS = 12.0
 _MIN_SPEED_MPS = 2.0  # smallest speed for the curvature, m/s
 
 _PERSON = ROAD_CLASSES.index("person")
 _CAN_COLLIDE = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class can be in the way."""
 
-_RATE_FACTOR = 2.0  # factor on the variance of filtered rates, whose errors are correlated between frames
-_JUMP_SIGMA = 3.0  # change of an object's speed in standard deviations above which the track now is on another object
+# factor on the variance of filtered rates, whose errors are correlated between frames
+_RATE_FACTOR = 2.0
+# change of an object's speed in standard deviations above which the track now is on another object
+_JUMP_SIGMA = 3.0
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0  # of road users; above, the track is wrong
 _MAX_LAG_S = 0.6  # of a distance filter that is corrected
-_BESIDE_SIGMA = 2.0  # distance from the ego path, in standard deviations, beyond which a vehicle is beside it
-_STATIC_MPS, _MOVING_MPS = 2.0, 8.0  # static below this speed along the road; prior sigma of moving objects
-_GATE_SIGMA = 6.0  # lateral speed, in sigmas of the prior and its error, above which the prior does not apply
-_BESIDE_S = 4.0  # longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change
-_MIN_CUT_IN_SPEED_MPS = 5.0  # smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
+# distance from the ego path, in standard deviations, beyond which a vehicle is beside it
+_BESIDE_SIGMA = 2.0
+# static below this speed along the road; prior sigma of moving objects
+_STATIC_MPS, _MOVING_MPS = 2.0, 8.0
+# lateral speed, in sigmas of the prior and its error, above which the prior does not apply
+_GATE_SIGMA = 6.0
+# longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change
+_BESIDE_S = 4.0
+# smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
+_MIN_CUT_IN_SPEED_MPS = 5.0
 
 _CALIBRATION = (-1.2, 1.8)
-"""Offset and slope of the calibrated logit: even without a reaction, fewer contacts happen than the motion predicts.
+"""Offset and slope of the calibrated logit: even without a reaction, fewer contacts happen than the
+motion predicts.
 
-Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with contacts) and on rendered
-drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of
-the two sets."""
+Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with
+contacts) and on rendered drives (30 of the seeds 0 to 29, stereo), for the smallest error of the
+reliability diagram above 0.1 on the worse of the two sets."""
 
 _FREE_NOISE, _FREE_SIGMA_MPS = 3.0, 30.0
-"""Process noise, m/s per square root of a second, and first standard deviation of rates if all speeds are possible."""
+"""Process noise, m/s per square root of a second, and first standard deviation of rates if all
+speeds are possible."""
 
-_CONFIRMED_SIGMA = 2.0  # standard deviations by which such a rate may be above the filtered one when an alarm starts
+# standard deviations by which such a rate may be above the filtered one when an alarm starts
+_CONFIRMED_SIGMA = 2.0
 _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is out of reach
 
 
@@ -115,7 +130,9 @@ class _EgoTrend:
         # Yaw rate.
         settings = self._settings
         was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
-        self.yaw_noise = ((settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V) ** 2
+        self.yaw_noise = (
+            (settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V
+        ) ** 2
         R = settings.yaw_sigma_rad_s**2
         if not self.has_yaw:
             self.yaw = _state(0.0, (settings.unknown_lateral_mps2 / V) ** 2, 0.0)
@@ -201,7 +218,8 @@ class CollisionWarning:
             time_s: time of the frame, not earlier than the time of the previous frame.
             ego_mps: speed V of the ego vehicle; NaN = unknown.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = unknown.
-            ranges: their distances in this frame, not filtered, which confirm the closing speed; None = unknown.
+            ranges: their distances in this frame, not filtered, which confirm the closing speed;
+                None = unknown.
         """
         settings, ego = self.settings, self._ego
         ego.update(time_s, ego_mps, yaw_rad_s)
@@ -218,7 +236,13 @@ class CollisionWarning:
         measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)
         own, starts = self._own_motion(measured, last, time_s, is_known)
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        is_usable = is_known & is_certain & is_plausible & lateral.is_current & _CAN_COLLIDE[tracks.class_id]
+        is_usable = (
+            is_known
+            & is_certain
+            & is_plausible
+            & lateral.is_current
+            & _CAN_COLLIDE[tracks.class_id]
+        )
 
         # Position relative to the ego path.
         gap = _without_lag(measured, own.v, own.P_vv)
@@ -239,15 +263,22 @@ class CollisionWarning:
                 manoeuvre_s=settings.manoeuvre_s,
                 ego_length_m=settings.ego_length_m,
             )
-            probability[rows] = expit(_CALIBRATION[0] + _CALIBRATION[1] * logit(np.clip(predicted, 0.0, 1.0)))
+            probability[rows] = expit(
+                _CALIBRATION[0] + _CALIBRATION[1] * logit(np.clip(predicted, 0.0, 1.0))
+            )
             may_start[rows] = self._may_start(encounter, probability[rows], is_person[rows])
             may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
 
         # Alarm.
         free = _free_motion(ranges, last, time_s)
         may_start &= ~(free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv))  # True for NaN
-        certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan)
-        may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
+        certain_s = np.where(
+            is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan
+        )
+        may_start &= (
+            time_s - certain_s
+            >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
+        )
         may_end = ~(probability >= settings.off_probability)
         is_uncertain = sigma_m > settings.certain_share * measured.x
         is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
@@ -272,7 +303,8 @@ class CollisionWarning:
     def _own_motion(
         self, measured: ConstantVelocity, last: _WarningState, time_s: float, is_known: BoolArray
     ) -> tuple[ConstantVelocity, BoolArray]:
-        """Speed u of the objects along the road with its change, and which objects are new or have changed.
+        """Speed u of the objects along the road with its change, and which objects are new or have
+        changed.
 
         `is_known` (N,) is whether their distances are known.
         """
@@ -290,23 +322,38 @@ class CollisionWarning:
         return state, starts
 
     def _alarm(
-        self, last: _WarningState, time_s: float, may_start: BoolArray, may_end: BoolArray, is_uncertain: BoolArray
+        self,
+        last: _WarningState,
+        time_s: float,
+        may_start: BoolArray,
+        may_end: BoolArray,
+        is_uncertain: BoolArray,
     ) -> tuple[BoolArray, FloatArray]:
-        """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not hold."""
+        """Whether each alarm is on, and since when the condition for its next change holds; NaN =
+        it does not hold.
+        """
         settings, is_on = self.settings, last.is_on > 0
         needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
         needed_s = np.where(is_on, settings.min_off_s, needed_s)
-        since_s = np.where(np.where(is_on, may_end, may_start), np.fmin(last.since_s, time_s), np.nan)
+        since_s = np.where(
+            np.where(is_on, may_end, may_start), np.fmin(last.since_s, time_s), np.nan
+        )
         changes = time_s - since_s >= needed_s - 1e-9
         return is_on ^ changes, np.where(changes, np.nan, since_s)
 
     def _may_touch(self, gap: ConstantVelocity, own: ConstantVelocity) -> BoolArray:
-        """(N,) False where the probability of contact is below 0.2 %, since the object is too far away."""
+        """(N,) False where the probability of contact is below 0.2 %, since the object is too far
+        away.
+        """
         settings = self.settings
         H, h = settings.horizon_s, manoeuvre(settings.horizon_s, settings.manoeuvre_s)
         least_m = gap.x - settings.front_m + H * np.minimum(gap.v, 0.0)
         least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
-        variance = gap.P_xx + H * (2 * gap.P_xv + H * gap.P_vv) + h * h * (own.P_vv + settings.acceleration_mps2**2)
+        variance = (
+            gap.P_xx
+            + H * (2 * gap.P_xv + H * gap.P_vv)
+            + h * h * (own.P_vv + settings.acceleration_mps2**2)
+        )
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
 
     def _encounter(
@@ -320,7 +367,9 @@ class CollisionWarning:
     ) -> Encounter:
         """Motion of the objects in the given rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
-        gap, offset = (ConstantVelocity(*np.array(state.columns).take(rows, axis=1)) for state in (gap, offset))
+        gap, offset = (
+            ConstantVelocity(*np.array(state.columns).take(rows, axis=1)) for state in (gap, offset)
+        )
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
@@ -345,27 +394,40 @@ class CollisionWarning:
             offset=offset,
             half_width_m=half_width_m[rows],
             lateral_acceleration_mps2=np.where(
-                is_person[rows], settings.person_acceleration_mps2, settings.vehicle_acceleration_mps2
+                is_person[rows],
+                settings.person_acceleration_mps2,
+                settings.vehicle_acceleration_mps2,
             ),
         )
 
     def _offset(
         self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity, sigma_m: FloatArray
     ) -> ConstantVelocity:
-        """Lateral offset of the objects from the ego path and its rate, with the errors of path and distance."""
+        """Lateral offset of the objects from the ego path and its rate, with the errors of path and
+        distance.
+        """
         settings, ego, w, V = self.settings, self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
-        scaled_m = x.x * sigma_m / gap.x  # an error of the distance moves objects along their bearing
+        # an error of the distance moves objects along their bearing
+        scaled_m = x.x * sigma_m / gap.x
         scaled_mps = scaled_m / settings.drift_s
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
             x.x - V * T * T * (w.x / 2 + T * w.v / 6),
             x.v - T * (w.x + T * w.v / 2) * u,
-            x.P_xx + scaled_m**2 + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
-            x.P_xv + V * T**3 * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72)))) * turning,
-            x.P_vv + scaled_mps**2 + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
+            x.P_xx
+            + scaled_m**2
+            + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
+            x.P_xv
+            + V
+            * T**3
+            * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72))))
+            * turning,
+            x.P_vv
+            + scaled_mps**2
+            + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
         # Prior of the rate.
         sigma_mps = np.full(len(tracks), settings.lateral_speed_mps)
@@ -375,10 +437,16 @@ class CollisionWarning:
         sigma_mps = np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma_mps)
         return _with_rate(offset, 0.0, sigma_mps)
 
-    def _may_start(self, encounter: Encounter, probability: FloatArray, is_person: BoolArray) -> BoolArray:
-        """(K,) whether a contact is probable, and the driver has to brake hard after the reaction time."""
+    def _may_start(
+        self, encounter: Encounter, probability: FloatArray, is_person: BoolArray
+    ) -> BoolArray:
+        """(K,) whether a contact is probable, and the driver has to brake hard after the reaction
+        time.
+        """
         settings = self.settings
-        is_probable = probability >= np.where(is_person, settings.person_probability, settings.on_probability)
+        is_probable = probability >= np.where(
+            is_person, settings.person_probability, settings.on_probability
+        )
         is_probable &= -encounter.gap.v >= settings.min_closing_mps
         if not is_probable.any():
             return np.asarray(is_probable)
@@ -388,13 +456,22 @@ class CollisionWarning:
     def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
         """(K,) whether an object moves from the side into the ego path at a short headway."""
         settings, ego, gap, offset = self.settings, self._ego, encounter.gap, encounter.offset
-        is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
+        is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (
+            gap.x > settings.min_cut_in_gap_m
+        )
         if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS or not is_near.any():
             return np.zeros(len(gap.x), np.bool_)
         fraction = overlap_probability(
-            offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, settings.cut_in_ahead_s
+            offset,
+            encounter.half_width_m,
+            encounter.lateral_acceleration_mps2,
+            settings.cut_in_ahead_s,
         )
-        enters = (fraction >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
+        enters = (
+            (fraction >= settings.cut_in_probability)
+            & (since_beside_s <= _BESIDE_S)
+            & (offset.x * offset.v < 0)
+        )
         is_along = encounter.object_mps > _STATIC_MPS
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
 
@@ -411,7 +488,9 @@ def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> C
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:
-    """The states after a pseudo-measurement of their rates with the given sigma, where this is plausible."""
+    """The states after a pseudo-measurement of their rates with the given sigma, where this is
+    plausible.
+    """
     S = state.P_vv + sigma_mps**2
     nu = rate_mps - state.v
     weight = np.where(nu**2 < _GATE_SIGMA**2 * S, 1.0 / S, 0.0)
@@ -426,7 +505,8 @@ def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) 
 
 
 def _without_lag(gap: ConstantVelocity, a: FloatArray, a_variance: FloatArray) -> ConstantVelocity:
-    """The filtered distance corrected for the lag of a constant-velocity filter behind an acceleration.
+    """The filtered distance corrected for the lag of a constant-velocity filter behind an
+    acceleration.
 
     In the steady state, the filter is behind by e_v = a T and e_x = a T^2 / 2 with T = P_xx / P_xv.
     """

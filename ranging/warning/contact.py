@@ -13,10 +13,11 @@ r"""Probability that a track touches the ego vehicle within a horizon.
 
         o(t) ~ N(o + o' t, P_oo + 2 t P_oo' + t^2 P_o'o' + (A t^2 / 2)^2)
 
-F is made monotonic in t, since the first contact counts. c_1 and c_2 extend the overlap on the side from which the
-object comes by the distance it travels while the ego vehicle passes: it may run into the side. A is the standard
-deviation of the lateral acceleration of the object. Arrival time and lateral offset are independent given the means:
-their common error, a factor of the scale, does not move an object that is ahead out of the path.
+F is made monotonic in t, since the first contact counts. c_1 and c_2 extend the overlap on the side
+from which the object comes by the distance it travels while the ego vehicle passes: it may run into
+the side. A is the standard deviation of the lateral acceleration of the object. Arrival time and
+lateral offset are independent given the means: their common error, a factor of the scale, does not
+move an object that is ahead out of the path.
 """
 
 from dataclasses import dataclass
@@ -36,15 +37,18 @@ _MIN_BRAKING_MPS = 1e-6  # smallest deceleration, against a division by zero
 class Encounter:
     """Motion of N objects relative to the ego vehicle, (N,) each; NaN = unknown."""
 
-    gap: ConstantVelocity  # distance g from the front of the ego vehicle and its rate v, negative = closing
+    # distance g from the front of the ego vehicle and its rate v, negative = closing
+    gap: ConstantVelocity
     object_mps: FloatArray  # speed u, and acceleration u', of the object along the road
     object_mps2: FloatArray
     object_stop_s: FloatArray  # t_u, time at which it stops; inf = not, or its speed is unknown
-    acceleration_sigma_mps2: FloatArray  # standard deviation of the relative acceleration, sqrt(P_aa)
+    # standard deviation of the relative acceleration, sqrt(P_aa)
+    acceleration_sigma_mps2: FloatArray
     ego_mps: float  # V, V' and t_V of the ego vehicle
     ego_mps2: float
     ego_stop_s: float
-    offset: ConstantVelocity  # lateral offset o of the object's centre from the ego path and its rate
+    # lateral offset o of the object's centre from the ego path and its rate
+    offset: ConstantVelocity
     half_width_m: FloatArray  # W, half the sum of the widths of object and ego vehicle
     lateral_acceleration_mps2: FloatArray  # A
 
@@ -52,35 +56,47 @@ class Encounter:
 def contact_probability(
     encounter: Encounter, *, horizon_s: float, manoeuvre_s: float, ego_length_m: float
 ) -> FloatArray:
-    """(N,) probability P of a contact within the horizon H, 0..1; NaN where gap or offset is unknown.
+    """(N,) probability P of a contact within the horizon H, 0..1; NaN where gap or offset is
+    unknown.
 
-    `manoeuvre_s` is tau, the time constant with which accelerations end; `ego_length_m` sets the time of passing.
+    `manoeuvre_s` is tau, the time constant with which accelerations end; `ego_length_m` sets the
+    time of passing.
     """
     gap, offset = encounter.gap, encounter.offset
     t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]
     h = manoeuvre(t, manoeuvre_s)
     moving_s, ego_s = np.minimum(t, encounter.object_stop_s), np.minimum(t, encounter.ego_stop_s)
     m = gap.x + t * gap.v
-    m += encounter.object_mps2 * manoeuvre(moving_s, manoeuvre_s) - encounter.object_mps * (t - moving_s)
+    m += encounter.object_mps2 * manoeuvre(moving_s, manoeuvre_s) - encounter.object_mps * (
+        t - moving_s
+    )
     m += encounter.ego_mps * (t - ego_s) - encounter.ego_mps2 * manoeuvre(ego_s, manoeuvre_s)
-    variance = gap.P_xx + t * (2 * gap.P_xv + t * gap.P_vv) + (h * encounter.acceleration_sigma_mps2) ** 2
+    variance = (
+        gap.P_xx + t * (2 * gap.P_xv + t * gap.P_vv) + (h * encounter.acceleration_sigma_mps2) ** 2
+    )
     F = ndtr(-m / np.sqrt(np.maximum(variance, _MIN_SIGMA**2)))
     F = np.maximum.accumulate(F, axis=0)
 
     t = (t[1:] + t[:-1]) / 2
     passing_s = ego_length_m / np.maximum(-gap.v, ego_length_m)  # at most 1 s
     overlap = overlap_probability(
-        offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, t, side_m=offset.v * passing_s
+        offset,
+        encounter.half_width_m,
+        encounter.lateral_acceleration_mps2,
+        t,
+        side_m=offset.v * passing_s,
     )
     probability = np.diff(F, axis=0) * overlap
     return np.asarray(probability.sum(axis=0) + F[0] * overlap[0])
 
 
 def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
-    """(N,) constant deceleration of the ego vehicle that avoids a contact, from the reaction time on, m/s^2.
+    """(N,) constant deceleration of the ego vehicle that avoids a contact, from the reaction time
+    on, m/s^2.
 
-    Until then the ego vehicle goes on as before. With the gap g, the closing speed c, the object's speed u and its
-    deceleration b at that time, the speeds become equal before the object stops, or the object stops first:
+    Until then the ego vehicle goes on as before. With the gap g, the closing speed c, the object's
+    speed u and its deceleration b at that time, the speeds become equal before the object stops, or
+    the object stops first:
         b + c^2 / 2 g              if 2 g / c < u / b
         V^2 / 2 (g + u^2 / 2 b)    otherwise (ISO 15623)
     """
@@ -100,7 +116,9 @@ def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
 
 
 def stop_s(speed_mps: FloatArray, acceleration_mps2: FloatArray, manoeuvre_s: float) -> FloatArray:
-    """Time at which an object that brakes stops, t = -tau log(1 + u / (u' tau)); 0 if u <= 0, inf if it does not."""
+    """Time at which an object that brakes stops, t = -tau log(1 + u / (u' tau)); 0 if u <= 0, inf
+    if it does not.
+    """
     speed = np.maximum(speed_mps, 0.0)
     braking = np.maximum(-acceleration_mps2 * manoeuvre_s, _MIN_BRAKING_MPS)
     time_s = -manoeuvre_s * np.log1p(-np.minimum(speed / braking, 1.0 - 1e-9))
@@ -120,10 +138,12 @@ def overlap_probability(
     *,
     side_m: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Probability P(-W - c_1 <= o(t) <= W + c_2) that N objects overlap the ego path after t seconds.
+    """Probability P(-W - c_1 <= o(t) <= W + c_2) that N objects overlap the ego path after t
+    seconds.
 
-    W is `half_width_m`, A `lateral_acceleration_mps2`, (N,) each, and t broadcast with them. `side_m` is the lateral
-    distance travelled by the objects while the ego vehicle passes; it extends the side that they come from.
+    W is `half_width_m`, A `lateral_acceleration_mps2`, (N,) each, and t broadcast with them.
+    `side_m` is the lateral distance travelled by the objects while the ego vehicle passes; it
+    extends the side that they come from.
     """
     o = offset.x + t * offset.v
     growth = (lateral_acceleration_mps2 * t * t / 2) ** 2

@@ -1,4 +1,5 @@
-"""SafetyMeasures: surrogate measures of safety, with one definition each (sources: docs/concepts/warnings.md).
+"""SafetyMeasures: surrogate measures of safety, with one definition each (sources:
+docs/concepts/warnings.md).
 
     gap          g = d - f                     from the front of the ego vehicle, f ahead of the camera
     headway      g / V                         V: ego speed (the "time gap" of SAE J2944)
@@ -8,8 +9,9 @@
     TET, TIT     int [TTC < T*] dt, int (T* - TTC) dt over TTC < T*
     PET          time between the first one leaving and the second one reaching the place at which two paths cross
 
-Headway and decelerations are given for road users on the ego path, whose width overlaps the ego vehicle's width there.
-TTC is also given for road users that will be there, with a probability of contact of at least one half.
+Headway and decelerations are given for road users on the ego path, whose width overlaps the ego
+vehicle's width there. TTC is also given for road users that will be there, with a probability of
+contact of at least one half.
 """
 
 from __future__ import annotations
@@ -33,16 +35,23 @@ _MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a TTC in its standard devia
 _LIKELY = 0.5  # smallest probability of contact of a road user that will be on the path
 _MIN_GAP_M = 0.1  # smallest gap of a deceleration
 _MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
-_MIN_OWN_MPS = -2.0  # smallest speed along the road of a lead: it does not come towards the ego vehicle
-_LANE_M, _LANE_SIGMA_M = 3.5, 0.3  # width of a lane; standard deviation of the ego path from the middle of its lane
+# smallest speed along the road of a lead: it does not come towards the ego vehicle
+_MIN_OWN_MPS = -2.0
+# width of a lane; standard deviation of the ego path from the middle of its lane
+_LANE_M, _LANE_SIGMA_M = 3.5, 0.3
 MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
-HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])  # (road classes,) half the typical width, m
+# (road classes,) half the typical width, m
+HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
 _IS_ROAD_USER = HALF_WIDTH_M > 0
 _IS_VEHICLE = _IS_ROAD_USER & (np.array(ROAD_CLASSES) != "person")
 
 
-def apart_m(path_offset_m: FloatArray, class_id: IntArray, settings: WarningSettings | None = None) -> FloatArray:
-    """(N,) distance between the edges of objects and of the ego path, negative = on the path, NaN = unknown."""
+def apart_m(
+    path_offset_m: FloatArray, class_id: IntArray, settings: WarningSettings | None = None
+) -> FloatArray:
+    """(N,) distance between the edges of objects and of the ego path, negative = on the path, NaN =
+    unknown.
+    """
     ego_width_m = (settings or WarningSettings()).ego_width_m
     return np.asarray(np.abs(path_offset_m) - ego_width_m / 2 - HALF_WIDTH_M[class_id])
 
@@ -59,7 +68,8 @@ class SafetyMeasures:
         mdrac_mps2: the same after the reaction time.
         tet_s: time with a TTC below `TTC_LIMIT_S`, of the track so far.
         tit_s2: integral of the time by which the TTC was below this limit.
-        lane_index: -1 = lane to the left, 0 = ego lane, 1 = to the right; of all tracks, NaN = beyond these.
+        lane_index: -1 = lane to the left, 0 = ego lane, 1 = to the right; of all tracks, NaN =
+            beyond these.
         lane_index_sigma: its standard deviation.
         is_lead: whether it is the next vehicle ahead on the path.
     """
@@ -81,7 +91,9 @@ class SafetyMeasures:
 
 
 class SafetyMonitor:
-    """Measures of all tracks of a video, frame by frame; TET and TIT are sums over the frames so far."""
+    """Measures of all tracks of a video, frame by frame; TET and TIT are sums over the frames so
+    far.
+    """
 
     def __init__(self, settings: WarningSettings | None = None) -> None:
         """Start without tracks; None = default settings."""
@@ -103,21 +115,25 @@ class SafetyMonitor:
     ) -> SafetyMeasures:
         """Measures of N tracks (N,) at `time_s`.
 
-        `distance_m` is filtered, `ego_mps` NaN = unknown. `lane_edges_m` are the left and the right line of the ego
-        lane relative to the ego path, positive = right; None = not seen, the ego path is then the middle of its lane.
+        `distance_m` is filtered, `ego_mps` NaN = unknown. `lane_edges_m` are the left and the right
+        line of the ego lane relative to the ego path, positive = right; None = not seen, the ego
+        path is then the middle of its lane.
         """
         settings, offset_m = self._settings, warnings.path_offset_m
         is_user = _IS_ROAD_USER[class_id]
         is_on_path = (apart_m(offset_m, class_id, settings) < 0) & is_user
         is_on_course = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
         is_on_course &= closing_mps > MIN_CLOSING_MPS
-        is_on_course &= ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)  # True where sigma is unknown
+        # True where sigma is unknown
+        is_on_course &= ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)
         gap_m = np.maximum(distance_m - settings.front_m, 0.0)
         ttc_s = gap_m / np.where(is_on_course, closing_mps, np.nan)
         c = np.where(is_on_path & (closing_mps > 0), closing_mps, np.nan)
         left_m = gap_m - c * settings.reaction_s
         drac, mdrac = (c * c / (2 * np.maximum(gap, _MIN_GAP_M)) for gap in (gap_m, left_m))
-        headway_s = np.where(is_on_path & (ego_mps >= _MIN_EGO_MPS), gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan)
+        headway_s = np.where(
+            is_on_path & (ego_mps >= _MIN_EGO_MPS), gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan
+        )
 
         # Exposure.
         below_s = TTC_LIMIT_S - ttc_s
@@ -125,7 +141,9 @@ class SafetyMonitor:
         dt = np.where(time_s - last_s <= MAX_GAP_S, time_s - last_s, 0.0)
         tet_s, tit_s2 = tet_s + dt * (below_s > 0), tit_s2 + dt * np.fmax(below_s, 0.0)
         is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
-        self._tracks.put(track_id, np.stack([tet_s, tit_s2, np.full(len(dt), time_s)]), keep_known=is_recent)
+        self._tracks.put(
+            track_id, np.stack([tet_s, tit_s2, np.full(len(dt), time_s)]), keep_known=is_recent
+        )
 
         is_lead = is_on_path & _IS_VEHICLE[class_id] & np.isfinite(gap_m)
         is_lead &= ~(ego_mps - closing_mps < _MIN_OWN_MPS)
@@ -135,9 +153,11 @@ class SafetyMonitor:
 
 
 def lane_edges_m(lanes: LaneLines | None, camera: PinholeCamera) -> tuple[float, float] | None:
-    """Left and right line of the ego lane relative to the camera, for a lane of usual width; None = not both seen.
+    """Left and right line of the ego lane relative to the camera, for a lane of usual width; None =
+    not both seen.
 
-    The camera looks along the lane: x of its axis between the lines in the lowest common row is its place in the lane.
+    The camera looks along the lane: x of its axis between the lines in the lowest common row is its
+    place in the lane.
     """
     if lanes is None or lanes.left is None or lanes.right is None:
         return None
@@ -152,7 +172,9 @@ def lane_edges_m(lanes: LaneLines | None, camera: PinholeCamera) -> tuple[float,
 def _lane_index(
     offset_m: FloatArray, sigma_m: FloatArray | None, edges_m: tuple[float, float] | None
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) most probable lane of objects at these offsets from the ego path, and its standard deviation."""
+    """(N,) most probable lane of objects at these offsets from the ego path, and its standard
+    deviation.
+    """
     left_m, right_m = edges_m or (-_LANE_M / 2, _LANE_M / 2)
     sigma_m = np.hypot(0.0 if sigma_m is None else np.nan_to_num(sigma_m), _LANE_SIGMA_M)
     limits = np.array([2 * left_m - right_m, left_m, right_m, 2 * right_m - left_m])[:, None]
@@ -165,13 +187,19 @@ def _lane_index(
 
 
 def post_encroachment_s(
-    ego: FloatArray, track: FloatArray, *, half_width_m: float, settings: WarningSettings | None = None
+    ego: FloatArray,
+    track: FloatArray,
+    *,
+    half_width_m: float,
+    settings: WarningSettings | None = None,
 ) -> float:
-    """PET of a track whose path crosses the ego path; NaN = no crossing, or the two have not both passed it.
+    """PET of a track whose path crosses the ego path; NaN = no crossing, or the two have not both
+    passed it.
 
-    `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the camera and of the
-    object's middle, in the order of time. The place of the encounter is where the track is nearer to the ego path than
-    `half_width_m` and half of the ego vehicle; the ego vehicle is there from its front to its rear.
+    `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the
+    camera and of the object's middle, in the order of time. The place of the encounter is where the
+    track is nearer to the ego path than `half_width_m` and half of the ego vehicle; the ego vehicle
+    is there from its front to its rear.
     """
     settings = settings or WarningSettings()
     step = np.hypot(*np.diff(ego[:, 1:], axis=0).T)
@@ -201,7 +229,9 @@ def post_encroachment_s(
         return np.nan
     place_m = float(np.median(s[inside]))
     arrives_s, leaves_s = np.interp(
-        [place_m - settings.front_m, place_m - settings.front_m + settings.ego_length_m], s_ego, ego[:, 0]
+        [place_m - settings.front_m, place_m - settings.front_m + settings.ego_length_m],
+        s_ego,
+        ego[:, 0],
     )
     first_s, last_s = track[inside[0], 0], track[inside[-1], 0]
     return float(max(arrives_s - last_s, first_s - leaves_s, 0.0))

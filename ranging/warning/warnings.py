@@ -23,8 +23,8 @@ class Warnings:
     Attributes:
         probability: (N,) probability of contact within the horizon, 0..1; NaN = unknown.
         active: (N,) whether an alarm is on.
-        path_offset_m: (N,) lateral offset of the object's centre from the middle of the ego path, positive = right;
-            NaN = unknown.
+        path_offset_m: (N,) lateral offset of the object's centre from the middle of the ego path,
+            positive = right; NaN = unknown.
         path_offset_sigma_m: (N,) its standard deviation; None = unknown.
     """
 
@@ -42,4 +42,6 @@ class Warnings:
     def select(self, rows: slice) -> Warnings:
         """The warnings in the given rows."""
         sigma_m = None if self.path_offset_sigma_m is None else self.path_offset_sigma_m[rows]
-        return Warnings(self.probability[rows], self.active[rows], self.path_offset_m[rows], sigma_m)
+        return Warnings(
+            self.probability[rows], self.active[rows], self.path_offset_m[rows], sigma_m
+        )

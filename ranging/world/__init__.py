@@ -1,1 +1,3 @@
-"""The camera and road users in the world: speeds, poses, headings, states of motion, and parallax of static objects."""
+"""The camera and road users in the world: speeds, poses, headings, states of motion, and parallax
+of static objects.
+"""

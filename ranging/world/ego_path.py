@@ -1,13 +1,15 @@
-"""EgoPath: pose of the camera in the world, integrated from its speed and yaw rate, with a growing covariance.
+"""EgoPath: pose of the camera in the world, integrated from its speed and yaw rate, with a growing
+covariance.
 
-World frame `map`: origin at the camera in the first frame with a known speed, x along its optical axis, y to the left,
-z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The road is taken to be a plane.
+World frame `map`: origin at the camera in the first frame with a known speed, x along its optical
+axis, y to the left, z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The
+road is taken to be a plane.
 
     psi' = psi - w dt        x' = x + V dt cos(psi - w dt / 2)        y' = y + V dt sin(psi - w dt / 2)
 
-V is the speed, w the yaw rate (positive = to the right). The errors of speed and yaw rate have a part that all frames
-share (scale, bias), whose effect J on the pose grows with the distance travelled, and a part that decays within a
-second:
+V is the speed, w the yaw rate (positive = to the right). The errors of speed and yaw rate have a
+part that all frames share (scale, bias), whose effect J on the pose grows with the distance
+travelled, and a part that decays within a second:
 
     P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
 """
@@ -21,10 +23,12 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _UNKNOWN_SPEED_SIGMA = 0.03  # relative standard deviation of a speed without one
-_YAW_BIAS_RAD_S = 0.0005  # standard deviation of the error of the yaw rate that all frames share; assumed
+# standard deviation of the error of the yaw rate that all frames share; assumed
+_YAW_BIAS_RAD_S = 0.0005
 _YAW_NOISE_RAD_S = 0.005  # that of the other error, as in `WarningSettings.yaw_sigma_rad_s`
 _CORRELATION_S = 1.0  # time over which that error is the same; on KITTI's odometry, up to a second
-_LATERAL_MPS2 = 0.4  # lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma, as in `WarningSettings`
+# lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma, as in `WarningSettings`
+_LATERAL_MPS2 = 0.4
 _MIN_SPEED_MPS = 2.0  # smallest speed for the yaw rate of that acceleration
 _GAP_MPS2 = 1.5  # growth of the standard deviation of a speed that is no longer measured
 
@@ -36,7 +40,8 @@ class EgoPose:
     x_m: float = math.nan
     y_m: float = math.nan
     heading_rad: float = math.nan  # of the optical axis, counterclockwise from x, not wrapped
-    covariance: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))  # of x, y and heading
+    # of x, y and heading
+    covariance: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
 
     @property
     def sigmas(self) -> tuple[float, float, float]:
@@ -45,7 +50,9 @@ class EgoPose:
         return x, y, heading
 
     def to_world(self, forward_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) x and y in the frame `map` of points at given distances along and to the right of the optical axis."""
+        """(N,) x and y in the frame `map` of points at given distances along and to the right of
+        the optical axis.
+        """
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return self.x_m + c * forward_m + s * right_m, self.y_m + s * forward_m - c * right_m
 
@@ -53,8 +60,8 @@ class EgoPose:
 class EgoPath:
     """Integrates the motion of the camera, frame by frame.
 
-    A missing speed is replaced by the last frame's speed, with a growing sigma; a missing yaw rate is 0, with the sigma
-    of usual lateral accelerations.
+    A missing speed is replaced by the last frame's speed, with a growing sigma; a missing yaw rate
+    is 0, with the sigma of usual lateral accelerations.
     """
 
     def __init__(self) -> None:
@@ -64,14 +71,20 @@ class EgoPath:
         self._time_s = self._known_s = math.nan
 
     def update(self, time_s: float, motion: EgoMotion) -> EgoPose:
-        """The pose at `time_s`, after the motion since the previous frame; unknown before the first known speed."""
+        """The pose at `time_s`, after the motion since the previous frame; unknown before the first
+        known speed.
+        """
         dt, self._time_s = time_s - self._time_s, time_s
         if math.isfinite(motion.speed_mps):
             self._known_s = time_s
         elif math.isnan(self._known_s):
             return self._pose
         V = motion.speed_mps if math.isfinite(motion.speed_mps) else self._speed_mps
-        sigma = motion.speed_sigma_mps if math.isfinite(motion.speed_sigma_mps) else _UNKNOWN_SPEED_SIGMA * abs(V)
+        sigma = (
+            motion.speed_sigma_mps
+            if math.isfinite(motion.speed_sigma_mps)
+            else _UNKNOWN_SPEED_SIGMA * abs(V)
+        )
         w, sigma_w = motion.yaw_rad_s, _YAW_NOISE_RAD_S
         if math.isnan(w):
             w, sigma_w = 0.0, _LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
@@ -92,7 +105,11 @@ class EgoPath:
         self._J = F @ self._J + np.stack([along * sigma * dt, turn * bias], axis=1)
         gap_m = _GAP_MPS2 * lost_s * dt
         turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
-        self._P = F @ self._P @ F.T + np.outer(turn, turn) * turn_variance + np.outer(along, along) * gap_m**2
+        self._P = (
+            F @ self._P @ F.T
+            + np.outer(turn, turn) * turn_variance
+            + np.outer(along, along) * gap_m**2
+        )
         self._pose = EgoPose(
             self._pose.x_m + step * float(along[0]),
             self._pose.y_m + step * float(along[1]),

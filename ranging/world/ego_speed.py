@@ -7,7 +7,8 @@ OXTS_DIR                    KITTI GPS/IMU folder: NNNNNNNNNN.txt per frame, with
 COMMA_DIR                   processed_log of comma2k19: CAN/speed/t and value, global_pose/frame_times (Schafer et al.,
                             2018)
 
-The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera is not modelled.
+The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera
+is not modelled.
 """
 
 from __future__ import annotations
@@ -27,14 +28,19 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.numeric_text import number, numbers
 
 _MPS_PER_KMH = 1 / 3.6
-MAX_SPEED_MPS = 120.0  # largest plausible speed (432 km/h); a faster one is most likely in another unit
+# largest plausible speed (432 km/h); a faster one is most likely in another unit
+MAX_SPEED_MPS = 120.0
 _MAX_GAP_S = 3.0  # longest interval between two samples that is interpolated
-_EDGE_S = 0.25  # s before the first and after the last sample for which it holds: videos start on another frame
+# s before the first and after the last sample for which it holds: videos start on another frame
+_EDGE_S = 0.25
 _MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed column to m/s
-TABLE_SIGMA_MPS = 0.2  # standard deviation of the speeds of CSV and oxts files, which state none: that of GPS receivers
-_CONSTANT_SIGMA_MPS = 1.0  # of a constant speed; assumed: one that a person reads from a speedometer
-_OXTS_FORWARD, _OXTS_POSITION = 8, slice(0, 2)  # forward speed vf, latitude and longitude in a line of KITTI oxts
+# standard deviation of the speeds of CSV and oxts files, which state none: that of GPS receivers
+TABLE_SIGMA_MPS = 0.2
+# of a constant speed; assumed: one that a person reads from a speedometer
+_CONSTANT_SIGMA_MPS = 1.0
+# forward speed vf, latitude and longitude in a line of KITTI oxts
+_OXTS_FORWARD, _OXTS_POSITION = 8, slice(0, 2)
 _COMMA_SPEED = "CAN/speed"  # folder with times and speeds of a segment of comma2k19
 _OXTS_COLUMNS = 30  # number of values in a line of KITTI oxts
 
@@ -47,12 +53,14 @@ class EgoSpeedError(UserError):
 class EgoSpeed:
     """Samples of the camera's speed."""
 
-    time_s: FloatArray  # (N,) increasing, seconds from the video's first frame; a single -inf = constant speed
+    # (N,) increasing, seconds from the video's first frame; a single -inf = constant speed
+    time_s: FloatArray
     speed_mps: FloatArray  # (N,) along the camera's axis, negative = backwards
     source: str  # where the samples come from, for notes
     speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples
     time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
-    positions_deg: FloatArray | None = None  # (N, 2) latitude and longitude, to check the speeds; None = unknown
+    # (N, 2) latitude and longitude, to check the speeds; None = unknown
+    positions_deg: FloatArray | None = None
 
     def along(self, yaw_deg: float) -> EgoSpeed:
         """The speed along an axis that is `yaw_deg` to the side of the camera's axis."""
@@ -75,7 +83,8 @@ class EgoSpeed:
     def sigma_at(self, time_s: float) -> float:
         """Standard deviation of `at(time_s)` in m/s, NaN where the speed is unknown.
 
-        sigma^2 = sigma_v^2 + (a sigma_t)^2, with the acceleration a between the neighbouring samples.
+        sigma^2 = sigma_v^2 + (a sigma_t)^2, with the acceleration a between the neighbouring
+        samples.
         """
         if math.isnan(self.at(time_s)):
             return math.nan
@@ -86,20 +95,26 @@ class EgoSpeed:
         return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
 
     def note(self, last_s: float, subject: str = "") -> str | None:
-        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of the video."""
+        """Note for the user on a video with its last frame at `last_s`; None if the samples cover
+        all of the video.
+        """
         first_known_s, last_known_s = float(self.time_s[0]), float(self.time_s[-1])
-        if np.isneginf(first_known_s) or (first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S):
+        if np.isneginf(first_known_s) or (
+            first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S
+        ):
             return None
         return (
-            f"{subject or 'The ego speed from ' + self.source} covers {first_known_s:.1f}-{last_known_s:.1f} s of the "
-            "video; elsewhere closing speeds are estimated from distances alone."
+            f"{subject or 'The ego speed from ' + self.source} covers "
+            f"{first_known_s:.1f}-{last_known_s:.1f} s of the video; elsewhere closing speeds are "
+            "estimated from distances alone."
         )
 
 
 def open_ego_speed(text: str) -> EgoSpeed:
     """Ego speed from a number in km/h, a CSV file or a folder of KITTI oxts files.
 
-    Raises EgoSpeedError: `text` is neither a number, a file nor a folder, or the file or folder cannot be used.
+    Raises EgoSpeedError: `text` is neither a number, a file nor a folder, or the file or folder
+    cannot be used.
     """
     kmh, path = number(text), Path(text)
     if not math.isnan(kmh) or text.strip().lower() == "nan":
@@ -111,8 +126,8 @@ def open_ego_speed(text: str) -> EgoSpeed:
         return _from_csv(path)
     is_decimal = math.isfinite(number(text.replace(",", ".")))
     raise EgoSpeedError(
-        f"{shortened(str(path))}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts "
-        f"files{'; write decimals with a point' if is_decimal else ''}."
+        f"{shortened(str(path))}: no such file; expected a speed in km/h, a CSV file or a folder "
+        f"of KITTI oxts files{'; write decimals with a point' if is_decimal else ''}."
     )
 
 
@@ -131,26 +146,44 @@ def _from_csv(path: Path) -> EgoSpeed:
     time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
     table.check("time_s", time_s, np.abs(time_s) <= _MAX_TIME_S, "seconds from the first frame")
     if (np.diff(time_s) <= 0).any():
-        raise EgoSpeedError(f"{path}: expected time_s to increase from row to row; sort the rows and drop duplicates.")
+        raise EgoSpeedError(
+            f"{path}: expected time_s to increase from row to row; sort the rows "
+            "and drop duplicates."
+        )
     return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
 
 
 def _from_oxts(folder: Path) -> EgoSpeed:
-    files = sorted(file for part in (folder, folder / "data") for file in part.glob("*.txt") if file.stem.isdecimal())
+    files = sorted(
+        file
+        for part in (folder, folder / "data")
+        for file in part.glob("*.txt")
+        if file.stem.isdecimal()
+    )
     if not files:
-        raise EgoSpeedError(f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none.")
-    paths = [path / "timestamps.txt" for path in (folder, folder.parent) if os.path.lexists(path / "timestamps.txt")]
+        raise EgoSpeedError(
+            f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none."
+        )
+    paths = [
+        path / "timestamps.txt"
+        for path in (folder, folder.parent)
+        if os.path.lexists(path / "timestamps.txt")
+    ]
     if not paths:
-        raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
+        raise EgoSpeedError(
+            f"{folder}: expected a timestamps.txt in this folder or next to it, found none."
+        )
     lines = read_text(paths[0], EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
     moments = []
     for i, line in [(i, line.strip()) for i, line in enumerate(lines, start=1) if line.strip()]:
         try:
-            # The file has nanoseconds, datetime reads microseconds: 26 characters. A time zone is ignored.
+            # The file has nanoseconds, datetime reads microseconds: 26 characters. A time zone is
+            # ignored.
             moments.append(datetime.fromisoformat(line[:26]).replace(tzinfo=None))
         except ValueError as error:
             raise EgoSpeedError(
-                f"{paths[0]}, line {i}: expected a time such as '2011-09-26 13:10:51.168593664', got {quoted(line)}."
+                f"{paths[0]}, line {i}: expected a time such as '2011-09-26 13:10:51.168593664', "
+                f"got {quoted(line)}."
             ) from error
     times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
     if (np.diff(times_s) <= 0).any():
@@ -158,16 +191,22 @@ def _from_oxts(folder: Path) -> EgoSpeed:
     frames = [int(file.stem) for file in files]
     if max(frames) >= len(times_s):
         raise EgoSpeedError(
-            f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} lines "
-            f"but a file {files[-1].name}."
+            f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} "
+            f"lines but a file {files[-1].name}."
         )
     rows = np.array([_oxts_values(file) for file in files])
-    speed_mps = np.concatenate([_plausible(rows[i, [_OXTS_FORWARD]], str(file)) for i, file in enumerate(files)])
-    return EgoSpeed(times_s[np.array(frames)], speed_mps, folder.name, positions_deg=rows[:, _OXTS_POSITION])
+    speed_mps = np.concatenate(
+        [_plausible(rows[i, [_OXTS_FORWARD]], str(file)) for i, file in enumerate(files)]
+    )
+    return EgoSpeed(
+        times_s[np.array(frames)], speed_mps, folder.name, positions_deg=rows[:, _OXTS_POSITION]
+    )
 
 
 def _from_comma(folder: Path) -> EgoSpeed:
-    """Speed of the car's wheels in a segment of comma2k19, whose files are NumPy arrays without suffix."""
+    """Speed of the car's wheels in a segment of comma2k19, whose files are NumPy arrays without
+    suffix.
+    """
     try:
         time_s, speed_mps, frame_s = (
             np.load(folder / name, allow_pickle=False).ravel().astype(np.float64)
@@ -175,25 +214,34 @@ def _from_comma(folder: Path) -> EgoSpeed:
         )
     except (OSError, ValueError, EOFError) as error:
         raise EgoSpeedError(
-            f"{folder}: expected arrays of NumPy in {_COMMA_SPEED} and global_pose/frame_times, as in comma2k19, found "
-            "missing or damaged arrays."
+            f"{folder}: expected arrays of NumPy in {_COMMA_SPEED} and global_pose/frame_times, as "
+            "in comma2k19, found missing or damaged arrays."
         ) from error
     if not len(frame_s) or len(time_s) != len(speed_mps) or not (np.diff(time_s) > 0).all():
-        raise EgoSpeedError(f"{folder}: expected increasing times with one speed each, found other values.")
+        raise EgoSpeedError(
+            f"{folder}: expected increasing times with one speed each, found other values."
+        )
     return EgoSpeed(time_s - frame_s[0], _plausible(speed_mps, str(folder)), folder.name)
 
 
 def _oxts_values(file: Path) -> list[float]:
     cells = read_text(file, EgoSpeedError, "a KITTI oxts file").split()
-    unreadable = [cell for cell, value in zip(cells, numbers(cells), strict=True) if not math.isfinite(value)]
+    unreadable = [
+        cell for cell, value in zip(cells, numbers(cells), strict=True) if not math.isfinite(value)
+    ]
     if len(cells) != _OXTS_COLUMNS or unreadable:
         given = quoted(unreadable[0]) if len(cells) == _OXTS_COLUMNS else f"{len(cells)} numbers"
-        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts file, got {given}.")
+        raise EgoSpeedError(
+            f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts "
+            f"file, got {given}."
+        )
     return numbers(cells)
 
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
-    """`speed_mps`, if all values are plausible; raises an EgoSpeedError that begins with `where` otherwise."""
+    """`speed_mps`, if all values are plausible; raises an EgoSpeedError that begins with `where`
+    otherwise.
+    """
     implausible = speed_mps[~(np.abs(speed_mps) <= MAX_SPEED_MPS)]
     if len(implausible):
         raise EgoSpeedError(

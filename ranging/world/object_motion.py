@@ -1,17 +1,20 @@
-"""ObjectMotion: speed over ground, heading, world position and state of tracks, from distances and ego motion.
+"""ObjectMotion: speed over ground, heading, world position and state of tracks, from distances and
+ego motion.
 
     u = v + V - w x    speed along the optical axis: filtered rate v of the distance, ego speed V, yaw rate w
     x'                 speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
 
-The filter has the probability q that an object moves along the axis, and the moments of u over both cases; the moments
-of u for moving objects follow. x' has the variance B = f P_x'x' (f since errors of filtered rates are correlated). An
-object that does not move along the axis is at rest (R) or crosses it (C, a fraction c); of the objects that move along
-it (M), three quarters have small speeds m across it; the rest and C have any speed of 1 sigma M. With L_a = N(x'; B +
-a^2) / N(x'; B):
+The filter has the probability q that an object moves along the axis, and the moments of u over both
+cases; the moments of u for moving objects follow. x' has the variance B = f P_x'x' (f since errors
+of filtered rates are correlated). An object that does not move along the axis is at rest (R) or
+crosses it (C, a fraction c); of the objects that move along it (M), three quarters have small
+speeds m across it; the rest and C have any speed of 1 sigma M. With L_a = N(x'; B + a^2) / N(x';
+B):
 
     R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
 
-The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their differences.
+The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their
+differences.
 """
 
 from __future__ import annotations
@@ -32,10 +35,12 @@ from track_range.ranging.world.ego_path import EgoPose
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 MotionState = Literal["parked", "moving", "oncoming", "crossing"]
-MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)  # codes: at rest, along, against, across
+# codes: at rest, along, against, across
+MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
 _PARKED = 0
 _PERSON = ROAD_CLASSES.index("person")
-_RATE_FACTOR = 2.0  # f, as in the collision warning: errors of filtered rates last longer than the filter assumes
+# f, as in the collision warning: errors of filtered rates last longer than the filter assumes
+_RATE_FACTOR = 2.0
 _CROSSING, _WALKER_CROSSING = 0.1, 0.5  # c of vehicles and of people
 _MIN_MOVING = 1e-3  # smallest q, against a division by zero
 _MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
@@ -53,11 +58,14 @@ _MAX_GAP_S = 1.0  # longest time without a track, after which its state is unkno
 
 @dataclass(frozen=True, slots=True)
 class OverGround:
-    """Motion of N tracks over ground, (N,) each; NaN = unknown. `along_mps` and `right_mps` are in camera axes."""
+    """Motion of N tracks over ground, (N,) each; NaN = unknown. `along_mps` and `right_mps` are in
+    camera axes.
+    """
 
     speed_mps: FloatArray
     sigma_mps: FloatArray  # standard deviation of `speed_mps`
-    heading_rad: FloatArray  # direction of motion, counterclockwise from the camera's optical axis; NaN also at rest
+    # direction of motion, counterclockwise from the camera's optical axis; NaN also at rest
+    heading_rad: FloatArray
     moving: FloatArray  # probability that the object moves, 0..1
     along_mps: FloatArray  # u, if it moves
     right_mps: FloatArray  # x'
@@ -70,10 +78,10 @@ class ObjectMotion:
     Attributes:
         speed_mps: speed over ground; the mean over being at rest and moving.
         speed_sigma_mps: its standard deviation.
-        heading_deg: direction of motion in the frame `map`, counterclockwise from its x axis, -180 to 180; NaN also at
-            rest.
-        world_x_m, world_y_m: position in the frame `map` of the middle of the object's visible side, at the filtered
-            distance.
+        heading_deg: direction of motion in the frame `map`, counterclockwise from its x axis, -180
+            to 180; NaN also at rest.
+        world_x_m, world_y_m: position in the frame `map` of the middle of the object's visible
+            side, at the filtered distance.
         state: index into `MOTION_STATES`.
     """
 
@@ -94,11 +102,14 @@ class ObjectMotion:
         return ObjectMotion(*(getattr(self, name)[rows] for name in ObjectMotion.__slots__))
 
 
-def over_ground(motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, ego: EgoMotion) -> OverGround:
-    """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances and positions.
+def over_ground(
+    motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, ego: EgoMotion
+) -> OverGround:
+    """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances
+    and positions.
 
-    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of `ego`, too. Speeds are NaN
-    without an ego speed, and where their standard deviation is above 3 m/s.
+    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of `ego`,
+    too. Speeds are NaN without an ego speed, and where their standard deviation is above 3 m/s.
     """
     d, v, x = motion.state.x, motion.state.v, lateral.state
     V, sigma_V = ego.speed_mps, ego.speed_sigma_mps
@@ -108,7 +119,9 @@ def over_ground(motion: FilteredRanges, lateral: LateralMotion, class_id: IntArr
     u, right, B = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v, _RATE_FACTOR * x.P_vv
 
     # Moments of u where the object moves along the axis.
-    q = np.maximum(1.0 - (np.zeros_like(v) if motion.static is None else motion.static), _MIN_MOVING)
+    q = np.maximum(
+        1.0 - (np.zeros_like(v) if motion.static is None else motion.static), _MIN_MOVING
+    )
     u_M = u / q
     A = (motion.state.P_vv + u**2 - (1 - q) * (_REST_SIGMA_MPS**2 + sigma_V**2)) / q - u_M**2
     A = np.maximum(A, _REST_SIGMA_MPS**2) + s2 * (u_M - V) ** 2 + sigma_V**2
@@ -117,7 +130,13 @@ def over_ground(motion: FilteredRanges, lateral: LateralMotion, class_id: IntArr
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
     c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
     L_m, L_M = np.exp(_log_ratio(right, B, _ACROSS_MPS)), np.exp(_log_ratio(right, B, M))
-    p = np.stack([(1 - q) * (1 - c), (1 - q) * c * L_M, q * (_ALONG_FRACTION * L_m + (1 - _ALONG_FRACTION) * L_M)])
+    p = np.stack(
+        [
+            (1 - q) * (1 - c),
+            (1 - q) * c * L_M,
+            q * (_ALONG_FRACTION * L_m + (1 - _ALONG_FRACTION) * L_M),
+        ]
+    )
     p = p / p.sum(axis=0)
     w = np.stack([np.zeros_like(u), np.abs(right), np.hypot(u_M, right)])
     along_variance = (u_M**2 * A + right**2 * B) / np.maximum(w[2], 1e-6) ** 2
@@ -127,7 +146,10 @@ def over_ground(motion: FilteredRanges, lateral: LateralMotion, class_id: IntArr
     is_known = sigma_mps <= _MAX_SIGMA_MPS  # False for NaN
     moving = np.where(is_known, p[1] + p[2], np.nan)
     u_M = u_M * p[2] / (p[1] + p[2])
-    speed_mps, sigma_mps = np.where(is_known, speed_mps, np.nan), np.where(is_known, sigma_mps, np.nan)
+    speed_mps, sigma_mps = (
+        np.where(is_known, speed_mps, np.nan),
+        np.where(is_known, sigma_mps, np.nan),
+    )
     heading_rad = np.where(moving >= 0.5, np.arctan2(-right, u_M), np.nan)
     return OverGround(speed_mps, sigma_mps, heading_rad, moving, u_M, right)
 
@@ -143,7 +165,8 @@ class ObjectMotions:
     """Motion of all tracks of a video in the world; their states have a memory."""
 
     def __init__(self) -> None:
-        self._tracks = TrackState(np.full(4, np.nan))  # state, next state, since when its condition holds, time
+        # state, next state, since when its condition holds, time
+        self._tracks = TrackState(np.full(4, np.nan))
 
     def update(
         self,
@@ -156,7 +179,9 @@ class ObjectMotions:
         ego: EgoMotion,
         pose: EgoPose,
     ) -> ObjectMotion:
-        """Motion of N tracks (N,) of one frame at `time_s`, with the motion and the pose of the camera."""
+        """Motion of N tracks (N,) of one frame at `time_s`, with the motion and the pose of the
+        camera.
+        """
         ground = over_ground(motion, lateral, class_id, ego)
         x_m, y_m = pose.to_world(motion.state.x, lateral.state.x)
         heading_rad = ground.heading_rad + pose.heading_rad
@@ -165,12 +190,16 @@ class ObjectMotions:
         return ObjectMotion(ground.speed_mps, ground.sigma_mps, heading_deg, x_m, y_m, state)
 
     def _state(self, track_id: IntArray, ground: OverGround, time_s: float) -> FloatArray:
-        """(N,) states after this frame: a change needs a sure probability and a clear direction for some time."""
+        """(N,) states after this frame: a change needs a sure probability and a clear direction for
+        some time.
+        """
         last, pending, since_s, _ = self._tracks.get(track_id)
         p = ground.moving
         angle = np.abs(np.arctan2(ground.right_mps, ground.along_mps))
         n_directions = len(MOTION_STATES) - 1
-        directions = np.stack([np.zeros_like(p), np.full_like(p, np.pi), np.full_like(p, np.pi / 2)])
+        directions = np.stack(
+            [np.zeros_like(p), np.full_like(p, np.pi), np.full_like(p, np.pi / 2)]
+        )
         away = np.abs(angle - directions)  # from along, against and across
         away[np.arange(n_directions)[:, None] == last - 1] -= _MARGIN_RAD
         target = 1.0 + away.argmin(axis=0)

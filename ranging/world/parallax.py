@@ -1,18 +1,21 @@
-r"""Parallax: distances of parked vehicles, signs and lights, triangulated over time from the motion of the camera.
+r"""Parallax: distances of parked vehicles, signs and lights, triangulated over time from the motion
+of the camera.
 
-With the rotation between two frames removed, the points of a static object move away from the epipole e by
+With the rotation between two frames removed, the points of a static object move away from the
+epipole e by
 
     p' - e = (1 + g) (R p - e),   g = V dt / Z
 
-so V dt, which the camera travels, and the growth g give the distance Z, the better the farther the object is from e.
-Corners inside each box are tracked from frame to frame, in an image of twice the size of odometry's; g is their median.
-A filter of 1 / Z follows the object:
+so V dt, which the camera travels, and the growth g give the distance Z, the better the farther the
+object is from e. Corners inside each box are tracked from frame to frame, in an image of twice the
+size of odometry's; g is their median. A filter of 1 / Z follows the object:
 
     rho' = rho / (1 - rho V dt)
 
-A moving vehicle has a growth as well, by its own speed along the road: a car that moves with half of the camera's speed
-appears twice as far. An object counts as static if its triangulated distance agrees with its distance by size within
-`_MAX_SIGMA` for `_MIN_STATIC_S`; only vehicles, signs and lights are considered, since people walk slowly.
+A moving vehicle has a growth as well, by its own speed along the road: a car that moves with half
+of the camera's speed appears twice as far. An object counts as static if its triangulated distance
+agrees with its distance by size within `_MAX_SIGMA` for `_MIN_STATIC_S`; only vehicles, signs and
+lights are considered, since people walk slowly.
 """
 
 from typing import NamedTuple
@@ -32,19 +35,27 @@ from track_range.tracking.tracks import Tracks
 
 _STATIC_CLASSES = ("car", "truck", "bus", "van", "motorcycle", "traffic light", "traffic sign")
 _MAY_BE_STATIC = np.array([name in _STATIC_CLASSES for name in SIZE_CLASSES])  # (size classes,)
-_N_CORNERS, _MIN_CORNERS = 12, 4  # largest number of corners per object, and smallest number of a measurement
-_MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3  # of corners relative to the best in the box, and between corners
+# largest number of corners per object, and smallest number of a measurement
+_N_CORNERS, _MIN_CORNERS = 12, 4
+# of corners relative to the best in the box, and between corners
+_MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3
 _INNER = 0.12  # margin of the box, as a fraction of its sides, that may show the background
 _MIN_SIDE_PX = 8  # smallest side of the inner box, pixels of that image
-_WINDOW_PX, _N_LEVELS = 9, 2  # tracked window and pyramid levels; the start is predicted from the distance
+# tracked window and pyramid levels; the start is predicted from the distance
+_WINDOW_PX, _N_LEVELS = 9, 2
 _CORNER_PX = 0.15  # standard deviation of the motion of a tracked corner, pixels of that image
-_MAX_ACROSS_PX = 0.8  # motion of a corner across the direction from the epipole; if larger, the object moves
+# motion of a corner across the direction from the epipole; if larger, the object moves
+_MAX_ACROSS_PX = 0.8
 _MIN_RADIUS = 0.02  # smallest distance of an object from the epipole, as a tangent
 _CORRELATED_S = 1.0  # time over which errors of the rotation are correlated
-_SURFACE_M = 0.4  # standard deviation of the distance of an object's corners from the surface at the middle of its box
-_MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2  # largest difference from the other distance of static objects, and for how long
+# standard deviation of the distance of an object's corners from the surface at the middle of its
+# box
+_SURFACE_M = 0.4
+# largest difference from the other distance of static objects, and for how long
+_MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2
 _MAX_REPORTED = 0.15  # largest relative standard deviation of a distance
-_MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1  # longest time without a measurement, and lower bound of 1 - rho V dt
+# longest time without a measurement, and lower bound of 1 - rho V dt
+_MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1
 _MIN_TRAVELLED_M = 0.1  # smallest distance travelled between two frames for a measurement
 
 
@@ -64,28 +75,40 @@ class Parallax:
         self._camera = camera
         self._before: _Picture | None = None
         self._state = TrackState(np.array([np.nan, np.nan, np.nan, 0.0]))
-        """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with other distances."""
+        """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with
+        other distances."""
 
     def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
         """Distances of N tracks that are static; NaN = moving, unknown, or not precise.
 
-        `step` is the motion of the camera since the previous frame, None = unknown; `other` are by another method.
+        `step` is the motion of the camera since the previous frame, None = unknown; `other` are by
+        another method.
         """
         before, self._before = self._before, None
         if step is None:
             return Ranges.unmeasured(tracks.track_id)
         n_halved = max(step.now.n_halved - 1, 0)
         self._before = now = _Picture(tracks, small_grey(step.now.grey, n_halved), n_halved)
-        if before is None or before.image.shape != now.image.shape or step.travelled_m < _MIN_TRAVELLED_M:
+        if (
+            before is None
+            or before.image.shape != now.image.shape
+            or step.travelled_m < _MIN_TRAVELLED_M
+        ):
             return Ranges.unmeasured(tracks.track_id)
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN = unknown
             rho, P, measured_s, agreed_s = self._filtered(before, now, step, other)
             distance_m = np.where(rho > 0, 1.0 / rho, np.nan)
-            relative = np.sqrt(P * distance_m**2 + step.travelled_sigma**2 + (_SURFACE_M / distance_m) ** 2)
+            relative = np.sqrt(
+                P * distance_m**2 + step.travelled_sigma**2 + (_SURFACE_M / distance_m) ** 2
+            )
             difference = np.abs(np.log(distance_m / other.distance_m))
             agrees = difference < _MAX_SIGMA * np.hypot(relative, other.sigma_m / other.distance_m)
             agreed_s = np.where(agrees, agreed_s + step.dt_s, 0.0)
-            is_static = (agreed_s >= _MIN_STATIC_S) & (relative < _MAX_REPORTED) & (measured_s == step.time_s)
+            is_static = (
+                (agreed_s >= _MIN_STATIC_S)
+                & (relative < _MAX_REPORTED)
+                & (measured_s == step.time_s)
+            )
         self._state.put(
             tracks.track_id,
             np.array([rho, P, measured_s, agreed_s]),
@@ -94,13 +117,17 @@ class Parallax:
         distance_m = np.where(is_static, distance_m, np.nan)
         return Ranges(tracks.track_id, distance_m, distance_m * relative)
 
-    def _filtered(self, before: _Picture, now: _Picture, step: CameraStep, other: Ranges) -> FloatArray:
+    def _filtered(
+        self, before: _Picture, now: _Picture, step: CameraStep, other: Ranges
+    ) -> FloatArray:
         """(4, N) states of the present tracks, with the growth of this frame."""
         rho, P, measured_s, agreed_s = self._state.get(now.tracks.track_id)
         is_followed = np.isfinite(rho) & (step.time_s - measured_s < _MAX_GAP_S)
         approach = np.maximum(1.0 - rho * step.travelled_m, _MIN_APPROACH)
         rho, P = np.where(is_followed, [rho / approach, P / approach**4], np.nan)
-        growth, variance = self._growths(before, now, step, np.where(is_followed, 1.0 / rho, other.distance_m))
+        growth, variance = self._growths(
+            before, now, step, np.where(is_followed, 1.0 / rho, other.distance_m)
+        )
         z, R = growth / step.travelled_m, variance / step.travelled_m**2
         gain = np.where(is_followed, P / (P + R), 1.0)
         is_measured = np.isfinite(z)
@@ -111,7 +138,8 @@ class Parallax:
     def _growths(
         self, before: _Picture, now: _Picture, step: CameraStep, expected_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) growths g of the present tracks since the frame before, and their variances; NaN = not measured.
+        """(N,) growths g of the present tracks since the frame before, and their variances; NaN =
+        not measured.
 
         The search starts from the expected distances (N,), NaN = unknown.
         """
@@ -147,7 +175,9 @@ class Parallax:
             mean_radius = float(np.median(radius[rows]))
             noise = max(spread, _CORNER_PX / focal_px / mean_radius)
             systematic = step.rotation_sigma_rad / mean_radius
-            variance[row] = (1.25 * noise) ** 2 / len(rows) + systematic**2 * max(_CORRELATED_S / step.dt_s, 1.0)
+            variance[row] = (1.25 * noise) ** 2 / len(rows) + systematic**2 * max(
+                _CORRELATED_S / step.dt_s, 1.0
+            )
         return growth, variance
 
     def _rays(self, points: FloatArray32, n_halved: int) -> FloatArray:
@@ -158,7 +188,11 @@ class Parallax:
 
 def _corners_of_tracks(before: _Picture, now: Tracks) -> list[tuple[int, FloatArray32]]:
     """Rows of present tracks that may be static, and (K, 2) corners in their previous boxes."""
-    row_before = {key: row for row, key in enumerate(before.tracks.track_id.tolist()) if before.tracks.observed[row]}
+    row_before = {
+        key: row
+        for row, key in enumerate(before.tracks.track_id.tolist())
+        if before.tracks.observed[row]
+    }
     candidates = np.flatnonzero(now.observed & _MAY_BE_STATIC[now.class_id]).tolist()
     return [
         (row, corners)
@@ -177,7 +211,9 @@ def _corners_in(picture: _Picture, xyxy_px: FloatArray) -> FloatArray32:
     x2, y2 = np.minimum(np.floor(inner[2:]) + 1, [width, height]).astype(int).tolist()
     if min(x2 - x1, y2 - y1) < _MIN_SIDE_PX:
         return np.zeros((0, 2), np.float32)
-    corners = cv2.goodFeaturesToTrack(picture.image[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX)
+    corners = cv2.goodFeaturesToTrack(
+        picture.image[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX
+    )
     if corners is None:
         return np.zeros((0, 2), np.float32)
     return np.asarray(corners.reshape(-1, 2) + np.array([x1, y1], np.float32), np.float32)

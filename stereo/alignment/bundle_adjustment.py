@@ -1,14 +1,16 @@
-"""Bundle adjustment of a segment of a drive: poses, points and the disparity error of the rig from tracked points.
+"""Bundle adjustment of a segment of a drive: poses, points and the disparity error of the rig from
+tracked points.
 
     point on frame 0's ray (a, b, 1), inverse depth r:    q = R (a, b, 1) + r t         R, t = frame f from frame 0
     left image   x = f q_x / q_z + cx,  y = f q_y / q_z + cy
     right image  x - f B r / q_z + offset + curvature u^2 + slope u     u: column, see `stereo.alignment.model`
 
-Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points observed from several
-positions, the error is the intercept of the disparity as a function of the inverse depth from motion. Points fixed at
-their triangulated positions would bias it by their noise, so points are unknowns too. The solver is
-Levenberg-Marquardt, with the points eliminated by the Schur complement (Triggs et al. 2000, "Bundle adjustment: a
-modern synthesis", section 6), and Cauchy weights, which suppress moving objects and bad tracks.
+Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points
+observed from several positions, the error is the intercept of the disparity as a function of the
+inverse depth from motion. Points fixed at their triangulated positions would bias it by their
+noise, so points are unknowns too. The solver is Levenberg-Marquardt, with the points eliminated by
+the Schur complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6), and
+Cauchy weights, which suppress moving objects and bad tracks.
 """
 
 from __future__ import annotations
@@ -25,16 +27,23 @@ from track_range.stereo.geometry.rig import StereoRig
 OFFSET, CURVATURE, SLOPE = range(3)
 N_ERRORS = 3  # disparity errors, by their numbers
 _MAX_STEPS = 25  # largest number of Levenberg-Marquardt steps
-_MAX_DAMPING = 1e6  # largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends
-_MIN_RELATIVE_GAIN = 1e-5  # decrease of the cost, relative to the cost, below which the iteration has converged
-# Decrease of the cost, relative to the cost, and change of the disparity errors in px, below which the iteration ends:
-# the robust weights then still change the points, but the errors by less than 0.005 px (KITTI, three drives).
+# largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends
+_MAX_DAMPING = 1e6
+# decrease of the cost, relative to the cost, below which the iteration has converged
+_MIN_RELATIVE_GAIN = 1e-5
+# Decrease of the cost, relative to the cost, and change of the disparity errors in px, below which
+# the iteration ends: the robust weights then still change the points, but the errors by less than
+# 0.005 px (KITTI, three drives).
 _SETTLED_GAIN, _SETTLED_PX = 2e-3, 1e-3
-_CAUCHY_SIGMAS = 2.0  # scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight
-_NOISE_PX = (0.05, 1.0)  # limits of the standard deviation of a tracked point, estimated from the residuals
+# scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight
+_CAUCHY_SIGMAS = 2.0
+# limits of the standard deviation of a tracked point, estimated from the residuals
+_NOISE_PX = (0.05, 1.0)
 _MEDIAN_NORM = 1.538  # median length of a vector of three standard normal numbers
-_POSE_RIDGE = 1e-6  # for frames without points; small compared to their information (1e5 per m^2, 1e8 per rad^2)
-_ERROR_PRIOR_PX = 5.0  # prior standard deviation of the disparity errors: wide, it only keeps the equations solvable
+# for frames without points; small compared to their information (1e5 per m^2, 1e8 per rad^2)
+_POSE_RIDGE = 1e-6
+# prior standard deviation of the disparity errors: wide, it only keeps the equations solvable
+_ERROR_PRIOR_PX = 5.0
 
 
 class Observations(NamedTuple):
@@ -62,7 +71,9 @@ class Bundle:
 
 
 class BundleFit(NamedTuple):
-    """An optimised bundle, the standard deviation of its points, and the (N,) weights, 0..1, of the observations."""
+    """An optimised bundle, the standard deviation of its points, and the (N,) weights, 0..1, of the
+    observations.
+    """
 
     bundle: Bundle
     noise_px: float
@@ -72,14 +83,17 @@ class BundleFit(NamedTuple):
 class Linear(NamedTuple):
     """Residuals and Jacobians of N observations."""
 
-    residual: FloatArray  # (N, 3) observed minus predicted, px: x and y in the left image, x in the right one
-    by_pose: FloatArray  # (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame
+    # (N, 3) observed minus predicted, px: x and y in the left image, x in the right one
+    residual: FloatArray
+    # (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame
+    by_pose: FloatArray
     by_point: FloatArray  # (N, 3, 3) derivatives of the prediction by a, b and r of the point
     by_error: FloatArray  # (N, 3, E) derivatives of the prediction by the disparity errors
 
 
 class Equations(NamedTuple):
-    """Normal equations S x = b with the points eliminated: x = poses of all frames but the first, then the errors.
+    """Normal equations S x = b with the points eliminated: x = poses of all frames but the first,
+    then the errors.
 
     Equations of disjoint sets of points add up.
     """
@@ -100,13 +114,17 @@ class Equations(NamedTuple):
         return self.s[n:, n:] - s_ep @ solved[:, :-1], self.b[n:] - s_ep @ solved[:, -1]
 
     def without(self, whitened: FloatArray, right_side: FloatArray) -> Equations:
-        """The equations with points eliminated, from their L^-1 W (P, 3, C) and L^-1 b_y (P, 3), see `_PointBlocks`."""
+        """The equations with points eliminated, from their L^-1 W (P, 3, C) and L^-1 b_y (P, 3),
+        see `_PointBlocks`.
+        """
         rows = whitened.reshape(-1, whitened.shape[2])
         return self._replace(s=self.s - rows.T @ rows, b=self.b - rows.T @ right_side.reshape(-1))
 
 
 class _PointBlocks(NamedTuple):
-    """Blocks of the points in the normal equations, V = L L^T; the points are y = V^-1 (b_y - W x)."""
+    """Blocks of the points in the normal equations, V = L L^T; the points are y = V^-1 (b_y - W
+    x).
+    """
 
     l_inverse: FloatArray  # (P, 3, 3) L^-1
     whitened: FloatArray  # (P, 3, C) L^-1 W
@@ -114,9 +132,11 @@ class _PointBlocks(NamedTuple):
 
 
 def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleFit:
-    """The bundle with the minimum robust cost, from a start within a few pixels of the minimum; `rig` is rectified.
+    """The bundle with the minimum robust cost, from a start within a few pixels of the minimum;
+    `rig` is rectified.
 
-    The points are eliminated; the first frame's pose is fixed. With damping of the diagonals of U and V,
+    The points are eliminated; the first frame's pose is fixed. With damping of the diagonals of U
+    and V,
 
     [ U  W^T ] [x]   [b_x]       x: poses and errors       U = Jx^T L Jx,  W = Jy^T L Jx,  V = Jy^T L Jy
     [ W  V   ] [y] = [b_y]       y: points                 b_x = Jx^T L r, b_y = Jy^T L r, L = diag(weight)
@@ -152,19 +172,27 @@ def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleF
 def equations_by_group(
     observed: Observations, linear: Linear, weight: FloatArray, *, n_frames: int, group: IntArray
 ) -> dict[int, Equations]:
-    """Normal equations of groups of points, without a prior; `weight` (N,) are inverse variances, `group` (P,)."""
+    """Normal equations of groups of points, without a prior; `weight` (N,) are inverse variances,
+    `group` (P,).
+    """
     blocks = _point_blocks(observed, linear, weight, n_frames, 0.0)
     equations = {}
     for number in np.unique(group).tolist():
         is_member = group == number
         rows = is_member[observed.point]
-        poses = _pose_equations(observed.frame[rows], Linear(*(part[rows] for part in linear)), weight[rows], n_frames)
+        poses = _pose_equations(
+            observed.frame[rows], Linear(*(part[rows] for part in linear)), weight[rows], n_frames
+        )
         equations[number] = poses.without(blocks.whitened[is_member], blocks.right_side[is_member])
     return equations
 
 
-def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: FloatArray | None = None) -> Linear:
-    """Residuals and derivatives at a bundle; `extra` (N, E) are columns of additional errors of the right x."""
+def linearize(
+    observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: FloatArray | None = None
+) -> Linear:
+    """Residuals and derivatives at a bundle; `extra` (N, E) are columns of additional errors of the
+    right x.
+    """
     camera, bf = rig.left, rig.left.fx_px * rig.baseline_m
     r, t = bundle.rotation[observed.frame], bundle.translation_m[observed.frame]
     point = bundle.points[observed.point]
@@ -197,14 +225,18 @@ def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: 
 
 
 def error_columns(u: FloatArray) -> FloatArray:
-    """(N, 3) derivatives of the right x by offset, curvature and slope, at the columns `u` (N,) from the axis."""
+    """(N, 3) derivatives of the right x by offset, curvature and slope, at the columns `u` (N,)
+    from the axis.
+    """
     return np.stack([np.ones_like(u), u**2, u], axis=1)
 
 
 def _point_blocks(
     observed: Observations, linear: Linear, weight: FloatArray, n_frames: int, damping: float
 ) -> _PointBlocks:
-    """The blocks of all points; each point has at least one observation, and at most one per frame."""
+    """The blocks of all points; each point has at least one observation, and at most one per
+    frame.
+    """
     n_points, n_errors = int(observed.point.max()) + 1, linear.by_error.shape[2]
     l_jy = linear.by_point * weight[:, None, None]
     columns = [linear.by_pose, linear.by_error, linear.by_point, linear.residual[:, :, None]]
@@ -221,13 +253,17 @@ def _point_blocks(
     return _PointBlocks(l_inverse, l_inverse @ w, (l_inverse @ b_y[:, :, None])[:, :, 0])
 
 
-def _pose_equations(frame: IntArray, linear: Linear, weight: FloatArray, n_frames: int) -> Equations:
+def _pose_equations(
+    frame: IntArray, linear: Linear, weight: FloatArray, n_frames: int
+) -> Equations:
     """U and b_x of observations in the frames (N,)."""
     n_poses, n_errors = 6 * n_frames, linear.by_error.shape[2]
     u, b = np.zeros((n_poses + n_errors,) * 2), np.zeros(n_poses + n_errors)
     for number in np.unique(frame).tolist():
         rows = frame == number
-        jacobian = np.concatenate([linear.by_pose[rows], linear.by_error[rows]], axis=2).reshape(-1, 6 + n_errors)
+        jacobian = np.concatenate([linear.by_pose[rows], linear.by_error[rows]], axis=2).reshape(
+            -1, 6 + n_errors
+        )
         l_jacobian = jacobian * np.repeat(weight[rows], 3)[:, None]
         columns = np.r_[6 * number : 6 * number + 6, n_poses : n_poses + n_errors]
         u[np.ix_(columns, columns)] += l_jacobian.T @ jacobian
@@ -236,9 +272,12 @@ def _pose_equations(frame: IntArray, linear: Linear, weight: FloatArray, n_frame
 
 
 def _updated(bundle: Bundle, equations: Equations, points: _PointBlocks) -> Bundle:
-    """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, then the points y."""
+    """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, then the points
+    y.
+    """
     n = equations.n_pose_unknowns
-    prior = np.where(np.diag(equations.s) == 0.0, _POSE_RIDGE, 0.0)  # poses of frames without points stay
+    # poses of frames without points stay
+    prior = np.where(np.diag(equations.s) == 0.0, _POSE_RIDGE, 0.0)
     prior[n:] = _ERROR_PRIOR_PX**-2
     b = equations.b.copy()
     b[n:] -= bundle.error_px * prior[n:]
@@ -271,4 +310,7 @@ def _cauchy(residual: FloatArray, noise_px: float) -> FloatArray:
 
 
 def _cost(residual: FloatArray, noise_px: float) -> float:
-    return float(_CAUCHY_SIGMAS**2 * np.log1p((residual**2).sum(axis=1) / (_CAUCHY_SIGMAS * noise_px) ** 2).sum())
+    return float(
+        _CAUCHY_SIGMAS**2
+        * np.log1p((residual**2).sum(axis=1) / (_CAUCHY_SIGMAS * noise_px) ** 2).sum()
+    )

@@ -1,9 +1,10 @@
-"""FeatureTracks: corners tracked through the left images and matched in each right image, with subpixel accuracy.
+"""FeatureTracks: corners tracked through the left images and matched in each right image, with
+subpixel accuracy.
 
     left t-1 --LK--> left t --LK--> right t        with a forward-backward check: both directions must agree
 
-Pyramidal Lucas-Kanade (Bouguet) finds only nearby positions: from left to right it starts from a coarse disparity map,
-over time from the last position.
+Pyramidal Lucas-Kanade (Bouguet) finds only nearby positions: from left to right it starts from a
+coarse disparity map, over time from the last position.
 """
 
 import math
@@ -24,13 +25,17 @@ _MIN_QUALITY = 0.01  # minimum quality of a corner, as a fraction of the best co
 _WINDOW_PX = (15, 15)  # size of the tracked window, px
 _LEVELS = 3  # pyramid levels above the full image for tracking over time
 _MAX_RETURN_PX = 0.5  # largest error of the forward-backward check, px
-_MAX_ROW_PX = 2.0  # largest difference between the row offset of a right point and the common one, px
+# largest difference between the row offset of a right point and the common one, px
+_MAX_ROW_PX = 2.0
 _BORDER_PX = 8  # minimum distance of a point from the image border, px
-_COARSE_RANGE_PX = 80  # number of disparities searched in the half-size images; twice as many in full pixels
-_COARSE_MIN_PX = -8  # smallest of them: a wrong vergence of 0.5 degrees makes disparities of far points negative
+# number of disparities searched in the half-size images; twice as many in full pixels
+_COARSE_RANGE_PX = 80
+# smallest of them: a wrong vergence of 0.5 degrees makes disparities of far points negative
+_COARSE_MIN_PX = -8
 _UNKNOWN_PX = 5.0  # initial disparity where the coarse map has none, px
 _MAX_LOG_GAIN = 0.15  # largest difference of the contrasts of left and right that is left as it is
-_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)  # iterations of Lucas-Kanade, and step in px
+# iterations of Lucas-Kanade, and step in px
+_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
 
 
 class PairPoints(NamedTuple):
@@ -52,7 +57,8 @@ class TrackedFrame(NamedTuple):
     time_s: float  # time of the frame
     points: PairPoints  # points that are visible in both images
     flow_px: float  # median flow since the previous frame; 0 for the first frame
-    fraction_tracked: float  # fraction of the points tracked from the previous frame; 1 for the first frame
+    # fraction of the points tracked from the previous frame; 1 for the first frame
+    fraction_tracked: float
 
 
 class FeatureTracks:
@@ -78,7 +84,9 @@ class FeatureTracks:
         )
 
     def add(self, left: Image, right: Image, time_s: float = 0.0) -> TrackedFrame:
-        """Track the points into the next frame, rectified (H, W) grey or (H, W, 3) BGR, and add new corners."""
+        """Track the points into the next frame, rectified (H, W) grey or (H, W, 3) BGR, and add new
+        corners.
+        """
         left, right = grey(left), _as_bright(grey(right), grey(left))
         flow_px, fraction_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
@@ -119,27 +127,38 @@ class FeatureTracks:
         right_px, is_matched = _flow(left, right, self._left_px, start, 1)
         row_px = right_px[:, 1] - self._left_px[:, 1]
         if (is_matched & is_known).any():
-            is_matched &= is_known & (np.abs(row_px - np.median(row_px[is_matched & is_known])) < _MAX_ROW_PX)
+            is_matched &= is_known & (
+                np.abs(row_px - np.median(row_px[is_matched & is_known])) < _MAX_ROW_PX
+            )
         left_px = self._left_px[is_matched].astype(float)
         return PairPoints(self._number[is_matched], left_px, right_px[is_matched].astype(float))
 
     def _coarse_disparity(self, left: Image, right: Image) -> FloatArray32:
         """(H / 2, W / 2) disparities in full pixels; NaN where unknown."""
-        halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
+        halves = [
+            cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            for image in (left, right)
+        ]
         border = (0, 0, _COARSE_RANGE_PX, -_COARSE_MIN_PX)
         padded = [cv2.copyMakeBorder(half, *border, cv2.BORDER_REPLICATE) for half in halves]
         steps = self._coarse.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:_COARSE_MIN_PX]
-        return np.where(steps >= 16 * _COARSE_MIN_PX, steps.astype(np.float32) * (2 / 16), np.float32(np.nan))
+        return np.where(
+            steps >= 16 * _COARSE_MIN_PX, steps.astype(np.float32) * (2 / 16), np.float32(np.nan)
+        )
 
 
 def row_offset_px(left: Image, right: Image) -> float | None:
-    """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few points."""
+    """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few
+    points.
+    """
     rows_px = FeatureTracks().add(left, right).points.row_offsets_px
     return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else None
 
 
 def _as_bright(image: Image, other: Image) -> Image:
-    """The image with the brightness of the other image, if they differ much: Lucas-Kanade compares grey levels."""
+    """The image with the brightness of the other image, if they differ much: Lucas-Kanade compares
+    grey levels.
+    """
     factor = float(other.std()) / max(float(image.std()), 1.0)
     if abs(math.log(max(factor, 1e-3))) < _MAX_LOG_GAIN:
         return image
@@ -160,26 +179,34 @@ def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]
                 left[cell], n_per_cell, _MIN_QUALITY, _MIN_GAP_PX, mask=free[cell], blockSize=5
             )
             if corners is not None:
-                new.append(corners.reshape(-1, 2).astype(np.float32) + np.array([start, top], np.float32))
+                new.append(
+                    corners.reshape(-1, 2).astype(np.float32) + np.array([start, top], np.float32)
+                )
     return new
 
 
 def _flow(
     source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
 ) -> tuple[FloatArray32, BoolArray]:
-    """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward check."""
+    """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward
+    check.
+    """
 
     def lucas_kanade(
         first: Image, second: Image, xy: FloatArray32, start: FloatArray32
     ) -> tuple[FloatArray32, BoolArray]:
         settings: dict[str, Any] = {"winSize": _WINDOW_PX, "maxLevel": levels, "criteria": _STOP}
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(first, second, xy, start.copy(), flags=flags, **settings)
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, xy, start.copy(), flags=flags, **settings
+        )
         return np.asarray(moved, np.float32), status.reshape(-1) > 0
 
     moved, is_tracked = lucas_kanade(source, target, points, start)
     returned, has_returned = lucas_kanade(target, source, moved, points)
     height, width = target.shape
-    is_inside = (moved >= _BORDER_PX).all(axis=1) & (moved < np.array([width, height]) - 1 - _BORDER_PX).all(axis=1)
+    is_inside = (moved >= _BORDER_PX).all(axis=1) & (
+        moved < np.array([width, height]) - 1 - _BORDER_PX
+    ).all(axis=1)
     is_consistent = np.abs(returned - points).max(axis=1) < _MAX_RETURN_PX
     return moved, np.asarray(is_tracked & has_returned & is_inside & is_consistent)

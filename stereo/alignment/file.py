@@ -32,7 +32,8 @@ _VERSION = 1
 _VERSION_KEY = "track_range_align"
 
 _MAX_PX = 100.0  # largest plausible value of a calibrated pair; larger values are in other units
-_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2  # largest plausible errors of the right camera's angles and focal length
+# largest plausible errors of the right camera's angles and focal length
+_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2
 
 _Offset = Annotated[Number, Field(ge=-_MAX_PX, le=_MAX_PX)]
 _Sigma = Annotated[Number, Field(ge=0, le=_MAX_PX)]
@@ -64,8 +65,8 @@ def save_alignment(alignment: Alignment, path: Path) -> None:
 def load_alignment(path: str | Path) -> Alignment:
     """The alignment of a file written by `track-range align`.
 
-    It corrects the disparities of images that are rectified with the rig alone. `open_recording(align=...)` takes it
-    as well, and corrects rows and large offsets in its images.
+    It corrects the disparities of images that are rectified with the rig alone.
+    `open_recording(align=...)` takes it as well, and corrects rows and large offsets in its images.
 
     Example:
         >>> import track_range as tr

@@ -1,9 +1,10 @@
 """DriveAlignment: the disparity error of a rig from a drive through an unknown scene.
 
 Frames about 0.1 s apart are divided into segments of 1.6 s, each with a separate bundle adjustment
-(`stereo.alignment.bundle_adjustment`); their estimates of offset and curvature are combined. Results: on KITTI's drives
-0003 and 0005, 16 frames each, 0.47 and 0.44 px (curvature 1.60 and 1.47), where lidar and labels give 0.4 to 0.5 px;
-three segments of another drive agree within 0.03 px.
+(`stereo.alignment.bundle_adjustment`); their estimates of offset and curvature are combined.
+Results: on KITTI's drives 0003 and 0005, 16 frames each, 0.47 and 0.44 px (curvature 1.60 and
+1.47), where lidar and labels give 0.4 to 0.5 px; three segments of another drive agree within 0.03
+px.
 """
 
 from __future__ import annotations
@@ -16,10 +17,26 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import CURVATURE, N_ERRORS, OFFSET, SLOPE, Observations
-from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame
+from track_range.stereo.alignment.bundle_adjustment import (
+    CURVATURE,
+    N_ERRORS,
+    OFFSET,
+    SLOPE,
+    Observations,
+)
+from track_range.stereo.alignment.feature_tracks import (
+    MIN_ROWS,
+    FeatureTracks,
+    PairPoints,
+    TrackedFrame,
+)
 from track_range.stereo.alignment.health import Window
-from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment, RightView, fit_right_view
+from track_range.stereo.alignment.model import (
+    UNCORRECTED_SIGMA_PX,
+    Alignment,
+    RightView,
+    fit_right_view,
+)
 from track_range.stereo.alignment.segments import (
     INCONSISTENT,
     MAX_ERROR_PX,
@@ -31,29 +48,38 @@ from track_range.stereo.alignment.segments import (
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
-N_FRAMES = 16  # frames of a segment; longer segments would have more parallax, but few points are tracked that long
+# frames of a segment; longer segments would have more parallax, but few points are tracked that
+# long
+N_FRAMES = 16
 MIN_FRAMES = 10  # minimum number of frames of a segment
 _MAX_SEGMENTS = 3  # largest number of segments of a drive
 _MAX_FRAMES = 300  # largest number of frames of a drive, in case the vehicle does not move
 MIN_STEP_S = 0.09  # shortest time between two used frames, seconds
 MAX_GAP_S = 0.5  # longest time between two frames of a segment, seconds
-MIN_FLOW_PX = 0.5  # minimum median flow between frames of a moving vehicle; other frames are not used
-MIN_TRACKED_FRACTION = 0.1  # of the points between two frames of a segment; fewer indicate a cut in the video
-_MIN_TERM_SIGMAS = 3.0  # minimum ratio of curvature or slope to their standard deviations at which they are estimated
+# minimum median flow between frames of a moving vehicle; other frames are not used
+MIN_FLOW_PX = 0.5
+# of the points between two frames of a segment; fewer indicate a cut in the video
+MIN_TRACKED_FRACTION = 0.1
+# minimum ratio of curvature or slope to their standard deviations at which they are estimated
+_MIN_TERM_SIGMAS = 3.0
 _MAX_SIGMA_PX = 0.25  # largest standard deviation of a usable offset
-_SPREADS = 2.0  # remaining error at an object / spread of the strips: from 36 cars of 16 KITTI 2015 pairs
-# Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
-# offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px.
+# remaining error at an object / spread of the strips: from 36 cars of 16 KITTI 2015 pairs
+_SPREADS = 2.0
+# Common error of subpixel point positions, which the jackknife does not include: on simulated
+# drives the error of the offset is 0.013 px in the median and 0.05 px at most, while estimates from
+# strips and times agree within 0.011 px.
 PIXEL_LOCKING_PX = 0.02
-# Disparity error per row offset that is corrected as a pitch but may be a shift of the image: the mean of |x y| / f^2
-# over the points of an image of 80 by 30 degrees.
+# Disparity error per row offset that is corrected as a pitch but may be a shift of the image: the
+# mean of |x y| / f^2 over the points of an image of 80 by 30 degrees.
 _ROWS_FRACTION = 0.05
 _MIN_RESIDUAL_PX = 0.05  # lower limit of the remaining error, px
 NOT_MEASURED = Alignment()
 
 
 class DriveAlignment:
-    """Estimates the alignment of a rig from the frames of one or several drives, which `prior` has corrected."""
+    """Estimates the alignment of a rig from the frames of one or several drives, which `prior` has
+    corrected.
+    """
 
     def __init__(self, rig: StereoRig, prior: Alignment = NOT_MEASURED) -> None:
         self._rig, self._prior = rig, prior  # of the rectified frames
@@ -90,7 +116,9 @@ class DriveAlignment:
         self._begin_drive()
 
     def add(self, frame: Frame) -> None:
-        """Add the next frame; frames without a right image, or too soon after the last frame, are ignored."""
+        """Add the next frame; frames without a right image, or too soon after the last frame, are
+        ignored.
+        """
         step_s = frame.time_s - self._last_s
         if self.is_full or frame.right is None or step_s < MIN_STEP_S:
             return
@@ -117,8 +145,8 @@ class DriveAlignment:
     def estimate(self) -> Alignment:
         """The alignment estimated from the drives so far; the caller decides whether it is applied.
 
-        Without enough data for the disparities, the offset is 0 with the default standard deviation, and the source
-        contains the reason; the row offset is estimated in any case.
+        Without enough data for the disparities, the offset is 0 with the default standard
+        deviation, and the source contains the reason; the row offset is estimated in any case.
         """
         self._close()
         view, prior = self._measured_view(), self._prior
@@ -129,26 +157,42 @@ class DriveAlignment:
             focal_ratio=prior.focal_ratio * view.focal_ratio,
         )
         if not self._segments:
-            reason = max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
-            # a contradiction is no lack of data: the disparities may be wrong by as much as was searched
+            reason = (
+                max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
+            )
+            # a contradiction is no lack of data: the disparities may be wrong by as much as was
+            # searched
             sigma_px = MAX_ERROR_PX if INCONSISTENT in self._reasons else rows.residual_px
-            offset_sigma_px, source = max(sigma_px, rows.offset_sigma_px), f"not enough data in this drive ({reason})"
-            return replace(rows, residual_px=sigma_px, offset_sigma_px=offset_sigma_px, source=source)
+            offset_sigma_px, source = (
+                max(sigma_px, rows.offset_sigma_px),
+                f"not enough data in this drive ({reason})",
+            )
+            return replace(
+                rows, residual_px=sigma_px, offset_sigma_px=offset_sigma_px, source=source
+            )
         combined = estimated_errors([segment for *_, segment in self._segments])
         offset_px, curvature_px, slope_px = combined.error_px.tolist()
         offset_px += prior.shift_px
         offset_sigma_px, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
         if not offset_sigma_px <= _MAX_SIGMA_PX:
-            reason = f"offset {offset_px:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
+            reason = (
+                f"offset {offset_px:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
+            )
             return replace(rows, source=f"not enough data in this drive ({reason})")
-        spread_px = combined.spread_px if np.isfinite(combined.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
+        spread_px = (
+            combined.spread_px
+            if np.isfinite(combined.spread_px)
+            else UNCORRECTED_SIGMA_PX / _SPREADS
+        )
         rows_px = _ROWS_FRACTION * abs(rows.row_offset_px)
         return replace(
             rows,
             offset_px=offset_px,
             curvature_px=curvature_px,
             slope_px=slope_px,
-            residual_px=max(_MIN_RESIDUAL_PX, math.hypot(offset_sigma_px, _SPREADS * spread_px, rows_px)),
+            residual_px=max(
+                _MIN_RESIDUAL_PX, math.hypot(offset_sigma_px, _SPREADS * spread_px, rows_px)
+            ),
             offset_sigma_px=offset_sigma_px,
             curvature_sigma_px=curvature_sigma_px,
             slope_sigma_px=slope_sigma_px,
@@ -161,8 +205,13 @@ class DriveAlignment:
         if not self._segments:
             return ()
         known_px = estimated_errors([segment for *_, segment in self._segments]).error_px
-        windows = (Window(drive, *span_s, *offset_of(segment, known_px)) for drive, span_s, segment in self._segments)
-        return tuple(window._replace(offset_px=window.offset_px + self._prior.shift_px) for window in windows)
+        windows = (
+            Window(drive, *span_s, *offset_of(segment, known_px))
+            for drive, span_s, segment in self._segments
+        )
+        return tuple(
+            window._replace(offset_px=window.offset_px + self._prior.shift_px) for window in windows
+        )
 
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0
@@ -175,7 +224,11 @@ class DriveAlignment:
         if len(points) < MIN_FRAMES:
             if points:
                 is_static = n_static > len(points)
-                reason = "the vehicle is stationary" if is_static else f"fewer than {MIN_FRAMES} frames in motion"
+                reason = (
+                    "the vehicle is stationary"
+                    if is_static
+                    else f"fewer than {MIN_FRAMES} frames in motion"
+                )
                 self._reasons.append(reason)
             return
         if not self._segments:
@@ -189,8 +242,14 @@ class DriveAlignment:
 
     def _measured_view(self) -> RightView:
         left_px = np.concatenate([np.zeros((0, 2)), *(points.left_px for points in self._matched)])
-        right_px = np.concatenate([np.zeros((0, 2)), *(points.right_px for points in self._matched)])
-        return fit_right_view(left_px, right_px, self._rig.left) if len(left_px) >= MIN_ROWS else RightView()
+        right_px = np.concatenate(
+            [np.zeros((0, 2)), *(points.right_px for points in self._matched)]
+        )
+        return (
+            fit_right_view(left_px, right_px, self._rig.left)
+            if len(left_px) >= MIN_ROWS
+            else RightView()
+        )
 
 
 def estimated_errors(segments: list[Segment]) -> CombinedEstimate:
@@ -207,14 +266,24 @@ def estimated_errors(segments: list[Segment]) -> CombinedEstimate:
 
 
 def offset_of(segment: Segment, known_px: FloatArray) -> tuple[float, float]:
-    """Offset in one segment and its standard deviation, with known curvature and slope in the errors (3,)."""
+    """Offset in one segment and its standard deviation, with known curvature and slope in the
+    errors (3,).
+    """
     own = combine([segment], (OFFSET,), known_px)
     return float(own.error_px[OFFSET]), math.hypot(float(own.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
 
 
-def observations_of(frames: Sequence[TrackedFrame], view: RightView, rig: StereoRig) -> Observations:
-    """The observations of the points of consecutive frames, with the right points corrected by `view`."""
-    frame = np.concatenate([np.full(len(tracked.points.number), index) for index, tracked in enumerate(frames)])
-    number, left_px, right_px = (np.concatenate(part) for part in zip(*(f.points for f in frames), strict=True))
+def observations_of(
+    frames: Sequence[TrackedFrame], view: RightView, rig: StereoRig
+) -> Observations:
+    """The observations of the points of consecutive frames, with the right points corrected by
+    `view`.
+    """
+    frame = np.concatenate(
+        [np.full(len(tracked.points.number), index) for index, tracked in enumerate(frames)]
+    )
+    number, left_px, right_px = (
+        np.concatenate(part) for part in zip(*(f.points for f in frames), strict=True)
+    )
     corrected_px = view.corrected(right_px, rig.left)
     return Observations(frame, number, np.column_stack([left_px, corrected_px[:, 0]]))

@@ -2,10 +2,11 @@
 
     d_true = d + offset (+ curvature u^2)         minimise  sum |d_true - d - offset - curvature u^2| / d
 
-To first order dZ / Z = -dd / d, so this is the mean relative error of the distances; for the offset alone it is the
-weighted median. Errors due to the depth of an object are proportional to d^2; both the weight and the absolute value
-limit their influence. The curvature is fitted only if cross-validation supports it. The errors in one frame are
-correlated (same scene, same pose), so groups are resampled instead of objects.
+To first order dZ / Z = -dd / d, so this is the mean relative error of the distances; for the offset
+alone it is the weighted median. Errors due to the depth of an object are proportional to d^2; both
+the weight and the absolute value limit their influence. The curvature is fitted only if
+cross-validation supports it. The errors in one frame are correlated (same scene, same pose), so
+groups are resampled instead of objects.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ MIN_OBJECTS = 5  # minimum number of objects for a fit
 _N_RESAMPLES = 200  # number of bootstrap samples
 _N_FOLDS = 8  # number of folds of the cross-validation
 _MIN_OBJECTS_FOR_CURVATURE = 60  # minimum number of objects for a fit of the curvature
-_MIN_LEVERAGE = 0.08  # minimum standard deviation of u^2 over the objects for the curvature; uniform: 0.3
-_MAX_MISMATCH = 0.3  # largest relative disparity error due to alignment; larger ones are wrong matches or labels
+# minimum standard deviation of u^2 over the objects for the curvature; uniform: 0.3
+_MIN_LEVERAGE = 0.08
+# largest relative disparity error due to alignment; larger ones are wrong matches or labels
+_MAX_MISMATCH = 0.3
 _MAX_OFFSET_PX = 3.0  # disparity error that is never a mismatch, however small the disparity
 _MEDIAN_OF_NORMAL = 0.6745  # median of |x| for a standard normal x
 _N_REWEIGHTINGS = 30  # iterations of the reweighted least squares
@@ -63,18 +66,20 @@ def fit_reference(
 ) -> Alignment:
     """The alignment from known disparities; NaN rows and mismatches are ignored.
 
-    Arrays are (N,): disparities of a matcher, true disparities, columns in the image of the rectified left camera, and
-    groups (frame, pair or object) within which errors may be correlated. `sigma_px` (N,) are standard deviations of the
-    matcher, excluded from the residual, None = zeros; `seed` is for the resampling.
-    Raises RigError if fewer than five objects are usable.
+    Arrays are (N,): disparities of a matcher, true disparities, columns in the image of the
+    rectified left camera, and groups (frame, pair or object) within which errors may be correlated.
+    `sigma_px` (N,) are standard deviations of the matcher, excluded from the residual, None =
+    zeros; `seed` is for the resampling. Raises RigError if fewer than five objects are usable.
     """
     with np.errstate(invalid="ignore"):  # NaN compares as False: not usable
-        is_match = np.abs(true_px - measured_px) <= np.maximum(_MAX_OFFSET_PX, _MAX_MISMATCH * true_px)
+        is_match = np.abs(true_px - measured_px) <= np.maximum(
+            _MAX_OFFSET_PX, _MAX_MISMATCH * true_px
+        )
         rows = (measured_px > 0) & (true_px > 0) & is_match
     if rows.sum() < MIN_OBJECTS:
         raise RigError(
-            f"expected at least {MIN_OBJECTS} matched objects with known distances for the alignment, found "
-            f"{int(rows.sum())}; give more frames or pairs."
+            f"expected at least {MIN_OBJECTS} matched objects with known distances for the "
+            f"alignment, found {int(rows.sum())}; give more frames or pairs."
         )
     known = _Known(
         (true_px - measured_px)[rows],
@@ -89,7 +94,9 @@ def fit_reference(
     abs_residual_px = np.abs(known.error_px - offset_px - curvature_px * known.u2)
     scatter_px = weighted_median(abs_residual_px, known.weight) / _MEDIAN_OF_NORMAL
     min_sigma_px = scatter_px / known.n_groups**0.5  # samples of few groups hardly differ
-    at_objects_px = samples[:, 0] + samples[:, 1] * float(np.average(known.u2, weights=known.weight))
+    at_objects_px = samples[:, 0] + samples[:, 1] * float(
+        np.average(known.u2, weights=known.weight)
+    )
     sigma_at_objects_px = max(float(at_objects_px.std()), min_sigma_px)
     return Alignment(
         offset_px=offset_px,
@@ -102,7 +109,9 @@ def fit_reference(
 
 
 def _fit(known: _Known, *, has_curvature: bool) -> tuple[float, float]:
-    """Offset and curvature with the minimum weighted absolute error, by reweighted least squares."""
+    """Offset and curvature with the minimum weighted absolute error, by reweighted least
+    squares.
+    """
     if not has_curvature:
         return weighted_median(known.error_px, known.weight), 0.0
     design = np.stack([np.ones_like(known.u2), known.u2], axis=1)
@@ -110,14 +119,22 @@ def _fit(known: _Known, *, has_curvature: bool) -> tuple[float, float]:
     for _ in range(_N_REWEIGHTINGS):
         root = np.sqrt(reweighted)
         solution = np.linalg.lstsq(design * root[:, None], known.error_px * root, rcond=None)[0]
-        reweighted = known.weight / np.maximum(np.abs(known.error_px - design @ solution), _MIN_ERROR_PX)
+        reweighted = known.weight / np.maximum(
+            np.abs(known.error_px - design @ solution), _MIN_ERROR_PX
+        )
     return float(solution[0]), float(solution[1])
 
 
 def _is_curvature_supported(known: _Known) -> bool:
-    """Whether the curvature reduces the error of held-out objects by more than two standard deviations of the gain."""
+    """Whether the curvature reduces the error of held-out objects by more than two standard
+    deviations of the gain.
+    """
     n_groups, n_objects = known.n_groups, len(known.u2)
-    if n_objects < _MIN_OBJECTS_FOR_CURVATURE or n_groups < _N_FOLDS or float(np.std(known.u2)) < _MIN_LEVERAGE:
+    if (
+        n_objects < _MIN_OBJECTS_FOR_CURVATURE
+        or n_groups < _N_FOLDS
+        or float(np.std(known.u2)) < _MIN_LEVERAGE
+    ):
         return False
     gain = np.zeros(n_groups)
     for fold in range(_N_FOLDS):
@@ -143,11 +160,14 @@ def _resampled(known: _Known, *, has_curvature: bool, rng: np.random.Generator) 
 
 
 def _excess_sigma_px(abs_residual_px: FloatArray, known: _Known) -> float:
-    """Standard deviation that explains the median of the residuals (N,) together with the matcher's sigmas."""
+    """Standard deviation that explains the median of the residuals (N,) together with the matcher's
+    sigmas.
+    """
     low_px, high_px = 0.0, float(abs_residual_px.max()) / _MEDIAN_OF_NORMAL
     for _ in range(_N_HALVINGS):
         middle_px = (low_px + high_px) / 2
-        with np.errstate(divide="ignore", invalid="ignore"):  # 0 / 0 for an exact object without a sigma
+        # 0 / 0 for an exact object without a sigma
+        with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.nan_to_num(abs_residual_px / np.hypot(known.sigma_px, middle_px), nan=0.0)
         if weighted_median(ratio, known.weight) > _MEDIAN_OF_NORMAL:
             low_px = middle_px

@@ -1,9 +1,10 @@
-"""RigHealth: the distance errors that follow from a measured alignment, before and after its correction, and its drift.
+"""RigHealth: the distance errors that follow from a measured alignment, before and after its
+correction, and its drift.
 
     Z_measured / Z = d / (d - e(u))          d = f B / Z: true disparity, e(u) = d_true - d_measured at the column u
 
-A wrong baseline, or a wrong focal length of both cameras, scales all distances and moves no point of an image relative
-to another: no figure here contains this error.
+A wrong baseline, or a wrong focal length of both cameras, scales all distances and moves no point
+of an image relative to another: no figure here contains this error.
 """
 
 import math
@@ -18,16 +19,21 @@ from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, Alignment, Rig
 from track_range.stereo.geometry.rig import StereoRig
 
 DISTANCES_M = (10.0, 20.0, 30.0, 50.0)  # distances of the reported errors
-REFERENCE_M, MATTERS = 30.0, 0.01  # distance, and relative error of distances there from which an error matters
-COLUMNS_U = np.array([-0.5, 0.0, 0.5])  # columns of the reported errors: the middle, and half-way to the edges
-_MIN_SIGMAS = 3.0  # smallest noticed error in standard deviations; one of 46 windows of true rigs exceeded 2.5
+# distance, and relative error of distances there from which an error matters
+REFERENCE_M, MATTERS = 30.0, 0.01
+# columns of the reported errors: the middle, and half-way to the edges
+COLUMNS_U = np.array([-0.5, 0.0, 0.5])
+# smallest noticed error in standard deviations; one of 46 windows of true rigs exceeded 2.5
+_MIN_SIGMAS = 3.0
 _MIN_FRACTION = 0.5  # smallest noticed error as a fraction of the one that matters
-_MIN_MOVE_SIGMAS = 3.5  # smallest noticed movement in standard deviations: the most significant of several times
+# smallest noticed movement in standard deviations: the most significant of several times
+_MIN_MOVE_SIGMAS = 3.5
 
 # Errors of a rig that no estimate from images contains.
 UNSEEN = (
-    "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: either error scales all "
-    "distances by the same factor (1 % of the baseline changes every distance by 1 %). Check one known distance."
+    "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: "
+    "either error scales all distances by the same factor (1 % of the baseline changes every "
+    "distance by 1 %). Check one known distance."
 )
 
 _PART = "without the error of the baseline"  # what images can show
@@ -60,7 +66,8 @@ class RigHealth:
     rig: StereoRig  # the rectified pair
     measured: Alignment
     applied: Alignment
-    windows: tuple[Window, ...] = ()  # offsets of the parts of the drive, in order of time; empty = not from a drive
+    # offsets of the parts of the drive, in order of time; empty = not from a drive
+    windows: tuple[Window, ...] = ()
 
     @property
     def matters_px(self) -> float:
@@ -75,7 +82,8 @@ class RigHealth:
     @property
     def has_row_error(self) -> bool:
         """Whether corresponding points have different rows."""
-        view = replace(RightView.of(self.measured), yaw_deg=0.0)  # a yaw is an error of the disparities
+        # a yaw is an error of the disparities
+        view = replace(RightView.of(self.measured), yaw_deg=0.0)
         return view.rows_px(self.rig.left) > MAX_ROW_OFFSET_PX
 
     @property
@@ -85,32 +93,49 @@ class RigHealth:
             return False
         m, u = self.measured, COLUMNS_U
         error_px = np.abs(self._error_px)
-        sigma_px = np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
-        return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)).any())
+        sigma_px = np.sqrt(
+            m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2
+        )
+        return bool(
+            (
+                (error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)
+            ).any()
+        )
 
     @property
     def state(self) -> State:
-        """The state: "off" if an error was noticed, "unknown" if disparities were not measured, else "good"."""
+        """The state: "off" if an error was noticed, "unknown" if disparities were not measured,
+        else "good".
+        """
         if self.is_noticed:
             return "off"
         return "good" if self.measured.is_measured else "unknown"
 
     @property
     def move(self) -> Move | None:
-        """The time at which the offset changed most, if the windows do not agree within their sigmas."""
+        """The time at which the offset changed most, if the windows do not agree within their
+        sigmas.
+        """
         moves = []
         for drive in {window.drive for window in self.windows}:
             windows = [window for window in self.windows if window.drive == drive]
             for n in range(1, len(windows)):
-                (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(windows[:n]), _mean(windows[n:])
+                (first_px, first_sigma_px), (last_px, last_sigma_px) = (
+                    _mean(windows[:n]),
+                    _mean(windows[n:]),
+                )
                 time_s = (windows[n - 1].to_s + windows[n].from_s) / 2
                 move = Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
-                if abs(move.change_px) > max(_MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * self.matters_px):
+                if abs(move.change_px) > max(
+                    _MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * self.matters_px
+                ):
                     moves.append(move)
         return max(moves, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
 
     def before_pct(self, distance_m: float) -> FloatArray:
-        """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN = not measurable."""
+        """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN =
+        not measurable.
+        """
         d = self._fb / distance_m
         measured_px = d - self._error_px
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -143,44 +168,61 @@ class RigHealth:
         distance = f"{REFERENCE_M:.0f} m"
         after = f"{self.after_pct(REFERENCE_M):.1f} %"
         if self.state == "unknown":
-            reason = "" if self.measured.source == Alignment().source else f", {self.measured.source}"
-            return f"Rig: not measured{reason}; expected error at {distance}, {_PART}: {after} (1 sigma)."
+            reason = (
+                "" if self.measured.source == Alignment().source else f", {self.measured.source}"
+            )
+            return (
+                f"Rig: not measured{reason}; expected error at {distance}, {_PART}: {after} (1 "
+                "sigma)."
+            )
         if self.state == "good":
-            return f"Rig: fits the images; expected error at {distance}, {_PART}: {after} (1 sigma)."
+            return (
+                f"Rig: fits the images; expected error at {distance}, {_PART}: {after} (1 sigma)."
+            )
         if not self.has_disparity_error:
             return (
-                f"Rig: left and right images differ vertically; expected error at {distance} after correction, "
-                f"{_PART}: {after} (1 sigma)."
+                f"Rig: left and right images differ vertically; expected error at {distance} after "
+                f"correction, {_PART}: {after} (1 sigma)."
             )
         left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
-        before = f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way to the edges"
+        before = (
+            f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way "
+            "to the edges"
+        )
         if not all(map(math.isfinite, (left_pct, middle_pct, right_pct))):
             before = "more than 100 %"
         if self.applied.is_correcting:
             return (
-                f"Rig: distance error at {distance} as calibrated: {before}; after the correction, {_PART}: {after} "
-                "(1 sigma)."
+                f"Rig: distance error at {distance} as calibrated: {before}; after the correction, "
+                f"{_PART}: {after} (1 sigma)."
             )
         return f"Rig: distance error at {distance} as calibrated: {before}; not corrected."
 
     def move_sentence(self) -> str:
-        """Whether the rig moved during the drive, as one sentence for users; empty with fewer than two windows."""
+        """Whether the rig moved during the drive, as one sentence for users; empty with fewer than
+        two windows.
+        """
         if len(self.windows) < 2:
             return ""
         move = self.move
         if move is None:
             spread_px = max(window.sigma_px for window in self.windows)
-            return f"Rig: {len(self.windows)} parts of the drive agree within {spread_px:.2f} px (1 sigma)."
+            return (
+                f"Rig: {len(self.windows)} parts of the drive agree within {spread_px:.2f} px (1 "
+                "sigma)."
+            )
         change = f"{move.change_px:+.2f} ± {move.sigma_px:.2f} px"
         pct = 100 * abs(move.change_px) * REFERENCE_M / self._fb
         return (
-            f"Rig: a camera moved at about {move.time_s:.1f} s, which changed disparities by {change} ({pct:.1f} % at "
-            f"{REFERENCE_M:.0f} m); mount the cameras more firmly."
+            f"Rig: a camera moved at about {move.time_s:.1f} s, which changed disparities by "
+            f"{change} ({pct:.1f} % at {REFERENCE_M:.0f} m); mount the cameras more firmly."
         )
 
     @property
     def _error_px(self) -> FloatArray:
-        """(3,) d_true - d_measured at `COLUMNS_U` as calibrated, with a large yaw of the right camera."""
+        """(3,) d_true - d_measured at `COLUMNS_U` as calibrated, with a large yaw of the right
+        camera.
+        """
         camera = self.rig.left
         x = COLUMNS_U * camera.width_px / 2 / camera.fx_px
         yaw_px = camera.fx_px * math.tan(math.radians(self.measured.yaw_deg)) * (1 + x**2)
@@ -191,7 +233,9 @@ class RigHealth:
         return self.rig.left.fx_px * self.rig.baseline_m
 
     def _row(self, distance_m: float) -> dict[str, float | None]:
-        before_pct = self.before_pct(distance_m) if self.measured.is_measured else np.full(3, np.nan)
+        before_pct = (
+            self.before_pct(distance_m) if self.measured.is_measured else np.full(3, np.nan)
+        )
         left, middle, right = (round(float(v), 3) if math.isfinite(v) else None for v in before_pct)
         return {
             "distance_m": distance_m,

@@ -1,10 +1,11 @@
-"""initial_bundle: initial poses and points of a bundle adjustment, by PnP (perspective-n-point) from frame to frame.
+"""initial_bundle: initial poses and points of a bundle adjustment, by PnP (perspective-n-point)
+from frame to frame.
 
-The points of a frame are triangulated with their measured disparities. In some steps, several motions are found in
-turn: first the motion with the most inliers (RANSAC), then a motion of the remaining points. Behind a vehicle, most
-points may be on it; so the static scene's motion is the fastest motion that has points all over the image in most
-steps, and the points that do not follow it are omitted. Rays and inverse depths start from the first observation of a
-point.
+The points of a frame are triangulated with their measured disparities. In some steps, several
+motions are found in turn: first the motion with the most inliers (RANSAC), then a motion of the
+remaining points. Behind a vehicle, most points may be on it; so the static scene's motion is the
+fastest motion that has points all over the image in most steps, and the points that do not follow
+it are omitted. Rays and inverse depths start from the first observation of a point.
 """
 
 from collections.abc import Sequence
@@ -16,34 +17,48 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.stereo.alignment.bundle_adjustment import N_ERRORS, Bundle, Observations, error_columns
+from track_range.stereo.alignment.bundle_adjustment import (
+    N_ERRORS,
+    Bundle,
+    Observations,
+    error_columns,
+)
 from track_range.stereo.alignment.model import column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
-MIN_OBSERVATIONS = 4  # minimum number of observations of a point; points with fewer carry little information
+# minimum number of observations of a point; points with fewer carry little information
+MIN_OBSERVATIONS = 4
 MIN_POINTS = 60  # minimum number of points of a bundle
 _MIN_INLIERS = 12  # minimum number of inliers of a pose
 _MAX_ERROR_PX = 2.0  # largest reprojection error of an inlier
 _N_TRIALS = 200  # iterations of RANSAC
 _MIN_DISPARITY_PX = 0.5  # initial disparity of farther points; the bundle adjustment moves them
-_FAR_M = 200.0  # largest distance of points used for PnP; farther ones carry no information on the translation
-_N_KEY_STEPS, _N_MOTIONS = 5, 3  # number of steps in which motions are searched, and of the motions of one step
-_GRID = (8, 16)  # rows and columns of the cells by which the spread of a motion's points over the image is counted
-# Minimum support of the static scene's motion, relative to the motion with the most: on eight windows of simulated
-# queues and highways (seeds 602 to 611), its support was 0.55 or more, that of fast spurious motions below 0.3.
+# largest distance of points used for PnP; farther ones carry no information on the translation
+_FAR_M = 200.0
+# number of steps in which motions are searched, and of the motions of one step
+_N_KEY_STEPS, _N_MOTIONS = 5, 3
+# rows and columns of the cells by which the spread of a motion's points over the image is counted
+_GRID = (8, 16)
+# Minimum support of the static scene's motion, relative to the motion with the most: on eight
+# windows of simulated queues and highways (seeds 602 to 611), its support was 0.55 or more, that of
+# fast spurious motions below 0.3.
 _MIN_SUPPORT = 0.4
-# Largest difference of one motion between two steps, relative and in m: a vehicle that brakes with 6 m/s^2 from 8 m/s
-# changes its speed by half of that within 1.6 s.
+# Largest difference of one motion between two steps, relative and in m: a vehicle that brakes with
+# 6 m/s^2 from 8 m/s changes its speed by half of that within 1.6 s.
 _MAX_CHANGE, _MAX_CHANGE_M = 0.25, 0.1
 _MAX_STATIC_ERROR_PX = 4.0  # largest reprojection error of a static point
 _MIN_STATIC_STEPS = 0.5  # minimum fraction of the steps in which it is smaller
-_REFINING_ERRORS_PX = (8.0, 3.0, 2.0)  # largest reprojection errors of the inliers of a predicted motion, by round
-_MIN_DEPTH_FRACTION = 0.3  # minimum ratio of a point's depths in frame 0 and when first seen; smaller in sharp turns
+# largest reprojection errors of the inliers of a predicted motion, by round
+_REFINING_ERRORS_PX = (8.0, 3.0, 2.0)
+# minimum ratio of a point's depths in frame 0 and when first seen; smaller in sharp turns
+_MIN_DEPTH_FRACTION = 0.3
 
 
 class InitialBundle(NamedTuple):
-    """Usable observations (renumbered), their initial bundle, and the support of its motion (see `_support`)."""
+    """Usable observations (renumbered), their initial bundle, and the support of its motion (see
+    `_support`).
+    """
 
     observed: Observations
     bundle: Bundle
@@ -51,7 +66,9 @@ class InitialBundle(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """Points of one frame in metres (N, 3), their pixels in the next frame (N, 2), and their image cells (N,)."""
+    """Points of one frame in metres (N, 3), their pixels in the next frame (N, 2), and their image
+    cells (N,).
+    """
 
     points_m: FloatArray
     xy_px: FloatArray
@@ -68,7 +85,8 @@ class _Motion(NamedTuple):
 def initial_bundle(
     observed: Observations, rig: StereoRig, *, error_px: FloatArray | None = None
 ) -> InitialBundle | None:
-    """The initial bundle, None with too few points or without a pose; `error_px` (3,) is the assumed error, default 0.
+    """The initial bundle, None with too few points or without a pose; `error_px` (3,) is the
+    assumed error, default 0.
 
     The error contains offset, curvature and slope, see `stereo.alignment.bundle_adjustment`.
     """
@@ -98,7 +116,10 @@ def initial_bundle(
     rotations, translations = [], []
     for frame, motion in enumerate([_Motion(np.eye(3), np.zeros(3)), *motions]):
         rows = np.flatnonzero(observed.frame == frame)
-        rotation, translation_m = motion.rotation @ rotation, motion.rotation @ translation_m + motion.translation_m
+        rotation, translation_m = (
+            motion.rotation @ rotation,
+            motion.rotation @ translation_m + motion.translation_m,
+        )
         new = rows[np.isnan(depth_m[observed.point[rows]])]
         world_m[observed.point[new]] = (points_m[new] - translation_m) @ rotation
         depth_m[observed.point[new]] = points_m[new, 2]
@@ -107,7 +128,10 @@ def initial_bundle(
     is_ahead = world_m[:, 2] > _MIN_DEPTH_FRACTION * depth_m
     if is_ahead.sum() < MIN_POINTS:
         return None
-    rays = np.column_stack([world_m[is_ahead, :2], np.ones(int(is_ahead.sum()))]) / world_m[is_ahead, 2:]
+    rays = (
+        np.column_stack([world_m[is_ahead, :2], np.ones(int(is_ahead.sum()))])
+        / world_m[is_ahead, 2:]
+    )
     bundle = Bundle(np.stack(rotations), np.stack(translations), rays, error_px)
     return InitialBundle(only_points(observed, is_ahead), bundle, support)
 
@@ -121,27 +145,44 @@ def only_points(observed: Observations, is_used: BoolArray) -> Observations:
 def _steps(
     observed: Observations, points_m: FloatArray, camera: PinholeCamera
 ) -> tuple[list[_Step], list[tuple[IntArray, IntArray]]]:
-    """The steps between consecutive frames, without far points, and for each the rows of all points in both frames."""
-    frame_rows = [np.flatnonzero(observed.frame == frame) for frame in range(int(observed.frame.max()) + 1)]
+    """The steps between consecutive frames, without far points, and for each the rows of all points
+    in both frames.
+    """
+    frame_rows = [
+        np.flatnonzero(observed.frame == frame) for frame in range(int(observed.frame.max()) + 1)
+    ]
     steps, pairs = [], []
     for before, now in pairwise(frame_rows):
-        _, first, second = np.intersect1d(observed.point[before], observed.point[now], return_indices=True)
+        _, first, second = np.intersect1d(
+            observed.point[before], observed.point[now], return_indices=True
+        )
         first, second = before[first], now[second]
         pairs.append((first, second))
         near = points_m[first, 2] < _FAR_M
         xy_px = observed.xyx_px[first[near], :2]
         size_px = np.array([camera.width_px, camera.height_px])
-        column, row = np.clip(xy_px / size_px * _GRID[::-1], 0, np.array(_GRID[::-1]) - 1).astype(np.int64).T
-        steps.append(_Step(points_m[first[near]], observed.xyx_px[second[near], :2], row * _GRID[1] + column))
+        column, row = (
+            np.clip(xy_px / size_px * _GRID[::-1], 0, np.array(_GRID[::-1]) - 1).astype(np.int64).T
+        )
+        steps.append(
+            _Step(points_m[first[near]], observed.xyx_px[second[near], :2], row * _GRID[1] + column)
+        )
     return steps, pairs
 
 
-def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list[_Motion], float] | None:
-    """The motion of the static scene in each step, and its support; None if no motion has enough inliers."""
+def _static_motions(
+    steps: Sequence[_Step], camera: PinholeCamera
+) -> tuple[list[_Motion], float] | None:
+    """The motion of the static scene in each step, and its support; None if no motion has enough
+    inliers.
+    """
     key_steps, candidates, support = list[int](), list[_Motion](), list[float]()
-    for number in sorted(set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist())):
+    for number in sorted(
+        set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist())
+    ):
         rest = steps[number]
-        for _ in range(_N_MOTIONS):  # that with the most inliers, then those of the remaining points
+        # that with the most inliers, then those of the remaining points
+        for _ in range(_N_MOTIONS):
             motion = _motion(rest, camera)
             if motion is None:
                 break
@@ -170,7 +211,8 @@ def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list
     best = int(np.where(is_usual & is_alike[fastest], supports, -1.0).argmax())
     motions = []
     for number, step_points in enumerate(steps):
-        nearest = candidates[min(groups[best], key=lambda member, number=number: abs(key_steps[member] - number))]  # type: ignore[misc]
+        steps_away = {member: abs(key_steps[member] - number) for member in groups[best]}
+        nearest = candidates[min(steps_away, key=steps_away.__getitem__)]
         motions.append(_refined(step_points, camera, nearest) or nearest)
     return motions, float(supports[best])
 
@@ -183,7 +225,11 @@ def _support(step: _Step, motion: _Motion, camera: PinholeCamera) -> float:
 
 
 def _agrees(
-    points_m: FloatArray, xy_px: FloatArray, motion: _Motion, camera: PinholeCamera, max_error_px: float
+    points_m: FloatArray,
+    xy_px: FloatArray,
+    motion: _Motion,
+    camera: PinholeCamera,
+    max_error_px: float,
 ) -> BoolArray:
     """(N,) whether points (N, 3) move to pixels (N, 2) of the next frame."""
     moved_px = camera.project(points_m @ motion.rotation.T + motion.translation_m)
@@ -202,7 +248,9 @@ def _static_mask(
     n_points = int(observed.point.max()) + 1
     n_steps, n_agreeing = np.zeros(n_points), np.zeros(n_points)
     for (first, second), motion in zip(pairs, motions, strict=True):
-        agrees = _agrees(points_m[first], observed.xyx_px[second, :2], motion, camera, _MAX_STATIC_ERROR_PX)
+        agrees = _agrees(
+            points_m[first], observed.xyx_px[second, :2], motion, camera, _MAX_STATIC_ERROR_PX
+        )
         n_steps[observed.point[first]] += 1
         n_agreeing[observed.point[first]] += agrees
     return np.asarray((n_agreeing >= _MIN_STATIC_STEPS * n_steps) & (n_steps > 0))
@@ -234,7 +282,10 @@ def _motion(step: _Step, camera: PinholeCamera) -> _Motion | None:
 
 
 def _refined(
-    step: _Step, camera: PinholeCamera, motion: _Motion, max_errors_px: Sequence[float] = _REFINING_ERRORS_PX
+    step: _Step,
+    camera: PinholeCamera,
+    motion: _Motion,
+    max_errors_px: Sequence[float] = _REFINING_ERRORS_PX,
 ) -> _Motion | None:
     """The motion of the points that agree with `motion`; None if there are too few."""
     for max_error_px in max_errors_px:
@@ -243,7 +294,9 @@ def _refined(
             return None
         start = cv2.Rodrigues(motion.rotation)[0], motion.translation_m.reshape(3, 1).copy()
         motion = _pose(
-            *cv2.solvePnPRefineLM(step.points_m[agrees], step.xy_px[agrees], camera.matrix, np.zeros(5), *start)
+            *cv2.solvePnPRefineLM(
+                step.points_m[agrees], step.xy_px[agrees], camera.matrix, np.zeros(5), *start
+            )
         )
     return motion
 

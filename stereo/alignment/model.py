@@ -3,9 +3,10 @@
     d_true = d_measured + offset_px + slope_px u + curvature_px u^2     u = (x - cx) / (width / 2), about -1 .. 1
     y_right = y_left + row_offset_px                  rows of corresponding points in the middle of the rectified images
 
-The offset is an error of the vergence angle, the slope an error of the ratio of the focal lengths; the curvature comes
-from residual distortion, and from vergence, which rotates the right image plane. On KITTI's pairs six matchers agree on
-about half a pixel at the objects. Row offset, roll and focal ratio describe the right camera, see `RightView`.
+The offset is an error of the vergence angle, the slope an error of the ratio of the focal lengths;
+the curvature comes from residual distortion, and from vergence, which rotates the right image
+plane. On KITTI's pairs six matchers agree on about half a pixel at the objects. Row offset, roll
+and focal ratio describe the right camera, see `RightView`.
 """
 
 from __future__ import annotations
@@ -23,16 +24,20 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 _N_ROUNDS = 8  # rounds of the reweighted least squares
 _CAUCHY_SIGMAS = 2.0  # scale of the Cauchy weights, in standard deviations of the row differences
-_MIN_POINTS = 200  # minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
+# minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
+_MIN_POINTS = 200
 _MAX_POINTS = 12_000  # largest number of points in the fit; more do not make it more accurate
-_MIN_SPAN = 0.5  # minimum standard deviation of the columns, as a fraction of the value for points all over the image
-# Standard deviation of the disparity error of a calibrated pair without a measured alignment: six matchers agree that
-# the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
+# minimum standard deviation of the columns, as a fraction of the value for points all over the
+# image
+_MIN_SPAN = 0.5
+# Standard deviation of the disparity error of a calibrated pair without a measured alignment: six
+# matchers agree that the disparities of KITTI's carefully calibrated pairs are about half a pixel
+# too small.
 UNCORRECTED_SIGMA_PX = 0.5
 MIN_SIGMAS = 2.0  # minimum ratio of an estimate to its standard deviation at which it is applied
 MAX_ROW_OFFSET_PX = 0.3  # largest vertical offset without a warning and a correction
-# Largest offset that is only added to disparities. For larger ones the right image is also shifted by whole pixels:
-# otherwise the disparities of far objects would be below those that are searched.
+# Largest offset that is only added to disparities. For larger ones the right image is also shifted
+# by whole pixels: otherwise the disparities of far objects would be below those that are searched.
 _MAX_OFFSET_PX = 1.0
 
 
@@ -49,7 +54,9 @@ KEYS = {"curvature_px": "bow_px", "curvature_sigma_px": "bow_sigma_px"}
 
 
 def column_from_axis(x_px: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N,) u of columns (N,) of the left image: 0 on the optical axis, 1 half an image width to the right of it."""
+    """(N,) u of columns (N,) of the left image: 0 on the optical axis, 1 half an image width to the
+    right of it.
+    """
     return (x_px - camera.cx_px) / (camera.width_px / 2)
 
 
@@ -58,24 +65,35 @@ class Alignment:
     """A measured correction of the disparities of one rectified rig."""
 
     offset_px: float = 0.0  # correction of all disparities
-    curvature_px: float = 0.0  # additional correction at the left and right image edges, proportional to u^2
+    # additional correction at the left and right image edges, proportional to u^2
+    curvature_px: float = 0.0
     row_offset_px: float = 0.0  # vertical offset y_right - y_left of corresponding points
     # standard deviation of the remaining disparity error, including that of the estimate
     residual_px: float = UNCORRECTED_SIGMA_PX
     offset_sigma_px: float = UNCORRECTED_SIGMA_PX  # standard deviation of the offset
-    curvature_sigma_px: float = 0.0  # standard deviation of the curvature; 0 if it was not estimated
+    # standard deviation of the curvature; 0 if it was not estimated
+    curvature_sigma_px: float = 0.0
     slope_px: float = 0.0  # additional correction at the right image edge, proportional to u
     slope_sigma_px: float = 0.0  # standard deviation of the slope; 0 if it was not estimated
-    # rotation of the right camera about its optical axis relative to the rig, degrees, clockwise positive
+    # rotation of the right camera about its optical axis relative to the rig, degrees, clockwise
+    # positive
     roll_deg: float = 0.0
     focal_ratio: float = 1.0  # focal length of the right camera relative to the rig
-    yaw_deg: float = 0.0  # rotation of the right camera about its vertical axis, degrees; 0 unless it is large
+    # rotation of the right camera about its vertical axis, degrees; 0 unless it is large
+    yaw_deg: float = 0.0
     source: str = "not measured"  # origin of the estimate, for the user
 
     def corrected(
-        self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
+        self,
+        disparity_px: FloatArray,
+        sigma_px: FloatArray,
+        *,
+        x_px: FloatArray,
+        camera: PinholeCamera,
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) corrected disparities at columns x_px (N,) of the rectified left image, and sigmas; NaN stays NaN."""
+        """(N,) corrected disparities at columns x_px (N,) of the rectified left image, and sigmas;
+        NaN stays NaN.
+        """
         u = column_from_axis(x_px, camera)
         return disparity_px + self.error_px(u), np.hypot(sigma_px, self.residual_px)
 
@@ -89,11 +107,15 @@ class Alignment:
 
     @property
     def shift_px(self) -> float:
-        """The part of the offset, whole px, by which a run shifts the right image to the left; 0 for small offsets."""
+        """The part of the offset, whole px, by which a run shifts the right image to the left; 0
+        for small offsets.
+        """
         return float(round(self.offset_px)) if abs(self.offset_px) > _MAX_OFFSET_PX else 0.0
 
     def after_shift(self) -> Alignment:
-        """The correction of disparities that remains after the right image is shifted by `shift_px`."""
+        """The correction of disparities that remains after the right image is shifted by
+        `shift_px`.
+        """
         return replace(self, offset_px=self.offset_px - self.shift_px)
 
     @property
@@ -110,7 +132,9 @@ class Alignment:
 
     @property
     def row_correction_px(self) -> float:
-        """Upward shift of the right image; 0 for a small row offset, because a subpixel shift blurs the image."""
+        """Upward shift of the right image; 0 for a small row offset, because a subpixel shift blurs
+        the image.
+        """
         return self.row_offset_px if abs(self.row_offset_px) > MAX_ROW_OFFSET_PX else 0.0
 
     def if_clear(self) -> Alignment:
@@ -118,7 +142,9 @@ class Alignment:
         return self if self.is_clear else self.withheld()
 
     def withheld(self) -> Alignment:
-        """The alignment without its correction of disparities, which becomes part of the residual."""
+        """The alignment without its correction of disparities, which becomes part of the
+        residual.
+        """
         largest_px = max(UNCORRECTED_SIGMA_PX, self.offset_sigma_px)
         residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), largest_px)
         return replace(self, offset_px=0.0, curvature_px=0.0, slope_px=0.0, residual_px=residual_px)
@@ -133,31 +159,43 @@ class Alignment:
         return {KEYS.get(name, name): value for name, value in asdict(self).items()}
 
     def sentence(self, *, correction: str = "corrected") -> str:
-        """The alignment and its effect as one sentence for users; `correction` ends it if disparities are corrected."""
+        """The alignment and its effect as one sentence for users; `correction` ends it if
+        disparities are corrected.
+        """
         if self.is_correcting:
-            offset, curvature = ("too small" if px >= 0 else "too large" for px in (self.offset_px, self.curvature_px))
+            offset, curvature = (
+                "too small" if px >= 0 else "too large"
+                for px in (self.offset_px, self.curvature_px)
+            )
             error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {offset}"
             if self.curvature_px:
-                error += f", and another {abs(self.curvature_px):.2f} px {curvature} at the image edges"
+                error += (
+                    f", and another {abs(self.curvature_px):.2f} px {curvature} at the image edges"
+                )
             return f"Alignment: disparities {error} (source: {self.source}); {correction}."
         if self.is_measured:
             return (
-                f"Alignment: no significant disparity error, ± {self.offset_sigma_px:.2f} px (source: {self.source}); "
-                "not corrected."
+                f"Alignment: no significant disparity error, ± {self.offset_sigma_px:.2f} px "
+                f"(source: {self.source}); not corrected."
             )
-        return f"Alignment: {self.source}; disparities not corrected, uncertainty ± {self.residual_px:.2f} px."
+        return (
+            f"Alignment: {self.source}; disparities not corrected, uncertainty ± "
+            f"{self.residual_px:.2f} px."
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """Errors of the right camera of a rectified pair that move rows, from the rows of matched points.
+    """Errors of the right camera of a rectified pair that move rows, from the rows of matched
+    points.
 
         M = R(pitch, 0, roll) diag(1 / ratio, 1 / ratio, 1)         (x, y, 1) of the right image -> M (x, y, 1)
         y_right - y_left = f (-roll X + pitch (1 + Y^2) - yaw X Y + ln(ratio) Y)       X, Y: right point / f
 
-    with rotation angles about the axes x (pitch), y (yaw), z (roll). In a rectified pair corresponding points have
-    equal rows, so all four angles and the ratio are visible in a single pair. A small yaw is not used: in real lenses
-    residual distortion has the same form (on a KITTI drive it would be 0.5 degrees, and the disparities disagree).
+    with rotation angles about the axes x (pitch), y (yaw), z (roll). In a rectified pair
+    corresponding points have equal rows, so all four angles and the ratio are visible in a single
+    pair. A small yaw is not used: in real lenses residual distortion has the same form (on a KITTI
+    drive it would be 0.5 degrees, and the disparities disagree).
     """
 
     row_offset_px: float = 0.0  # y_right - y_left in the middle of the image
@@ -168,24 +206,34 @@ class RightView:
     @classmethod
     def of(cls, alignment: Alignment) -> RightView:
         """The view of an alignment."""
-        return cls(alignment.row_offset_px, alignment.roll_deg, alignment.focal_ratio, alignment.yaw_deg)
+        return cls(
+            alignment.row_offset_px, alignment.roll_deg, alignment.focal_ratio, alignment.yaw_deg
+        )
 
     def rows_px(self, camera: PinholeCamera) -> float:
         """Root mean square of y_right - y_left over the image."""
         roll_px = math.radians(self.roll_deg) * camera.width_px / math.sqrt(12)
         focal_px = (self.focal_ratio - 1) * camera.height_px / math.sqrt(12)
-        yaw_px = math.radians(self.yaw_deg) * camera.width_px * camera.height_px / (12 * camera.fx_px)
+        yaw_px = (
+            math.radians(self.yaw_deg) * camera.width_px * camera.height_px / (12 * camera.fx_px)
+        )
         return math.hypot(self.row_offset_px, roll_px, focal_px, yaw_px)
 
     def if_needed(self, camera: PinholeCamera) -> RightView:
-        """The view if rows differ by more than 0.3 px, else the view of a right camera without errors."""
+        """The view if rows differ by more than 0.3 px, else the view of a right camera without
+        errors.
+        """
         return self if self.rows_px(camera) > MAX_ROW_OFFSET_PX else RightView()
 
     def matrix(self, camera: PinholeCamera) -> FloatArray:
         """(3, 3) M from directions in the rectified right image to corrected directions."""
         pitch_rad = math.atan(self.row_offset_px / camera.fx_px)
-        rotation = cv2.Rodrigues(np.array([pitch_rad, math.radians(self.yaw_deg), math.radians(self.roll_deg)]))[0]
-        return np.asarray(rotation @ np.diag([1 / self.focal_ratio, 1 / self.focal_ratio, 1.0]), np.float64)
+        rotation = cv2.Rodrigues(
+            np.array([pitch_rad, math.radians(self.yaw_deg), math.radians(self.roll_deg)])
+        )[0]
+        return np.asarray(
+            rotation @ np.diag([1 / self.focal_ratio, 1 / self.focal_ratio, 1.0]), np.float64
+        )
 
     def corrected(self, right_px: FloatArray, camera: PinholeCamera) -> FloatArray:
         """(N, 2) corrected points of the rectified right image."""
@@ -197,12 +245,16 @@ class RightView:
 def fit_right_view(
     left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera, *, has_yaw: bool = False
 ) -> RightView:
-    """The right view from matched points (N, 2) of one or several rectified pairs; without its yaw by default."""
+    """The right view from matched points (N, 2) of one or several rectified pairs; without its yaw
+    by default.
+    """
     rows_px = right_px[:, 1] - left_px[:, 1]
     step = len(rows_px) // _MAX_POINTS + 1
     rows_px, right_px = rows_px[::step], right_px[::step]
     median_px = float(np.median(rows_px)) if len(rows_px) else 0.0
-    if len(rows_px) < _MIN_POINTS or right_px[:, 0].std() < _MIN_SPAN * camera.width_px / math.sqrt(12):
+    if len(rows_px) < _MIN_POINTS or right_px[:, 0].std() < _MIN_SPAN * camera.width_px / math.sqrt(
+        12
+    ):
         return RightView(median_px)
     x, y = camera.rays(right_px)[:, :2].T
     f = camera.fx_px
@@ -215,7 +267,12 @@ def fit_right_view(
         scale_px = max(mad_sigma(residual), 1e-3)
         weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale_px)) ** 2)
     pitch_rad, roll_rad, log_ratio, yaw_rad = solution.tolist()
-    view = RightView(median_px, math.degrees(roll_rad), math.exp(log_ratio), math.degrees(yaw_rad) if has_yaw else 0.0)
+    view = RightView(
+        median_px,
+        math.degrees(roll_rad),
+        math.exp(log_ratio),
+        math.degrees(yaw_rad) if has_yaw else 0.0,
+    )
     if view.rows_px(camera) <= MAX_ROW_OFFSET_PX:
         return view
     return replace(view, row_offset_px=f * math.tan(pitch_rad))

@@ -1,12 +1,15 @@
-"""PairEvidence: evidence from features of the first pairs about the relative position of left and right images.
+"""PairEvidence: evidence from features of the first pairs about the relative position of left and
+right images.
 
-Features (ORB) are matched between left and right, also with the right image mirrored, and between successive left
-images. The disparities d of the matches are compared with inverse depths r from the motion of the left camera:
+Features (ORB) are matched between left and right, also with the right image mirrored, and between
+successive left images. The disparities d of the matches are compared with inverse depths r from the
+motion of the left camera:
 
     r = beta (d - o)        beta > 0: as in the rig, with an error o of all disparities, such as a wrong vergence
                             beta < 0: left and right are exchanged
 
-The error o is the one that most points of all steps agree with; points are in front of the camera, so that r >= 0.
+The error o is the one that most points of all steps agree with; points are in front of the camera,
+so that r >= 0.
 """
 
 import math
@@ -22,29 +25,36 @@ from track_range.stereo.alignment.model import RightView, fit_right_view
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import grey
 
-Arrangement = Literal["equal", "turned", "mirrored", "flipped"]  # of the right image relative to the left one
+# of the right image relative to the left one
+Arrangement = Literal["equal", "turned", "mirrored", "flipped"]
 _MAX_WIDTH_PX = 1400  # wider images are reduced by a whole factor
 _N_FEATURES = 700  # number of features in each half of an image, the upper and the lower one
-_MAX_RATIO = 0.85  # largest ratio of the distances of the best and the second best match (Lowe 2004)
+# largest ratio of the distances of the best and the second best match (Lowe 2004)
+_MAX_RATIO = 0.85
 _MAX_ANGLE_DEG = 30.0  # largest difference of the orientations of matching features
 _MIN_MATCHES = 30  # minimum number of matches
-# Fractions of the matches, and of the features, in a band of rows from which no other arrangement is tried.
+# Fractions of the matches, and of the features, in a band of rows from which no other arrangement
+# is tried.
 _MIN_FRACTION, _MIN_MATCHED = 0.3, 0.15
-_BAND_PX, _GATE_PX, _ROW_PX = 6.0, 12.0, 2.0  # largest differences of rows: of the band, of the fit, of inliers
+# largest differences of rows: of the band, of the fit, of inliers
+_BAND_PX, _GATE_PX, _ROW_PX = 6.0, 12.0, 2.0
 _MIN_FLOW_PX = 3.0  # minimum median motion between two left images
 _MIN_PARALLAX_PX = 5.0  # minimum motion of a point as far away as the step is long
-_MIN_RANGE_PX = 3.0  # smallest range of the disparities of a step: those of a wall do not show an offset
+# smallest range of the disparities of a step: those of a wall do not show an offset
+_MIN_RANGE_PX = 3.0
 _EPIPOLAR_PX = 1.5  # largest distance of a tracked point from its epipolar line
 _OFFSETS_PX = np.arange(-90.0, 91.0, 1.5)  # errors o that are tried
 _SWAPPED_PX = 4.5  # largest error o of exchanged images: a second fault is unlikely
 _N_SLOPES = 40  # number of points of a step whose beta is tried
 _BEHIND_PX = 1.5  # largest d - o of the wrong sign, for noise
 _POINT_PX = 2.0  # difference from the motion at which a point no longer agrees
-# Agreeing fraction of the matches below which, and change of rows between pairs above which, times are compared: at
-# true pairs 0.90 and 0.08 px, with a lag of one frame 0.77 and 0.15 px (KITTI, seven simulated drives).
+# Agreeing fraction of the matches below which, and change of rows between pairs above which, times
+# are compared: at true pairs 0.90 and 0.08 px, with a lag of one frame 0.77 and 0.15 px (KITTI,
+# seven simulated drives).
 _STEADY_FRACTION, _STEADY_PX = 0.85, 0.12
 _REPEATED_PX = 0.3  # largest median motion of a repeated image
-_MAX_SHIFT, _N_SHIFTED = 5, 3  # pairs by which times are shifted, and number of left images that are compared
+# pairs by which times are shifted, and number of left images that are compared
+_MAX_SHIFT, _N_SHIFTED = 5, 3
 _MIN_GAIN = 1.25  # ratio of the matches at another time to those of the pairs
 
 
@@ -55,7 +65,9 @@ class _Features(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Matches of a pair: points of the left image, and of the right image after its arrangement was undone."""
+    """Matches of a pair: points of the left image, and of the right image after its arrangement was
+    undone.
+    """
 
     arrangement: Arrangement
     n_matches: int  # of all orientations
@@ -103,7 +115,8 @@ class PairFigures:
     right_px: FloatArray  # (N, 2) agreeing points, corrected by `view` without its yaw
     motion: Motion | None  # None = the camera does not move enough
     turned_motion: Motion | None  # the same with the points corrected by the yaw
-    ground: tuple[float, float]  # rank correlation of disparities with rows, -1..1, above and below the optical axis
+    # rank correlation of disparities with rows, -1..1, above and below the optical axis
+    ground: tuple[float, float]
     is_late: bool  # whether one side repeats its images, or pairs at other times agree better
 
     @property
@@ -119,7 +132,12 @@ class PairEvidence:
         self._factor = f = math.ceil(camera.width_px / _MAX_WIDTH_PX)
         cx_px, cy_px = (camera.cx_px + 0.5) / f - 0.5, (camera.cy_px + 0.5) / f - 0.5
         self._camera = PinholeCamera(
-            camera.fx_px / f, camera.fy_px / f, cx_px, cy_px, camera.width_px // f, camera.height_px // f
+            camera.fx_px / f,
+            camera.fy_px / f,
+            cx_px,
+            cy_px,
+            camera.width_px // f,
+            camera.height_px // f,
         )
         self._lefts: list[_Features] = []
         self._rights: list[_Features] = []  # as recorded
@@ -147,9 +165,16 @@ class PairEvidence:
         self._lefts.append(features)
         self._rights.append(_features(right))
         pair = _pair(features, self._rights[-1], size_px)
-        n_expected = max(_MIN_MATCHES, _MIN_FRACTION * pair.n_matches, _MIN_MATCHED * len(features.xy_px))
+        n_expected = max(
+            _MIN_MATCHES, _MIN_FRACTION * pair.n_matches, _MIN_MATCHED * len(features.xy_px)
+        )
         if pair.n_in_band() < n_expected:
-            mirrored = _pair(features, _features(np.asarray(cv2.flip(right, 1), np.uint8)), size_px, is_mirrored=True)
+            mirrored = _pair(
+                features,
+                _features(np.asarray(cv2.flip(right, 1), np.uint8)),
+                size_px,
+                is_mirrored=True,
+            )
             pair = max(pair, mirrored, key=lambda one: one.n_in_band())
         self._pairs.append(pair)
 
@@ -167,7 +192,9 @@ class PairEvidence:
         essential, is_inlier = cv2.findEssentialMat(from_px, to_px, matrix, cv2.RANSAC, 0.999, 1.0)
         if essential is None or essential.shape != (3, 3):
             return
-        _, rotation, translation, _ = cv2.recoverPose(essential, from_px, to_px, matrix, mask=is_inlier)
+        _, rotation, translation, _ = cv2.recoverPose(
+            essential, from_px, to_px, matrix, mask=is_inlier
+        )
         ray = self._camera.rays(from_px) @ rotation.T
         to = self._camera.rays(to_px)[:, :2]
         t = translation.ravel()
@@ -177,16 +204,22 @@ class PairEvidence:
         f = self._camera.fx_px
         is_used = (across * f < _EPIPOLAR_PX) & (length * f > _MIN_PARALLAX_PX)
         inverse_depth = (flow * unit).sum(axis=1) / length**2
-        step = _Step(len(self._pairs) - 1, first[is_used], inverse_depth[is_used], length[is_used] * f)
+        step = _Step(
+            len(self._pairs) - 1, first[is_used], inverse_depth[is_used], length[is_used] * f
+        )
         self._steps.append(step)
 
     def figures(self) -> PairFigures:
         """The summary of the pairs so far."""
-        kinds = [pair.arrangement for pair in self._pairs for _ in range(pair.n_in_band())] or ["equal"]
+        kinds = [pair.arrangement for pair in self._pairs for _ in range(pair.n_in_band())] or [
+            "equal"
+        ]
         arrangement: Arrangement = max(set(kinds), key=kinds.count)
         used = [(i, pair) for i, pair in enumerate(self._pairs) if pair.arrangement == arrangement]
         index = np.concatenate([np.full(len(pair.number), i) for i, pair in used])
-        left_px, right_px, number = (np.concatenate(part) for part in zip(*(pair[2:] for _, pair in used), strict=True))
+        left_px, right_px, number = (
+            np.concatenate(part) for part in zip(*(pair[2:] for _, pair in used), strict=True)
+        )
         view, is_agreeing, corrected_px = self._rows(left_px, right_px)
         turned_px = view.corrected(right_px, self._camera)
         residual_px = np.where(is_agreeing, turned_px[:, 1] - left_px[:, 1], np.nan)
@@ -198,7 +231,9 @@ class PairEvidence:
         n_matches = sum(pair.n_matches for pair in self._pairs)
         row_fraction = float(is_agreeing.sum()) / max(n_matches, 1)
         change_px = float(np.std(offsets)) if offsets else 0.0
-        is_clean = view == RightView() and row_fraction >= _STEADY_FRACTION and change_px <= _STEADY_PX
+        is_clean = (
+            view == RightView() and row_fraction >= _STEADY_FRACTION and change_px <= _STEADY_PX
+        )
         points = np.column_stack([(left_px - turned_px)[:, 0], left_px[:, 1]])[is_agreeing]
         is_low = points[:, 1] > self._camera.cy_px
         f = self._factor
@@ -218,8 +253,12 @@ class PairEvidence:
             is_late=not is_clean and self._is_late(),
         )
 
-    def _rows(self, left_px: FloatArray, right_px: FloatArray) -> tuple[RightView, BoolArray, FloatArray]:
-        """The right view, (N,) whether points agree with it, and (N, 2) right points corrected by it without yaw."""
+    def _rows(
+        self, left_px: FloatArray, right_px: FloatArray
+    ) -> tuple[RightView, BoolArray, FloatArray]:
+        """The right view, (N,) whether points agree with it, and (N, 2) right points corrected by
+        it without yaw.
+        """
         is_used = _in_band(right_px[:, 1] - left_px[:, 1], _BAND_PX)
         view = RightView()
         for tolerance_px in (_GATE_PX, _ROW_PX):
@@ -231,9 +270,14 @@ class PairEvidence:
         return view, is_used, replace(view, yaw_deg=0.0).corrected(right_px, self._camera)
 
     def _is_late(self) -> bool:
-        """Whether one side repeats its images, or left images agree better with right images of other pairs."""
+        """Whether one side repeats its images, or left images agree better with right images of
+        other pairs.
+        """
         n = self.n_pairs
-        moves = [[_flow_px(one[i], one[i + 1]) for one in (self._lefts, self._rights)] for i in range(n - 1)]
+        moves = [
+            [_flow_px(one[i], one[i + 1]) for one in (self._lefts, self._rights)]
+            for i in range(n - 1)
+        ]
         n_repeated = sum(min(move) < _REPEATED_PX and max(move) > _MIN_FLOW_PX for move in moves)
         if n_repeated >= max(2, n // 3):
             return True
@@ -241,7 +285,9 @@ class PairEvidence:
         for shift in range(-_MAX_SHIFT, _MAX_SHIFT + 1):
             firsts = [i for i in range(n) if 0 <= i + shift < n]
             counts = [
-                _pair(self._lefts[i], self._rights[i + shift], self._camera.size_px).n_in_band(_ROW_PX)
+                _pair(self._lefts[i], self._rights[i + shift], self._camera.size_px).n_in_band(
+                    _ROW_PX
+                )
                 for i in firsts[:: len(firsts) // _N_SHIFTED + 1]
             ]
             agreement[shift] = float(np.mean(counts)) if counts else 0.0
@@ -264,7 +310,9 @@ class PairEvidence:
         each_px = [float(_OFFSETS_PX[near][support[0][near].argmax()]) for support in supports]
         is_likely = total[0] > 0.93 * total[0][best]
         half_px = max(0.75, float(np.ptp(_OFFSETS_PX[is_likely])) / 2)
-        offset_px = float(np.average(_OFFSETS_PX[is_likely], weights=total[0][is_likely] - 0.93 * total[0][best]))
+        offset_px = float(
+            np.average(_OFFSETS_PX[is_likely], weights=total[0][is_likely] - 0.93 * total[0][best])
+        )
         sigma_px = math.hypot(half_px / 2, float(np.std(each_px)) / math.sqrt(len(each_px)))
         if is_likely[0] or is_likely[-1]:  # the offset may be beyond those that are tried
             sigma_px = math.inf
@@ -272,7 +320,9 @@ class PairEvidence:
         return Motion(sum(n_points), len(n_points), own, f * offset_px, f * sigma_px, other)
 
 
-def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: FloatArray) -> FloatArray:
+def _support(
+    inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: FloatArray
+) -> FloatArray:
     """(2, O) fraction of the points that agree with each offset, as in the rig and exchanged."""
     chosen = np.random.default_rng(0).permutation(len(disparity_px))[:_N_SLOPES]
     shifted_px = disparity_px - _OFFSETS_PX[:, None]  # (O, N)
@@ -292,12 +342,19 @@ def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: F
 def _flow_px(first: _Features, second: _Features) -> float:
     """Median motion of the matching features; 0 if there are none."""
     a, b = _matches(first, second)
-    return float(np.median(np.linalg.norm(second.xy_px[b] - first.xy_px[a], axis=1))) if len(a) else 0.0
+    return (
+        float(np.median(np.linalg.norm(second.xy_px[b] - first.xy_px[a], axis=1)))
+        if len(a)
+        else 0.0
+    )
 
 
 def _features(image: Image) -> _Features:
-    """ORB features of the upper and the lower half of a grey image: on the road, features are few and weak."""
-    half, border = image.shape[0] // 2, 31  # of ORB, which finds no features beside the image border
+    """ORB features of the upper and the lower half of a grey image: on the road, features are few
+    and weak.
+    """
+    # of ORB, which finds no features beside the image border
+    half, border = image.shape[0] // 2, 31
     xy_px, angle_deg, descriptors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 32), np.uint8)]
     orb = cv2.ORB.create(nfeatures=_N_FEATURES)
     for top, bottom in ((0, half + border), (half - border, image.shape[0])):
@@ -321,22 +378,35 @@ def _matches(first: _Features, second: _Features) -> tuple[IntArray, IntArray]:
     ]
     chosen = np.array(nearest, np.int64).reshape(-1, 2)
     if len(chosen):
-        back = [match.trainIdx for match in matcher.match(second.descriptors[chosen[:, 1]], first.descriptors)]
+        back = [
+            match.trainIdx
+            for match in matcher.match(second.descriptors[chosen[:, 1]], first.descriptors)
+        ]
         chosen = chosen[np.array(back) == chosen[:, 0]]
     return chosen[:, 0], chosen[:, 1]
 
 
-def _pair(left: _Features, right: _Features, size_px: tuple[int, int], *, is_mirrored: bool = False) -> _Pair:
-    """The matches with the more frequent orientation, equal or opposite, in the more frequent band of rows."""
+def _pair(
+    left: _Features, right: _Features, size_px: tuple[int, int], *, is_mirrored: bool = False
+) -> _Pair:
+    """The matches with the more frequent orientation, equal or opposite, in the more frequent band
+    of rows.
+    """
     first, second = _matches(left, right)
     turn_deg = np.abs((right.angle_deg[second] - left.angle_deg[first] + 180) % 360 - 180)
-    kinds: tuple[Arrangement, Arrangement] = ("mirrored", "flipped") if is_mirrored else ("equal", "turned")
+    kinds: tuple[Arrangement, Arrangement] = (
+        ("mirrored", "flipped") if is_mirrored else ("equal", "turned")
+    )
     pairs = []
-    for kind, is_alike in zip(kinds, (turn_deg < _MAX_ANGLE_DEG, turn_deg > 180 - _MAX_ANGLE_DEG), strict=True):
+    for kind, is_alike in zip(
+        kinds, (turn_deg < _MAX_ANGLE_DEG, turn_deg > 180 - _MAX_ANGLE_DEG), strict=True
+    ):
         right_px = right.xy_px[second[is_alike]]
         if kind in ("turned", "flipped"):
             right_px = np.array(size_px) - 1 - right_px
-        pairs.append(_Pair(kind, len(first), left.xy_px[first[is_alike]], right_px, first[is_alike]))
+        pairs.append(
+            _Pair(kind, len(first), left.xy_px[first[is_alike]], right_px, first[is_alike])
+        )
     return max(pairs, key=lambda pair: pair.n_in_band())
 
 

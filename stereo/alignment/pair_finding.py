@@ -5,8 +5,9 @@
     unsteady   rows change: not simultaneous, a matter of `recording.pairs.sync_monitor`
     refused    another explanation, or several: no stereo           unknown    too few matches
 
-Two votes decide whether left and right are exchanged: the motion of the camera, and the road, on which disparities grow
-downwards below the horizon, more regularly than disparities of trees and houses grow upwards above the horizon.
+Two votes decide whether left and right are exchanged: the motion of the camera, and the road, on
+which disparities grow downwards below the horizon, more regularly than disparities of trees and
+houses grow upwards above the horizon.
 """
 
 from __future__ import annotations
@@ -25,35 +26,46 @@ from track_range.stereo.geometry.rig import StereoRig
 
 Fault = Literal["fits", "verged", "swapped", "turned", "unsteady", "refused", "unknown"]
 
-_MIN_TRACKED = 100  # matches of successive left images from which a pair without matches is one of different scenes
-_MAX_UNRELATED = 0.05  # largest ratio of agreeing matches to those, or half of that to matches, of images that differ
+# matches of successive left images from which a pair without matches is one of different scenes
+_MIN_TRACKED = 100
+# largest ratio of agreeing matches to those, or half of that to matches, of images that differ
+_MAX_UNRELATED = 0.05
 _MAX_CHANCE = 0.3  # largest ratio of matches between different scenes to those
 _MIN_AGREEING = 60  # minimum number of agreeing matches of all pairs
 _MIN_FRACTION = 0.6  # minimum fraction of the matches that agree in rows
-_STEADY_FRACTION, _STEADY_PX = 0.7, 0.25  # of rows: smallest agreeing fraction, largest change between pairs
-_EQUAL_PX, _EQUAL_FRACTION = 1.5, 0.95  # largest disparity without parallax, and the fraction that has none
+# of rows: smallest agreeing fraction, largest change between pairs
+_STEADY_FRACTION, _STEADY_PX = 0.7, 0.25
+# largest disparity without parallax, and the fraction that has none
+_EQUAL_PX, _EQUAL_FRACTION = 1.5, 0.95
 _MAX_HEIGHT_M = 3.5  # height of the cameras up to which points on the road must have more disparity
 _LEAD = 1.15  # minimum ratio of the supports of two explanations
-_MIN_GROUND, _GROUND_LEAD = 0.5, 0.1  # minimum correlation of the half of the image with the road, and its lead
-# Disparity that no rig has, and the fractions of such points from which the order is doubted, and which needs a reason.
+# minimum correlation of the half of the image with the road, and its lead
+_MIN_GROUND, _GROUND_LEAD = 0.5, 0.1
+# Disparity that no rig has, and the fractions of such points from which the order is doubted, and
+# which needs a reason.
 _NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
 _MIN_STEPS, _MIN_SUPPORT = 3, 0.25  # smallest number of steps, and support, of an offset
 _MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
-# fractions of the points with less disparity than half of the offset: with a negative offset, far points must be there;
-# with a positive offset, nearly no point may be
+# fractions of the points with less disparity than half of the offset: with a negative offset, far
+# points must be there; with a positive offset, nearly no point may be
 _MIN_FAR, _MAX_BEYOND = 0.03, 0.25
 _MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
 _YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
-# Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest ratios of the supports
-# of motion with and without it; largest ratio of the offsets with and without it.
+# Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest
+# ratios of the supports of motion with and without it; largest ratio of the offsets with and
+# without it.
 _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05, 0.8, 0.6
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 CORRECTED = "corrected, but calibrate again."
-GIVEN = "--align auto corrects this error; with the given alignment, distances come from the left video alone."
-WITHOUT_STEREO = " Distances come from the left video alone."  # end of the sentence on a refused pair
+GIVEN = (
+    "--align auto corrects this error; with the given alignment, distances come from the left "
+    "video alone."
+)
+# end of the sentence on a refused pair
+WITHOUT_STEREO = " Distances come from the left video alone."
 LATER = (
-    "this error was found only after the vehicle moved, so distances come from the left video alone; start the run "
-    "where it moves (--start), or calibrate again."
+    "this error was found only after the vehicle moved, so distances come from the left video "
+    "alone; start the run where it moves (--start), or calibrate again."
 )
 _ARRANGED = {
     "turned": "upside down (turned by 180 degrees)",
@@ -71,7 +83,9 @@ class PairFinding:
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
 
     def uncorrected(self, why: str = GIVEN) -> PairFinding:
-        """The finding in a run that shifts no images: no stereo if the pair needs a shift; `why` ends the sentence."""
+        """The finding in a run that shifts no images: no stereo if the pair needs a shift; `why`
+        ends the sentence.
+        """
         if self.fault != "verged":
             return self
         return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
@@ -88,16 +102,23 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
     if figures.is_late:
         return PairFinding("unsteady")
     n_tracked = figures.n_tracked * figures.n_pairs
-    if n_agreeing < _MAX_UNRELATED * min(n_tracked, 2 * figures.n_matches) and figures.n_tracked >= _MIN_TRACKED:
-        few = f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} matching points are in consistent rows"
+    if (
+        n_agreeing < _MAX_UNRELATED * min(n_tracked, 2 * figures.n_matches)
+        and figures.n_tracked >= _MIN_TRACKED
+    ):
+        few = (
+            f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} matching points are in "
+            "consistent rows"
+        )
         if figures.n_matches > _MAX_CHANCE * n_tracked:
             return _refused(
-                f"{few}: the rig belongs to other cameras, a camera has turned, or left and right images are from "
-                "different times; check the rig and the videos, or calibrate again"
+                f"{few}: the rig belongs to other cameras, a camera has turned, or left and right "
+                "images are from different times; check the rig and the videos, or calibrate again"
             )
         return _refused(
-            f"{few}, and successive left images have {figures.n_tracked:.0f} matches each: the videos show different "
-            "scenes or times, or one camera is covered; check the names of the videos"
+            f"{few}, and successive left images have {figures.n_tracked:.0f} matches each: the "
+            "videos show different scenes or times, or one camera is covered; check the names of "
+            "the videos"
         )
     if n_agreeing < _MIN_AGREEING or figures.row_fraction < _MIN_FRACTION:
         return PairFinding("unknown" if n_agreeing < _MIN_AGREEING else "unsteady")
@@ -105,8 +126,9 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
         return PairFinding("unsteady")
     if _is_without_parallax(figures, rig):
         return _refused(
-            f"{100 * _EQUAL_FRACTION:.0f} % or more of {n_agreeing} matched points have no disparity, whether near or "
-            "far: left and right images come from one camera; give the videos of both cameras"
+            f"{100 * _EQUAL_FRACTION:.0f} % or more of {n_agreeing} matched points have no "
+            "disparity, whether near or far: left and right images come from one camera; give the "
+            "videos of both cameras"
         )
     exchanged, is_upright = _exchange(figures, rig)
     if figures.arrangement != "equal":
@@ -133,7 +155,9 @@ def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:
 
 
 def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool | None]:
-    """Whether left and right are exchanged, None = contradictory; whether the road is below; None = unknown."""
+    """Whether left and right are exchanged, None = contradictory; whether the road is below; None =
+    unknown.
+    """
     above, below = figures.ground
     is_below, is_above = (
         abs(one) >= _MIN_GROUND and abs(one) > abs(other) + _GROUND_LEAD
@@ -145,7 +169,10 @@ def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool |
     motion = _best(figures, rig)
     by_motion = None
     if motion is not None:
-        own, other = motion.support, max(m.exchanged_support for m in (figures.motion, figures.turned_motion) if m)
+        own, other = (
+            motion.support,
+            max(m.exchanged_support for m in (figures.motion, figures.turned_motion) if m),
+        )
         by_motion = True if other > _LEAD * own else False if own > _LEAD * other else None
     votes = {vote for vote in (by_motion, by_ground) if vote is not None}
     if not is_negative:
@@ -154,14 +181,20 @@ def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool |
 
 
 def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
-    """The motion with or without the yaw that rows show; a small yaw must explain the disparities better."""
+    """The motion with or without the yaw that rows show; a small yaw must explain the disparities
+    better.
+    """
     plain, turned, yaw_deg = figures.motion, figures.turned_motion, abs(figures.view.yaw_deg)
     if plain is None or turned is None or yaw_deg < _MIN_YAW_DEG or turned.n_steps < _MIN_STEPS:
         return plain
-    largest_px = max(rig.left.fx_px * math.tan(math.radians(_YAW_ERROR_DEG)), _MIN_SIGMAS * turned.sigma_px)
+    largest_px = max(
+        rig.left.fx_px * math.tan(math.radians(_YAW_ERROR_DEG)), _MIN_SIGMAS * turned.sigma_px
+    )
     if abs(turned.offset_px) > largest_px or not math.isfinite(largest_px):
         return plain
-    is_better = turned.support > (_CLEAR_YAW if yaw_deg >= _CLEAR_YAW_DEG else _SMALL_YAW) * plain.support
+    is_better = (
+        turned.support > (_CLEAR_YAW if yaw_deg >= _CLEAR_YAW_DEG else _SMALL_YAW) * plain.support
+    )
     is_explained = abs(turned.offset_px) < _MAX_REST * abs(plain.offset_px) and _is_offset(plain)
     return turned if is_better or is_explained else plain
 
@@ -169,20 +202,33 @@ def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
 def _is_offset(motion: Motion) -> bool:
     """Whether the offset is large and significant."""
     smallest_px = max(_MIN_OFFSET_PX, _MIN_SIGMAS * math.hypot(motion.sigma_px, 1.0))
-    return motion.n_steps >= _MIN_STEPS and motion.support > _MIN_SUPPORT and abs(motion.offset_px) > smallest_px
+    return (
+        motion.n_steps >= _MIN_STEPS
+        and motion.support > _MIN_SUPPORT
+        and abs(motion.offset_px) > smallest_px
+    )
 
 
 def _has_far_points(disparity_px: FloatArray, offset_px: float) -> bool:
-    """Whether the smallest disparities, of far points, have the offset, rather than the points of one near object."""
+    """Whether the smallest disparities, of far points, have the offset, rather than the points of
+    one near object.
+    """
     beyond = float((disparity_px < offset_px / 2).mean())
     return beyond > _MIN_FAR if offset_px < 0 else beyond < _MAX_BEYOND
 
 
 def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
     how = _ARRANGED[figures.arrangement]
-    which = "one of the two videos" if exchanged is None else "the left video" if exchanged else "the right video"
+    which = (
+        "one of the two videos"
+        if exchanged is None
+        else "the left video"
+        if exchanged
+        else "the right video"
+    )
     return _refused(
-        f"{100 * figures.row_fraction:.0f} % of {figures.n_matches} points match if {which} is {how}; correct {which}"
+        f"{100 * figures.row_fraction:.0f} % of {figures.n_matches} points match if {which} is "
+        f"{how}; correct {which}"
     )
 
 
@@ -190,14 +236,24 @@ def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) ->
     evidence = _negative(figures, rig)
     if is_upright is False:
         where = "and near points are at the top of the images, which are turned back."
-        return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}")
-    other = "if both are mirrored, mirror them instead" if is_upright else "or turn both, if they are upside down"
-    return PairFinding("swapped", f"left and right are swapped: {evidence}; swap the two videos ({other}).")
+        return PairFinding(
+            "turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}"
+        )
+    other = (
+        "if both are mirrored, mirror them instead"
+        if is_upright
+        else "or turn both, if they are upside down"
+    )
+    return PairFinding(
+        "swapped", f"left and right are swapped: {evidence}; swap the two videos ({other})."
+    )
 
 
 def _contradictory(figures: PairFigures, rig: StereoRig) -> PairFinding:
     causes = "left and right are swapped, both are upside down, or a camera has turned"
-    return _refused(f"{_negative(figures, rig)}: {causes}; check the videos, or record some seconds in motion")
+    return _refused(
+        f"{_negative(figures, rig)}: {causes}; check the videos, or record some seconds in motion"
+    )
 
 
 def _negative(figures: PairFigures, rig: StereoRig) -> str:
@@ -207,7 +263,10 @@ def _negative(figures: PairFigures, rig: StereoRig) -> str:
     if motion is None:
         return text
     own, other = _pct(motion.support), _pct(motion.exchanged_support)
-    return f"{text}, and their motion fits swapped videos ({other} of the points) or a turned camera ({own})"
+    return (
+        f"{text}, and their motion fits swapped videos ({other} of the points) or a turned camera "
+        f"({own})"
+    )
 
 
 def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
@@ -216,15 +275,30 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
     is_yaw = motion is not None and motion is figures.turned_motion and motion is not figures.motion
     prior = NOT_MEASURED
     if view.rows_px(rig.left) > _MIN_ROWS_PX:
-        prior = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
-    is_offset = motion is not None and _is_offset(motion) and _has_far_points(figures.disparity_px, motion.offset_px)
+        prior = Alignment(
+            row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio
+        )
+    is_offset = (
+        motion is not None
+        and _is_offset(motion)
+        and _has_far_points(figures.disparity_px, motion.offset_px)
+    )
     if motion is None or not (is_yaw or is_offset):
         negative = float((figures.disparity_px < _NEGATIVE_PX).mean())
-        return _contradictory(figures, rig) if negative > _MAX_NEGATIVE else PairFinding("fits", prior=prior)
+        return (
+            _contradictory(figures, rig)
+            if negative > _MAX_NEGATIVE
+            else PairFinding("fits", prior=prior)
+        )
     sigma_px, yaw_deg, offset_px = math.hypot(_MODEL_PX, motion.sigma_px), 0.0, motion.offset_px
     size = "large" if offset_px > 0 else "small"
-    what = f"disparities are {abs(offset_px):.0f} px too {size}, as with shifted images or a turned camera"
-    if is_yaw:  # it explains rows and most of the offset; the rest is within its uncertainty, or that of the motion
+    what = (
+        f"disparities are {abs(offset_px):.0f} px too {size}, as with shifted images or a turned "
+        "camera"
+    )
+    # it explains rows and most of the offset; the rest is within its uncertainty, or that of the
+    # motion
+    if is_yaw:
         rest_px = offset_px if _MIN_SIGMAS * motion.sigma_px < _MIN_OFFSET_PX else 0.0
         yaw_deg = figures.view.yaw_deg + math.degrees(math.atan(rest_px / rig.left.fx_px))
         sigma_px = math.hypot(sigma_px, abs(offset_px) / 2)
@@ -239,10 +313,12 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
         source=f"the first {figures.n_pairs} pairs",
     )
     support = (
-        f"{_pct(motion.support)} of {motion.n_points} points move as this explains, {_pct(motion.exchanged_support)} "
-        "as in swapped videos"
+        f"{_pct(motion.support)} of {motion.n_points} points move as this explains, "
+        f"{_pct(motion.exchanged_support)} as in swapped videos"
     )
-    return PairFinding("verged", f"The rig does not fit these images: {what} ({support}); {CORRECTED}", prior)
+    return PairFinding(
+        "verged", f"The rig does not fit these images: {what} ({support}); {CORRECTED}", prior
+    )
 
 
 def _pct(fraction: float) -> str:

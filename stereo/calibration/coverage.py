@@ -4,8 +4,8 @@
     size   side of the board / side of the image
     tilt   angle between the board's plane and the image plane, degrees
 
-The lens distortion is extrapolated where there are no corners, and views without tilt do not determine the focal
-length.
+The lens distortion is extrapolated where there are no corners, and views without tilt do not
+determine the focal length.
 """
 
 import math
@@ -18,7 +18,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView
 
-_THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))  # names of the thirds of the image, by axis
+# names of the thirds of the image, by axis
+_THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
 _MIN_FRACTION_OF_THIRD = 0.03  # minimum fraction of all corners in a third of the image
 _EDGE_FRACTION = 0.15  # largest distance of the outermost corners from the image's edges / its side
 _SAME_TILT_RAD = math.radians(6.0)  # largest angle between parallel boards
@@ -36,8 +37,10 @@ class Coverage:
 
     x_span: tuple[float, float]  # (first, last) corner as a fraction of the image width
     y_span: tuple[float, float]  # (first, last) corner as a fraction of the image height
-    size_range: tuple[float, float]  # (smallest, largest) board: square root of the fraction of the image area
-    tilt_range_deg: tuple[float, float]  # (smallest, largest) angle between a board's plane and the image plane
+    # (smallest, largest) board: square root of the fraction of the image area
+    size_range: tuple[float, float]
+    # (smallest, largest) angle between a board's plane and the image plane
+    tilt_range_deg: tuple[float, float]
     is_parallel: bool  # whether all boards are parallel
     warnings: tuple[str, ...]  # messages for the user on missing views
 
@@ -56,12 +59,19 @@ def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Cove
         _range(sizes),
         _range(tilts_deg),
         bool(angle_rad.max() < _SAME_TILT_RAD),
-        (*few, *_uncovered_parts(fraction), *_sizes_missing(sizes), *_tilts_missing(tilts_deg, normals)),
+        (
+            *few,
+            *_uncovered_parts(fraction),
+            *_sizes_missing(sizes),
+            *_tilts_missing(tilts_deg, normals),
+        ),
     )
 
 
 def view_shape(view: BoardView) -> FloatArray:
-    """(4,) x, y of the board's centre, size, and skew (from right angles and equal sides), each about 0 .. 1."""
+    """(4,) x, y of the board's centre, size, and skew (from right angles and equal sides), each
+    about 0 .. 1.
+    """
     size_px, on_board = np.array(view.size_px), view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])
     x, y = view.xy_px.mean(axis=0) / size_px
     hull = cv2.convexHull(view.xy_px.astype(np.float32))
@@ -71,14 +81,18 @@ def view_shape(view: BoardView) -> FloatArray:
         return np.array([x, y, size, 0.0])
     # |cos| of the angle between the board's axes in the image, plus 1 - the ratio of their lengths
     point = homography @ np.array([*on_board.mean(axis=0), 1.0])
-    axes = [(homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)]
+    axes = [
+        (homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)
+    ]
     lengths = [float(np.linalg.norm(axis)) for axis in axes]
     cosine = abs(float(axes[0] @ axes[1])) / max(lengths[0] * lengths[1], 1e-12)
     return np.array([x, y, size, cosine + 1 - min(lengths) / max(*lengths, 1e-12)])
 
 
 def most_different(views: Sequence[BoardView], n_views: int) -> list[int]:
-    """Ascending indices of `n_views` different views, by farthest-point sampling from the sharpest view."""
+    """Ascending indices of `n_views` different views, by farthest-point sampling from the sharpest
+    view.
+    """
     if len(views) <= n_views:
         return list(range(len(views)))
     shapes = np.stack([view_shape(view) for view in views])
@@ -111,12 +125,20 @@ def _uncovered_parts(fraction: FloatArray) -> list[str]:
     warnings = []
     for axis, names in enumerate(_THIRDS):
         counts = np.histogram(fraction[:, axis], bins=3, range=(0, 1))[0] / len(fraction)
-        missing = [name for name, count in zip(names, counts, strict=True) if count < _MIN_FRACTION_OF_THIRD]
-        warnings += [f"the {name} third of the image has hardly any corners: show the board there." for name in missing]
+        missing = [
+            name
+            for name, count in zip(names, counts, strict=True)
+            if count < _MIN_FRACTION_OF_THIRD
+        ]
+        warnings += [
+            f"the {name} third of the image has hardly any corners: show the board there."
+            for name in missing
+        ]
         first, last = _range(fraction[:, axis])
         edges = ((names[0], first > _EDGE_FRACTION), (names[2], last < 1 - _EDGE_FRACTION))
         warnings += [
-            f"there are no corners near the {name} edge of the image: the lens distortion is extrapolated there."
+            f"there are no corners near the {name} edge of the image: the lens distortion is "
+            "extrapolated there."
             for name, is_far in edges
             if is_far and name not in missing
         ]
@@ -127,11 +149,13 @@ def _sizes_missing(sizes: FloatArray) -> list[str]:
     smallest, largest = _range(sizes)
     if largest < _MIN_LARGEST_SIZE:
         return [
-            f"the board is small in all views (at most {100 * largest:.0f} % of the image's side): move it nearer to "
-            "the camera."
+            f"the board is small in all views (at most {100 * largest:.0f} % of the image's side): "
+            "move it nearer to the camera."
         ]
     if largest < _MIN_SIZE_RATIO * smallest:
-        return ["the board has the same size in all views: add views from nearer and from farther away."]
+        return [
+            "the board has the same size in all views: add views from nearer and from farther away."
+        ]
     return []
 
 
@@ -139,8 +163,9 @@ def _tilts_missing(tilts_deg: FloatArray, normals: FloatArray) -> list[str]:
     is_tilted = tilts_deg > _TILTED_DEG
     if is_tilted.mean() < _MIN_TILTED_FRACTION:
         return [
-            f"the board is tilted by more than {_TILTED_DEG:.0f} degrees in only {int(is_tilted.sum())} of "
-            f"{len(is_tilted)} views: tilt it by 20 to 45 degrees more often."
+            f"the board is tilted by more than {_TILTED_DEG:.0f} degrees in only "
+            f"{int(is_tilted.sum())} of {len(is_tilted)} views: tilt it by 20 to 45 degrees more "
+            "often."
         ]
     facing = normals * np.sign(normals[:, 2:])
     spread_deg = np.degrees(np.ptp(facing[:, :2], axis=0))

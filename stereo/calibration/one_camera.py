@@ -1,12 +1,13 @@
-"""Calibration of one camera: several views of a flat board -> PinholeCamera (Zhang 2000; OpenCV's calibrateCamera).
+"""Calibration of one camera: several views of a flat board -> PinholeCamera (Zhang 2000; OpenCV's
+calibrateCamera).
 
 Wide lenses are fitted by `fisheye_fit.py`.
 
     minimise  sum over views v and corners i of | xy_vi - project(camera, pose_v, xyz_i) |^2
 
-Views with outlying residuals are rejected, worst first. The errors of the corners in a view are correlated (a board
-that is not flat, a blurred image), so standard deviations come from leaving out views. The scatter of the corners alone
-gives a third of these deviations on real photographs:
+Views with outlying residuals are rejected, worst first. The errors of the corners in a view are
+correlated (a board that is not flat, a blurred image), so standard deviations come from leaving out
+views. The scatter of the corners alone gives a third of these deviations on real photographs:
 
     sigma^2 = (G - 1) / G * sum over groups g of (theta_without_g - mean)^2        (delete-a-group jackknife)
 """
@@ -40,8 +41,10 @@ class CameraModel:
     """The camera model that is fitted to the views."""
 
     lens: str = PINHOLE  # name of the lens model, pinhole or kannala-brandt
-    n_distortion_coefficients: int = 5  # number of distortion coefficients of a pinhole: 0, 4, 5 or 8
-    start: PinholeCamera | None = None  # a camera near the result, for wide lenses; None = searched for
+    # number of distortion coefficients of a pinhole: 0, 4, 5 or 8
+    n_distortion_coefficients: int = 5
+    # a camera near the result, for wide lenses; None = searched for
+    start: PinholeCamera | None = None
 
     def started(self, views: Sequence[BoardView]) -> CameraModel:
         """The model with the camera of these views as the start, for fits to parts of the views."""
@@ -56,11 +59,13 @@ DISTORTION_FLAGS: dict[int, int] = {  # by number: none; k1 k2 p1 p2; with k3; w
 }
 
 MIN_VIEWS = 5  # minimum number of views of a calibration with an error estimate; 10 to 30 are usual
-# A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas.
+# A view is rejected if its residual exceeds both this multiple of the median and the median by this
+# many sigmas.
 _OUTLIER_RATIO, _OUTLIER_SIGMAS = 2.0, 4.0
 _MIN_FRACTION_USED = 2 / 3  # of the views: if more were outliers, the views would not be the cause
 _MAX_GROUPS = 20  # largest number of groups of the jackknife
-_MAX_FOCAL_STD = 0.05  # relative standard deviation of the focal length above which it is not determined
+# relative standard deviation of the focal length above which it is not determined
+_MAX_FOCAL_STD = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +79,9 @@ class ViewFit:
     @classmethod
     def of(cls, view: BoardView, board_to_camera: FloatArray, camera: PinholeCamera) -> ViewFit:
         """The fit of a view with a pose in a camera."""
-        projected_px = camera.recorded_px(view.xyz_m @ board_to_camera[:3, :3].T + board_to_camera[:3, 3])
+        projected_px = camera.recorded_px(
+            view.xyz_m @ board_to_camera[:3, :3].T + board_to_camera[:3, 3]
+        )
         return cls(view, view.xy_px - projected_px, board_to_camera)
 
     @property
@@ -103,7 +110,8 @@ class CameraCalibration:
     """One calibrated camera with its accuracy."""
 
     camera: PinholeCamera
-    std: IntrinsicStd  # of its parameters: from leaving out views, or the scatter of the corners if that is larger
+    # of its parameters: from leaving out views, or the scatter of the corners if that is larger
+    std: IntrinsicStd
     rms_px: float  # root mean square residual of all corners
     fits: tuple[ViewFit, ...]  # the views used
     rejected: tuple[RejectedView, ...]  # the views not used
@@ -117,7 +125,8 @@ def calibrate_camera(
     lens: str = PINHOLE,
     advance: Advance | None = None,
 ) -> CameraCalibration:
-    """Calibrate a camera from views of a board, all of the first view's image size; see `CameraModel`.
+    """Calibrate a camera from views of a board, all of the first view's image size; see
+    `CameraModel`.
 
     Raises CalibrationError if there are too few views, or they do not determine the camera.
     """
@@ -132,10 +141,14 @@ def calibrate_camera(
     coverage = coverage_of(used, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    sampled = leave_out_groups(used, lambda subset: intrinsics(fit_camera(subset, model)[0]), advance)
+    sampled = leave_out_groups(
+        used, lambda subset: intrinsics(fit_camera(subset, model)[0]), advance
+    )
     # With few views the jackknife is uncertain itself; the scatter of the corners is a lower limit.
     if lens == PINHOLE:
-        corner_std = np.asarray(cv2.calibrateCameraExtended(**_problem(used, model))[5], np.float64).ravel()
+        corner_std = np.asarray(
+            cv2.calibrateCameraExtended(**_problem(used, model))[5], np.float64
+        ).ravel()
     else:
         corner_std = fit_fisheye(used, model.start)[2]
     std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), corner_std[:4]).tolist())
@@ -149,7 +162,9 @@ PARALLEL = (
 )
 
 
-def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
+def fit_camera(
+    views: Sequence[BoardView], model: CameraModel
+) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
     """The least-squares camera of all views, and the fit of each view."""
     poses: Iterable[FloatArray]
     if model.lens != PINHOLE:
@@ -161,7 +176,9 @@ def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeC
             raise CalibrationError(UNDETERMINED) from error
         camera = camera_of(matrix, distortion, views[0].size_px, model.n_distortion_coefficients)
         poses = map(pose_of, rvecs, tvecs)
-    return camera, tuple(ViewFit.of(view, pose, camera) for view, pose in zip(views, poses, strict=True))
+    return camera, tuple(
+        ViewFit.of(view, pose, camera) for view, pose in zip(views, poses, strict=True)
+    )
 
 
 def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
@@ -176,28 +193,37 @@ def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
 
 
 def camera_of(
-    matrix: npt.ArrayLike, distortion: npt.ArrayLike, size_px: tuple[int, int], n_distortion_coefficients: int
+    matrix: npt.ArrayLike,
+    distortion: npt.ArrayLike,
+    size_px: tuple[int, int],
+    n_distortion_coefficients: int,
 ) -> PinholeCamera:
     """The camera with OpenCV's (3, 3) matrix and distortion coefficients."""
-    return PinholeCamera.of_matrix(matrix, size_px, np.asarray(distortion).ravel()[:n_distortion_coefficients])
+    return PinholeCamera.of_matrix(
+        matrix, size_px, np.asarray(distortion).ravel()[:n_distortion_coefficients]
+    )
 
 
 def total_rms_px(fits: Sequence[ViewFit]) -> float:
     """Root mean square residual of all corners of all views."""
-    return float(np.sqrt((np.concatenate([fit.residual_px for fit in fits]) ** 2).sum(axis=1).mean()))
+    return float(
+        np.sqrt((np.concatenate([fit.residual_px for fit in fits]) ** 2).sum(axis=1).mean())
+    )
 
 
 def check_views(views: Sequence[BoardView]) -> None:
-    """Raise CalibrationError for fewer views than `MIN_VIEWS`, or if the board hardly moves between them."""
+    """Raise CalibrationError for fewer views than `MIN_VIEWS`, or if the board hardly moves between
+    them.
+    """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
-            f"expected the board in at least {MIN_VIEWS} views, found it in {len(views)}; add views (15 to 30 are "
-            "recommended) with the board tilted and in all parts of the image."
+            f"expected the board in at least {MIN_VIEWS} views, found it in {len(views)}; add "
+            "views (15 to 30 are recommended) with the board tilted and in all parts of the image."
         )
     if is_static(views):
         raise CalibrationError(
-            "expected the board at different positions, found it at the same position in all views; move and tilt it, "
-            "or move the camera, between the views."
+            "expected the board at different positions, found it at the same position in all "
+            "views; move and tilt it, or move the camera, between the views."
         )
 
 
@@ -206,21 +232,25 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
     fraction = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
     if not fraction <= _MAX_FOCAL_STD:
         raise CalibrationError(
-            f"the views do not determine the focal length (standard deviation {100 * fraction:.0f} %, expected at most "
-            f"{100 * _MAX_FOCAL_STD:.0f} %); add views with the board tilted by 20 to 45 degrees, in all directions, "
-            "and near enough to fill the image."
+            f"the views do not determine the focal length (standard deviation {100 * fraction:.0f} "
+            f"%, expected at most {100 * _MAX_FOCAL_STD:.0f} %); add views with the board tilted "
+            "by 20 to 45 degrees, in all directions, and near enough to fill the image."
         )
 
 
 def without_outliers(
     views: Sequence[T], residuals_px: Callable[[list[T]], list[float]], name_of: Callable[[T], str]
 ) -> tuple[list[T], tuple[RejectedView, ...]]:
-    """The views (or pairs) without outliers, and the outliers, worst first; `residuals_px` gives RMS residuals."""
+    """The views (or pairs) without outliers, and the outliers, worst first; `residuals_px` gives
+    RMS residuals.
+    """
     used, rejected = list(views), []
     while len(used) > min_used(len(views)):
         rms_px = np.array(residuals_px(used))
         median_px, worst = float(np.median(rms_px)), int(rms_px.argmax())
-        if rms_px[worst] <= max(_OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * mad_sigma(rms_px)):
+        if rms_px[worst] <= max(
+            _OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * mad_sigma(rms_px)
+        ):
             break
         reason = f"outlier: residual {rms_px[worst]:.2f} px, median of the views {median_px:.2f} px"
         rejected.append(RejectedView(name_of(used.pop(worst)), reason))
@@ -235,7 +265,9 @@ def min_used(n_views: int) -> int:
 def leave_out_groups(
     views: Sequence[T], fitted: Callable[[list[T]], FloatArray], advance: Advance | None = None
 ) -> FloatArray:
-    """(G, P) results of `fitted` without each of G groups of views; few views make groups of one view each."""
+    """(G, P) results of `fitted` without each of G groups of views; few views make groups of one
+    view each.
+    """
     n_groups = min(len(views), _MAX_GROUPS)
     samples = []
     for group in range(n_groups):

@@ -1,8 +1,9 @@
 """Calibration of two cameras: pairs of views of one board -> StereoRig (OpenCV's stereoCalibrate).
 
-Each camera is calibrated alone first, which gives initial values and reveals bad views; then the intrinsics of both
-cameras, their relative pose and the poses of the board are optimised together. Wide lenses are fitted by
-`fisheye_fit.py`. The row error is also evaluated on pairs held out of the fit:
+Each camera is calibrated alone first, which gives initial values and reveals bad views; then the
+intrinsics of both cameras, their relative pose and the poses of the board are optimised together.
+Wide lenses are fitted by `fisheye_fit.py`. The row error is also evaluated on pairs held out of the
+fit:
 
     dy = | y_left - y_right | of a corner in the rectified images, 0 for a perfect rig
 """
@@ -27,15 +28,20 @@ from track_range.stereo.geometry.lenses import PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
-ViewPair = tuple[BoardView, BoardView]  # views of the left and the right camera with the same corners
-Models = tuple[one_camera.CameraModel, one_camera.CameraModel]  # models of the left and the right camera
+# views of the left and the right camera with the same corners
+ViewPair = tuple[BoardView, BoardView]
+# models of the left and the right camera
+Models = tuple[one_camera.CameraModel, one_camera.CameraModel]
 _UPSIDE_DOWN_DEG = 120.0  # angle between the cameras above which one of them is upside down
 _MAX_ANGLE_DEG = 45.0  # largest angle between the cameras
-_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)  # iterations, and relative change
-# Ratio of a pair's residual in the joint fit to that in fits of the single cameras above which the board moved between
-# its images. For wide lenses only: their boards are near, so that small movements show.
+# iterations, and relative change
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
+# Ratio of a pair's residual in the joint fit to that in fits of the single cameras above which the
+# board moved between its images. For wide lenses only: their boards are near, so that small
+# movements show.
 _MOVED_RATIO = 2.0
-_MAX_RMS_RATIO = 5.0  # ratio of the residuals of joint and single fits above which the pairs are inconsistent
+# ratio of the residuals of joint and single fits above which the pairs are inconsistent
+_MAX_RMS_RATIO = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +68,8 @@ class PairCalibration:
     baseline_std_m: float  # standard deviation of the baseline, from leaving out pairs
     scale_sigma: float  # relative standard deviation of focal length times baseline, likewise
     rms_px: float  # root mean square residual of all corners
-    # the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to boards or cameras
-    # that moved between the two images of a pair
+    # the same of the left and of the right camera fitted alone; the difference to `rms_px` is due
+    # to boards or cameras that moved between the two images of a pair
     single_rms_px: tuple[float, float]
     row_error_px: float  # mean |dy| after rectification, of the pairs that the rig was fitted to
     held_out_row_error_px: float  # mean |dy| after rectification, of pairs held out of the fit
@@ -78,10 +84,11 @@ def calibrate_pair(
     lens: str = PINHOLE,
     advance: one_camera.Advance | None = None,
 ) -> PairCalibration:
-    """Calibrate a rig from pairs of views with the same corners, in simultaneous images; see `CameraModel`.
+    """Calibrate a rig from pairs of views with the same corners, in simultaneous images; see
+    `CameraModel`.
 
-    Raises CalibrationError if there are too few pairs, they do not determine the rig, or the cameras are swapped or
-    upside down.
+    Raises CalibrationError if there are too few pairs, they do not determine the rig, or the
+    cameras are swapped or upside down.
     """
     for side in (0, 1):
         one_camera.check_views([pair[side] for pair in pairs])
@@ -93,7 +100,9 @@ def calibrate_pair(
 
     used, rejected = one_camera.without_outliers(pairs, residuals_px, lambda pair: pair[0].name)
     used, moved = (
-        _without_moved_boards(used, one_camera.min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
+        _without_moved_boards(used, one_camera.min_used(len(pairs)), models)
+        if lens != PINHOLE
+        else (used, ())
     )
     rig, fits = _fit(used, models)
     left_px, right_px = (one_camera.total_rms_px(fits) for _, fits in _single_fits(used, models))
@@ -103,7 +112,11 @@ def calibrate_pair(
 
     def parameters_of(subset: list[ViewPair]) -> FloatArray:
         partial, _ = _fit(subset, models)
-        held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
+        held_out_px.extend(
+            row_error_px(partial, pair)
+            for pair in used
+            if not any(pair is member for member in subset)
+        )
         baseline_m = np.linalg.norm(partial.right_from_left[:3, 3])
         cameras = *one_camera.intrinsics(partial.left), *one_camera.intrinsics(partial.right)
         return np.array([*cameras, baseline_m, partial.left.fx_px * baseline_m])
@@ -158,7 +171,9 @@ def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[Pa
 
 
 def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, FloatArray]:
-    """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the poses of the boards."""
+    """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the poses
+    of the boards.
+    """
     n_distortion_coefficients = models[0].n_distortion_coefficients
     cameras = [camera for camera, _ in _single_fits(pairs, models)]
     distortion = [rectification.distortion_coefficients(camera) for camera in cameras]
@@ -175,27 +190,37 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
     )  # fmt: skip
     left = one_camera.camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
     right = one_camera.camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
-    return StereoRig(left, right, rigid_motion(r, t)), np.stack(list(map(one_camera.pose_of, rvecs, tvecs)))
+    return StereoRig(left, right, rigid_motion(r, t)), np.stack(
+        list(map(one_camera.pose_of, rvecs, tvecs))
+    )
 
 
 def _camera_calibration(
     camera: PinholeCamera, fits: Sequence[one_camera.ViewFit], std: FloatArray
 ) -> one_camera.CameraCalibration:
     """Calibration of one camera of the rig, with standard deviations (4,) of fx, fy, cx, cy."""
-    coverage = coverage_of([fit.view for fit in fits], np.stack([fit.board_to_camera for fit in fits]))
+    coverage = coverage_of(
+        [fit.view for fit in fits], np.stack([fit.board_to_camera for fit in fits])
+    )
     if coverage.is_parallel:
         raise CalibrationError(one_camera.PARALLEL)
     intrinsic_std = one_camera.IntrinsicStd(*std.tolist())
     one_camera.check_determined(intrinsic_std, camera)
-    return one_camera.CameraCalibration(camera, intrinsic_std, one_camera.total_rms_px(fits), tuple(fits), (), coverage)
+    return one_camera.CameraCalibration(
+        camera, intrinsic_std, one_camera.total_rms_px(fits), tuple(fits), (), coverage
+    )
 
 
 def _without_moved_boards(
     pairs: list[ViewPair], n_min: int, models: Models
 ) -> tuple[list[ViewPair], tuple[RejectedView, ...]]:
-    """At least `n_min` pairs without movement of the board between the images, and the omitted pairs, worst first."""
+    """At least `n_min` pairs without movement of the board between the images, and the omitted
+    pairs, worst first.
+    """
     alone = [fits for _, fits in _single_fits(pairs, models)]
-    alone_px = np.sqrt([(left.rms_px**2 + right.rms_px**2) / 2 for left, right in zip(*alone, strict=True)])
+    alone_px = np.sqrt(
+        [(left.rms_px**2 + right.rms_px**2) / 2 for left, right in zip(*alone, strict=True)]
+    )
     used, rejected = list(range(len(pairs))), []
     while len(used) > n_min:
         fits = _fit([pairs[i] for i in used], models)[1]
@@ -204,13 +229,21 @@ def _without_moved_boards(
         if not ratios[worst] > _MOVED_RATIO:
             break
         row = used.pop(worst)
-        figures = f"{fits[worst].rms_px:.2f} px ({alone_px[row]:.2f} px if each camera is fitted alone)"
-        rejected.append(RejectedView(pairs[row][0].name, f"the board moved between the images: residual {figures}"))
+        figures = (
+            f"{fits[worst].rms_px:.2f} px ({alone_px[row]:.2f} px if each camera is fitted alone)"
+        )
+        rejected.append(
+            RejectedView(
+                pairs[row][0].name, f"the board moved between the images: residual {figures}"
+            )
+        )
     return [pairs[i] for i in used], tuple(rejected)
 
 
 def _check_consistency(single_px: float, fits: Sequence[PairFit]) -> None:
-    """Raise an error if the images of pairs are not simultaneous: they fit each camera alone, but not both."""
+    """Raise an error if the images of pairs are not simultaneous: they fit each camera alone, but
+    not both.
+    """
     common_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
     if common_px > max(_MAX_RMS_RATIO * single_px, 1.0):
         raise CalibrationError(

@@ -2,19 +2,22 @@
 
     Z = f B / d        error = Z / Z_true - 1 = d_true / d - 1
 
-A failure is an object without a value or with an error above 15 % (`wrong_pct`: the latter only). Intervals are 95 %
-bootstrap intervals: the errors of objects in one pair (of one track of a drive) are correlated, so pairs (tracks) are
-resampled instead of objects. As in `ranging/evaluation/errors.py`, `bias_pct` is the median error, and fractions are
-0..1; `n` counts all objects, `n_measured` the measured objects.
+A failure is an object without a value or with an error above 15 % (`wrong_pct`: the latter only).
+Intervals are 95 % bootstrap intervals: the errors of objects in one pair (of one track of a drive)
+are correlated, so pairs (tracks) are resampled instead of objects. As in
+`ranging/evaluation/errors.py`, `bias_pct` is the median error, and fractions are 0..1; `n` counts
+all objects, `n_measured` the measured objects.
 
-Risk-coverage curves are the errors of the boxes that are answered first, in the order of their uncertainty:
+Risk-coverage curves are the errors of the boxes that are answered first, in the order of their
+uncertainty:
 
     A = (1 / N) sum_k r(k)      r(k): risk of the k most certain of N boxes
 
-The risk is the fraction of failures, for which boxes without a value come last, or the mean relative error, over boxes
-with a value. The uncertainty is the standard deviation relative to the disparity, or another measure. A small area A
-means that the errors are small, and that uncertain boxes have the largest errors. (Geifman and El-Yaniv, "Selective
-classification for deep neural networks", NIPS 2017.)
+The risk is the fraction of failures, for which boxes without a value come last, or the mean
+relative error, over boxes with a value. The uncertainty is the standard deviation relative to the
+disparity, or another measure. A small area A means that the errors are small, and that uncertain
+boxes have the largest errors. (Geifman and El-Yaniv, "Selective classification for deep neural
+networks", NIPS 2017.)
 """
 
 from __future__ import annotations
@@ -34,12 +37,15 @@ BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))  # bands of true distance wi
 FAILURE = 0.15  # relative distance error above which a value is a failure
 N_RESAMPLES = 500  # number of bootstrap samples
 STEP_PCT = 5  # step of the answered fraction along a curve, per cent
-_KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")  # figures of the answered boxes
+# figures of the answered boxes
+_KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")
 
 
 @dataclass(frozen=True, slots=True)
 class MatcherColumn:
-    """Results of one matcher for N objects: (N,) disparities and (N,) standard deviations, px; NaN = no value."""
+    """Results of one matcher for N objects: (N,) disparities and (N,) standard deviations, px; NaN
+    = no value.
+    """
 
     disparity_px: FloatArray
     sigma_px: FloatArray
@@ -70,11 +76,16 @@ class Objects:
 
     def select(self, rows: BoolArray | IntArray) -> Objects:
         """The objects of the given rows, with all cameras."""
-        parts = {name: getattr(self, name)[rows] for name in ("true_px", "focal_baseline_m", "x_px", "pair", "group")}
+        parts = {
+            name: getattr(self, name)[rows]
+            for name in ("true_px", "focal_baseline_m", "x_px", "pair", "group")
+        }
         return replace(self, **parts)
 
 
-def corrected(column: MatcherColumn, objects: Objects, alignments: Mapping[int, Alignment]) -> MatcherColumn:
+def corrected(
+    column: MatcherColumn, objects: Objects, alignments: Mapping[int, Alignment]
+) -> MatcherColumn:
     """The disparities corrected with the alignment of each pair; disparities <= 0 become NaN."""
     disparity_px, sigma_px = column.disparity_px.copy(), column.sigma_px.copy()
     for number, camera in enumerate(objects.cameras):
@@ -83,18 +94,25 @@ def corrected(column: MatcherColumn, objects: Objects, alignments: Mapping[int, 
             disparity_px[rows], sigma_px[rows], x_px=objects.x_px[rows], camera=camera
         )
     is_positive = disparity_px > 0
-    return MatcherColumn(np.where(is_positive, disparity_px, np.nan), np.where(is_positive, sigma_px, np.nan))
+    return MatcherColumn(
+        np.where(is_positive, disparity_px, np.nan), np.where(is_positive, sigma_px, np.nan)
+    )
 
 
 def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
     """Folds of `n_left_out` successive pairs; the last fold may be smaller."""
-    return [range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)]
+    return [
+        range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)
+    ]
 
 
-Fit = Callable[..., Alignment]  # `stereo.alignment.from_reference.fit_reference`, or one with the same parameters
+# `stereo.alignment.from_reference.fit_reference`, or one with the same parameters
+Fit = Callable[..., Alignment]
 
 
-def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
+def left_out_alignments(
+    column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0
+) -> dict[int, Alignment]:
     """Alignment by pair, each fitted to all pairs outside its fold (cross-validation).
 
     Raises RigError if too few objects are outside a fold.
@@ -119,16 +137,23 @@ def matcher_figures(
     columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
 ) -> dict[str, dict[str, Any]]:
     """Metrics of each matcher for all objects, with bands and bootstrap intervals."""
-    return {name: _figures_with_bands(column, objects, seed=seed) for name, column in columns.items()}
+    return {
+        name: _figures_with_bands(column, objects, seed=seed) for name, column in columns.items()
+    }
 
 
 def common_figures(
     columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Metrics of each matcher for the objects that all matchers measured, so that no matcher gains by rejections."""
+    """Metrics of each matcher for the objects that all matchers measured, so that no matcher gains
+    by rejections.
+    """
     is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
     common = objects.select(is_common)
-    return {name: _figures_with_bands(column.select(is_common), common, seed=seed) for name, column in columns.items()}
+    return {
+        name: _figures_with_bands(column.select(is_common), common, seed=seed)
+        for name, column in columns.items()
+    }
 
 
 def figures(column: MatcherColumn, true_px: FloatArray) -> dict[str, Any]:
@@ -146,9 +171,13 @@ def figures(column: MatcherColumn, true_px: FloatArray) -> dict[str, Any]:
         "wrong_pct": _rounded(100 * n_wrong / n) if n else None,
         "n": n,
         "n_measured": len(error),
-        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if has_value else None,
+        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error)))
+        if has_value
+        else None,
         "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if has_value else None,
-        "p95_relative_error_pct": _rounded(100 * np.percentile(np.abs(error), 95)) if has_value else None,
+        "p95_relative_error_pct": _rounded(100 * np.percentile(np.abs(error), 95))
+        if has_value
+        else None,
         "bias_pct": _rounded(100 * np.median(error)) if has_value else None,
         "median_abs_error_px": _rounded(np.median(abs_error_px)) if has_value else None,
         "within_1_sigma": _rounded((abs_error_px <= sigma_px).mean()) if has_value else None,
@@ -165,13 +194,17 @@ def _figures_with_bands(column: MatcherColumn, objects: Objects, *, seed: int) -
     return {**figures_with_intervals(column, objects, seed=seed), "bands": bands}
 
 
-def figures_with_intervals(column: MatcherColumn, objects: Objects, *, seed: int = 0) -> dict[str, Any]:
+def figures_with_intervals(
+    column: MatcherColumn, objects: Objects, *, seed: int = 0
+) -> dict[str, Any]:
     """Metrics of one matcher with their bootstrap intervals."""
     return {**figures(column, objects.true_px), "intervals": _intervals(column, objects, seed=seed)}
 
 
 def _intervals(column: MatcherColumn, objects: Objects, *, seed: int) -> dict[str, list[float]]:
-    """95 % bootstrap interval of each figure, by resampling groups; none with fewer than two groups."""
+    """95 % bootstrap interval of each figure, by resampling groups; none with fewer than two
+    groups.
+    """
     members = [np.flatnonzero(objects.group == number) for number in np.unique(objects.group)]
     if len(members) < 2:
         return {}
@@ -182,18 +215,25 @@ def _intervals(column: MatcherColumn, objects: Objects, *, seed: int) -> dict[st
         for key, value in figures(column.select(rows), objects.true_px[rows]).items():
             if value is not None and not key.startswith("n"):
                 drawn.setdefault(key, []).append(value)
-    return {key: [_rounded(end) for end in np.percentile(values, [2.5, 97.5])] for key, values in drawn.items()}
+    return {
+        key: [_rounded(end) for end in np.percentile(values, [2.5, 97.5])]
+        for key, values in drawn.items()
+    }
 
 
 def _rounded(value: Any) -> float:
     return round(float(value), 4)
 
 
-def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
-    """The curve of one matcher for N boxes, with a row per answered fraction, and its areas, as plain values for JSON.
+def risk_coverage(
+    column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None
+) -> dict[str, Any]:
+    """The curve of one matcher for N boxes, with a row per answered fraction, and its areas, as
+    plain values for JSON.
 
-    The areas are under the curves of failures and of the mean relative error, per cent; the latter is None
-    without a value. Boxes are sorted by `uncertainty` (N,), larger = less certain; None = the relative sigma.
+    The areas are under the curves of failures and of the mean relative error, per cent; the latter
+    is None without a value. Boxes are sorted by `uncertainty` (N,), larger = less certain; None =
+    the relative sigma.
     """
     order = certain_first(column, uncertainty)
     disparity_px, expected_px = column.disparity_px[order], true_px[order]
@@ -205,17 +245,22 @@ def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: Float
     for answered_pct in range(STEP_PCT, 100 + STEP_PCT, STEP_PCT):
         first = order[: math.ceil(n * answered_pct / 100)]
         figure = figures(column.select(first), true_px[first])
-        rows.append({"answered_pct": answered_pct, "n": len(first), **{key: figure[key] for key in _KEYS}})
+        rows.append(
+            {"answered_pct": answered_pct, "n": len(first), **{key: figure[key] for key in _KEYS}}
+        )
     means = np.cumsum(known) / count[: len(known)]
     return {
-        "area_failures_pct": round(float(100 * (np.cumsum(is_failure) / count).mean()), 4) if n else None,
+        "area_failures_pct": round(float(100 * (np.cumsum(is_failure) / count).mean()), 4)
+        if n
+        else None,
         "area_error_pct": round(float(100 * means.mean()), 4) if len(known) else None,
         "curve": rows,
     }
 
 
 def certain_first(column: MatcherColumn, uncertainty: FloatArray | None = None) -> IntArray:
-    """(N,) rows of the boxes from the most to the least certain box; boxes without a value come last.
+    """(N,) rows of the boxes from the most to the least certain box; boxes without a value come
+    last.
 
     Equal uncertainties are in the order of the relative sigma.
     """

@@ -2,10 +2,12 @@
 
     FOLDER/image_2/NAME.png     left image      FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
     FOLDER/image_3/NAME.png     right image     FOLDER/obj_map/NAME.png     number of the car, 0 = none
-    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file given by the user
+    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file
+    given by the user
 
-The box of an instance is the bounding box of its pixels, its truth the median of the true disparities in the inner half
-of the box. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
+The box of an instance is the bounding box of its pixels, its truth the median of the true
+disparities in the inner half of the box. (Menze & Geiger, "Object scene flow for autonomous
+vehicles", CVPR 2015.)
 """
 
 from collections.abc import Iterator
@@ -25,11 +27,13 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.matching.sgbm import inner_halves
 from track_range.stereo.rig_formats.reading import load_rig
 
-LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"  # the four folders of a set
+# the four folders of a set
+LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
 MIN_TRUE_PIXELS = 100  # minimum number of pixels with known disparity of an instance
 MIN_INNER_PIXELS = 20  # the same in the inner half of its box
 LABELLED_CLASS = "car"  # road class of all labelled objects of the set
-# Files of `track-range simulate --disparity`, which writes objects of all classes in the set's layout.
+# Files of `track-range simulate --disparity`, which writes objects of all classes in the set's
+# layout.
 _SIMULATED_RIG, _SIMULATED_TRUTH = "rig.yaml", "truth.csv"
 _STEPS_PER_PX = 256.0  # steps of the stored disparities per pixel
 
@@ -67,16 +71,20 @@ def is_kitti_2015(folder: Path) -> bool:
 def pair_names(folder: Path) -> list[str]:
     """Names of the pairs with true disparities, in order.
 
-    Raises PairFileError if the folder or one of its four parts is missing, or there are no true disparities.
+    Raises PairFileError if the folder or one of its four parts is missing, or there are no true
+    disparities.
     """
     if not folder.is_dir():
-        raise PairFileError(f"{folder}: no such folder; give one with {LEFT}, {RIGHT}, {TRUTH} and {INSTANCES}.")
+        raise PairFileError(
+            f"{folder}: no such folder; give one with {LEFT}, {RIGHT}, {TRUTH} and {INSTANCES}."
+        )
     root = _root(folder)
     missing = [part for part in (LEFT, RIGHT, TRUTH, INSTANCES) if not (root / part).is_dir()]
     if missing:
         raise PairFileError(
-            f"{folder}: expected KITTI 2015's folders {LEFT} (left images), {RIGHT} (right images), {TRUTH} (true "
-            f"disparities) and {INSTANCES} (cars), found no {' and no '.join(missing)}."
+            f"{folder}: expected KITTI 2015's folders {LEFT} (left images), {RIGHT} (right "
+            f"images), {TRUTH} (true disparities) and {INSTANCES} (cars), found no "
+            f"{' and no '.join(missing)}."
         )
     names = sorted(path.stem for path in (root / TRUTH).glob("*.png"))
     if not names:
@@ -84,37 +92,49 @@ def pair_names(folder: Path) -> list[str]:
     return names
 
 
-def read_pairs(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
+def read_pairs(
+    folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0
+) -> Iterator[StereoPair]:
     """The pairs of a set, or of the set `training` in a folder, by name, read one by one.
 
-    `rig` is a rig file of a rectified pair, None = the calibration of the set; `row_offset_px` the vertical offset
-    y_right - y_left, which is removed from the right images. Raises PairFileError if a part or an image is missing,
-    damaged, or of another size, and RigError if the calibration is missing, or cannot be used.
+    `rig` is a rig file of a rectified pair, None = the calibration of the set; `row_offset_px` the
+    vertical offset y_right - y_left, which is removed from the right images. Raises PairFileError
+    if a part or an image is missing, damaged, or of another size, and RigError if the calibration
+    is missing, or cannot be used.
     """
     for name in pair_names(folder):
         yield read_pair(folder, name, rig=rig, row_offset_px=row_offset_px)
 
 
-def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px: float = 0.0) -> StereoPair:
+def read_pair(
+    folder: Path, name: str, *, rig: Path | None = None, row_offset_px: float = 0.0
+) -> StereoPair:
     """One pair of a set; see `read_pairs`."""
     root = _root(folder)
-    left, right, truth, instance = (_read(root / part / f"{name}.png") for part in (LEFT, RIGHT, TRUTH, INSTANCES))
+    left, right, truth, instance = (
+        _read(root / part / f"{name}.png") for part in (LEFT, RIGHT, TRUTH, INSTANCES)
+    )
     for part, image in ((RIGHT, right), (TRUTH, truth), (INSTANCES, instance)):
         if image.shape[:2] != left.shape[:2]:
             raise PairFileError(
-                f"{root / part / name}.png: expected the size of the left image, {_size(left)} px, found "
-                f"{_size(image)} px."
+                f"{root / part / name}.png: expected the size of the left image, {_size(left)} px, "
+                f"found {_size(image)} px."
             )
     if truth.ndim != 2 or truth.dtype != np.uint16:
-        raise PairFileError(f"{root / TRUTH / name}.png: expected 16-bit grey values (256 times the disparity).")
+        raise PairFileError(
+            f"{root / TRUTH / name}.png: expected 16-bit grey values (256 times the disparity)."
+        )
     if instance.ndim != 2:
         raise PairFileError(
-            f"{root / INSTANCES / name}.png: expected grey values (the number of the car at each pixel), found colour."
+            f"{root / INSTANCES / name}.png: expected grey values (the number of the car at each "
+            "pixel), found colour."
         )
     file = rig or _calibration(root, name)
     cameras, notes = load_rig(file, size_px=(left.shape[1], left.shape[0]))
     if not cameras.is_rectified:
-        raise RigError(f"{file}: expected a rectified rig for the rectified images of the set; give their rig.")
+        raise RigError(
+            f"{file}: expected a rectified rig for the rectified images of the set; give their rig."
+        )
     boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
     rectifier = Rectifier(cameras, row_offset_px=row_offset_px, source=file)
     images = rectifier.rectify(_in_colour(left), _in_colour(right))
@@ -122,16 +142,21 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
     return StereoPair(name, *images, boxes, true_px, cameras, notes, class_names=class_names)
 
 
-def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
+def labelled_instances(
+    true_px: FloatArray, instance: npt.NDArray[np.integer]
+) -> tuple[FloatArray, FloatArray]:
     """(N, 4) boxes and (N,) true disparities of the instances with enough known pixels.
 
-    `true_px` (H, W) are true disparities, 0 = unknown; `instance` (H, W) the numbers of the objects, 0 = none.
+    `true_px` (H, W) are true disparities, 0 = unknown; `instance` (H, W) the numbers of the
+    objects, 0 = none.
     """
     boxes, medians_px = [], []
     for number in np.unique(instance[instance > 0]).tolist():
         mask = instance == number
         rows, columns = np.nonzero(mask)
-        box = np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
+        box = np.array(
+            [columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5]
+        )
         patch = next(inner_halves(box[None], (mask.shape[0], mask.shape[1])))
         known = mask & (true_px > 0)
         if patch is None or known.sum() < MIN_TRUE_PIXELS:
@@ -155,15 +180,19 @@ def _calibration(root: Path, name: str) -> Path:
         if file.is_file():
             return file
     raise RigError(
-        f"{root}: expected calib.txt, {_SIMULATED_RIG} or {of_pair.parent.name}/{of_pair.name}, found none; give the "
-        "rig with --rig FILE."
+        f"{root}: expected calib.txt, {_SIMULATED_RIG} or {of_pair.parent.name}/{of_pair.name}, "
+        "found none; give the rig with --rig FILE."
     )
 
 
 def _read(path: Path) -> npt.NDArray[np.integer]:
-    image = read_image(path, PairFileError, "one of the four images of a pair", flags=cv2.IMREAD_UNCHANGED)
+    image = read_image(
+        path, PairFileError, "one of the four images of a pair", flags=cv2.IMREAD_UNCHANGED
+    )
     if image.dtype not in (np.uint8, np.uint16):
-        raise PairFileError(f"{path}: expected pixels of 8 or 16 bits, found {image.dtype}; convert the image.")
+        raise PairFileError(
+            f"{path}: expected pixels of 8 or 16 bits, found {image.dtype}; convert the image."
+        )
     return image
 
 

@@ -1,8 +1,9 @@
 """PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with a lens distortion.
 
-The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or the distortion of a wide lens (`lenses`), which images angles up to
-and beyond 90 degrees from the optical axis. Images are undistorted before anything is measured; images of a wide lens
-are resampled to the virtual pinhole of `virtual_pinhole.py`.
+The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or the distortion of a wide lens (`lenses`), which
+images angles up to and beyond 90 degrees from the optical axis. Images are undistorted before
+anything is measured; images of a wide lens are resampled to the virtual pinhole of
+`virtual_pinhole.py`.
 """
 
 from __future__ import annotations
@@ -16,20 +17,26 @@ import numpy.typing as npt
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.lenses import LENSES, PINHOLE
 
-_SQUARE = 0.03  # relative difference of fx and fy up to which pixels are used as they are; lenses differ by 0.01
+# relative difference of fx and fy up to which pixels are used as they are; lenses differ by 0.01
+_SQUARE = 0.03
 
 
-# Sizes of recorders that leave out every other column (720N, 1080N, 4M-N, 5M-N, 4K-N); no sensor has them.
+# Sizes of recorders that leave out every other column (720N, 1080N, 4M-N, 5M-N, 4K-N); no sensor
+# has them.
 _HALVED_PX = {(640, 720), (960, 1080), (1280, 1440), (1296, 1944), (1920, 2160)}
 
 
 def pixel_aspect_of(size_px: tuple[int, int], stated: float | None) -> float:
-    """Width / height of the pixels of recorded images, from the value in their file (None = none) and their size."""
+    """Width / height of the pixels of recorded images, from the value in their file (None = none)
+    and their size.
+    """
     return 2.0 if stated in (None, 1.0) and size_px in _HALVED_PX else stated or 1.0
 
 
 def square_size(size_px: tuple[int, int], pixel_aspect: float) -> tuple[int, int]:
-    """(width, height) after resampling images with pixels `pixel_aspect` times as wide as high to square pixels."""
+    """(width, height) after resampling images with pixels `pixel_aspect` times as wide as high to
+    square pixels.
+    """
     width_px, height_px = size_px
     return round(width_px * max(pixel_aspect, 1.0)), round(height_px * max(1.0 / pixel_aspect, 1.0))
 
@@ -51,28 +58,39 @@ class PinholeCamera:
     cy_px: float  # principal point, y
     width_px: int  # image width
     height_px: int  # image height
-    # coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty = none
+    # coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty =
+    # none
     distortion: tuple[float, ...] = ()
     lens: str = PINHOLE  # name of the lens model, one of `lenses.LENSES`
 
     @classmethod
     def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
-        """A camera with square pixels and its principal point at the image centre; `size_px` is (width, height)."""
+        """A camera with square pixels and its principal point at the image centre; `size_px` is
+        (width, height).
+        """
         width_px, height_px = size_px
         return cls(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
 
     @classmethod
     def of_matrix(
-        cls, k: npt.ArrayLike, size_px: tuple[int, int], distortion: Iterable[float] = (), lens: str = PINHOLE
+        cls,
+        k: npt.ArrayLike,
+        size_px: tuple[int, int],
+        distortion: Iterable[float] = (),
+        lens: str = PINHOLE,
     ) -> PinholeCamera:
-        """The camera with a matrix K (3, 3), or (3, 4) as in a projection; `size_px` is (width, height)."""
+        """The camera with a matrix K (3, 3), or (3, 4) as in a projection; `size_px` is (width,
+        height).
+        """
         (fx_px, _, cx_px), (_, fy_px, cy_px) = np.asarray(k, np.float64)[:2, :3].tolist()
         return cls(fx_px, fy_px, cx_px, cy_px, *size_px, tuple(map(float, distortion)), lens)
 
     @property
     def matrix(self) -> FloatArray:
         """(3, 3) camera matrix K."""
-        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+        return np.array(
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -90,11 +108,15 @@ class PinholeCamera:
         return LENSES[self.lens].is_wide
 
     def without_distortion(self) -> PinholeCamera:
-        """The ideal pinhole with the same matrix: the camera of undistorted images, except of a wide lens."""
+        """The ideal pinhole with the same matrix: the camera of undistorted images, except of a
+        wide lens.
+        """
         return replace(self, distortion=(), lens=PINHOLE)
 
     def resized(self, size_px: tuple[int, int]) -> PinholeCamera:
-        """The camera of its images after they are resized to `size_px` = (width, height): pixel edges map to edges."""
+        """The camera of its images after they are resized to `size_px` = (width, height): pixel
+        edges map to edges.
+        """
         if size_px == self.size_px:
             return self
         scale_x, scale_y = size_px[0] / self.width_px, size_px[1] / self.height_px
@@ -110,34 +132,49 @@ class PinholeCamera:
 
     @property
     def has_square_pixels(self) -> bool:
-        """Whether the focal lengths in x and y are about equal; other images are resampled before anything else."""
+        """Whether the focal lengths in x and y are about equal; other images are resampled before
+        anything else.
+        """
         return abs(self.fy_px / self.fx_px - 1.0) <= _SQUARE
 
     def squared(self) -> PinholeCamera:
         """The ideal pinhole with square pixels, for images whose coarser axis is enlarged."""
         if self.has_square_pixels:
             return self.without_distortion()
-        resized = self.without_distortion().resized(square_size(self.size_px, self.fy_px / self.fx_px))
+        resized = self.without_distortion().resized(
+            square_size(self.size_px, self.fy_px / self.fx_px)
+        )
         focal_px = max(self.fx_px, self.fy_px)
         return replace(resized, fx_px=focal_px, fy_px=focal_px)
 
     def recorded_rays(self, xy_px: FloatArray) -> FloatArray:
-        """(N, 3) unit direction of each pixel (N, 2) of the images with distortion; NaN outside the image circle."""
+        """(N, 3) unit direction of each pixel (N, 2) of the images with distortion; NaN outside the
+        image circle.
+        """
         normalised = (xy_px - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
         return LENSES[self.lens].undistort(normalised, self.distortion)
 
     def recorded_px(self, xyz_m: FloatArray) -> FloatArray:
-        """(N, 2) pixels of the images with distortion of points (N, 3) in the camera's frame; NaN where not imaged."""
+        """(N, 2) pixels of the images with distortion of points (N, 3) in the camera's frame; NaN
+        where not imaged.
+        """
         normalised = LENSES[self.lens].distort(xyz_m, self.distortion)
         return np.asarray(normalised * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px))
 
     def rays(self, xy_px: FloatArray) -> FloatArray:
-        """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1: a ray times z in metres is a point."""
+        """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1: a ray times z in metres is
+        a point.
+        """
         x = (xy_px[:, 0] - self.cx_px) / self.fx_px
         y = (xy_px[:, 1] - self.cy_px) / self.fy_px
         return np.stack([x, y, np.ones_like(x)], axis=1)
 
     def project(self, xyz_m: FloatArray) -> FloatArray:
-        """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points behind the camera."""
+        """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points behind
+        the camera.
+        """
         z = np.where(xyz_m[:, 2] > 0, xyz_m[:, 2], np.nan)
-        return np.stack([self.fx_px * xyz_m[:, 0] / z + self.cx_px, self.fy_px * xyz_m[:, 1] / z + self.cy_px], axis=1)
+        return np.stack(
+            [self.fx_px * xyz_m[:, 0] / z + self.cx_px, self.fy_px * xyz_m[:, 1] / z + self.cy_px],
+            axis=1,
+        )

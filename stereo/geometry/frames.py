@@ -30,7 +30,9 @@ def whole_image(view: ImageView) -> Image:
 
 def grey(image: Image) -> Image:
     """An image (H, W) or (H, W, 3) BGR in grey."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+    return (
+        np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +42,17 @@ class Frame:
     index: int  # frame number in the left video, from 0, including skipped frames
     time_s: float  # seconds from the left video's first frame, from the file's timestamps
     left: Image  # (H, W, 3) uint8 BGR, rectified (one camera: undistorted)
-    # rectified right image of equal size, in colour or grey, possibly computed only where it is read (`whole_image`
-    # gives all of it); None for one camera
+    # rectified right image of equal size, in colour or grey, possibly computed only where it is
+    # read (`whole_image` gives all of it); None for one camera
     right: ImageView | None
-    utc_s: float = math.nan  # time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown
-    recorded: Image | None = None  # left image of a wide lens before it was undistorted; None for other lenses
+    # time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown
+    utc_s: float = math.nan
+    # left image of a wide lens before it was undistorted; None for other lenses
+    recorded: Image | None = None
 
     def __repr__(self) -> str:
         height, width = self.left.shape[:2]
         cameras = "one camera" if self.right is None else "two cameras"
-        return f"Frame(index={self.index}, time_s={self.time_s:.3f}, {width} x {height} px, {cameras})"
+        return (
+            f"Frame(index={self.index}, time_s={self.time_s:.3f}, {width} x {height} px, {cameras})"
+        )

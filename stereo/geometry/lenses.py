@@ -1,4 +1,5 @@
-"""Lens models: central projections from directions to the normalised image plane, which a camera matrix maps to pixels.
+"""Lens models: central projections from directions to the normalised image plane, which a camera
+matrix maps to pixels.
 
 X = (x, y, z)  --distort-->  m = (m_x, m_y),    u = f_x m_x + c_x,    v = f_y m_y + c_y
 
@@ -16,28 +17,33 @@ from track_range.foundation.arrays import FloatArray
 
 # Stop criteria of the iterative inversion of OpenCV's distortion: number of iterations and error.
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-_N_STEPS = 4096  # number of steps of the table in which a polynomial is inverted; Newton's method refines the result
-_N_NEWTON = 3  # number of Newton steps; the table is within 1e-3 rad, and each step squares the error
+# number of steps of the table in which a polynomial is inverted; Newton's method refines the result
+_N_STEPS = 4096
+# number of Newton steps; the table is within 1e-3 rad, and each step squares the error
+_N_NEWTON = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
     """One lens model."""
 
-    coefficients: tuple[str, ...]  # names of its coefficients, in the order in which they are given to the functions
-    # (N, 2) points of the normalised image plane of directions (N, 3) of any length, in the camera's frame; NaN for
-    # directions that the lens does not image
+    # names of its coefficients, in the order in which they are given to the functions
+    coefficients: tuple[str, ...]
+    # (N, 2) points of the normalised image plane of directions (N, 3) of any length, in the
+    # camera's frame; NaN for directions that the lens does not image
     distort: Callable[[FloatArray, Sequence[float]], FloatArray]
-    # (N, 3) unit directions of points (N, 2) of the normalised image plane; NaN outside the image circle
+    # (N, 3) unit directions of points (N, 2) of the normalised image plane; NaN outside the image
+    # circle
     undistort: Callable[[FloatArray, Sequence[float]], FloatArray]
     is_wide: bool = True  # whether the lens can image directions behind z = 0
 
 
 def _pinhole_distort(xyz: FloatArray, coefficients: Sequence[float]) -> FloatArray:
-    """OpenCV's radial and tangential terms, Kalibr's `radtan`, with 0, 4, 5, 8, 12 or 14 coefficients.
+    """OpenCV's radial and tangential terms, Kalibr's `radtan`, with 0, 4, 5, 8, 12 or 14
+    coefficients.
 
-    a = x / z,  b = y / z,  r^2 = a^2 + b^2
-    m = (a, b) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + tangential (p1, p2), thin prism, tilt
+    a = x / z,  b = y / z,  r^2 = a^2 + b^2 m = (a, b) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2
+    + k5 r^4 + k6 r^6) + tangential (p1, p2), thin prism, tilt
 
     (docs.opencv.org, calib3d: k1 k2 p1 p2 k3 k4 k5 k6 s1 .. s4 tau_x tau_y.)
     """
@@ -78,7 +84,9 @@ def _slope(theta_rad: FloatArray, k: Sequence[float]) -> FloatArray:
     """Derivative of theta_d by theta."""
     squared = theta_rad**2
     k1, k2, k3, k4 = k
-    return np.asarray(1 + squared * (3 * k1 + squared * (5 * k2 + squared * (7 * k3 + squared * 9 * k4))))
+    return np.asarray(
+        1 + squared * (3 * k1 + squared * (5 * k2 + squared * (7 * k3 + squared * 9 * k4)))
+    )
 
 
 def _fisheye_distort(xyz: FloatArray, k: Sequence[float]) -> FloatArray:
@@ -88,8 +96,9 @@ def _fisheye_distort(xyz: FloatArray, k: Sequence[float]) -> FloatArray:
     theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
     m       = theta_d (x, y) / |(x, y)|
 
-    The polynomial is used up to its first maximum, at most to 180 degrees. (Kannala and Brandt 2006: A Generic Camera
-    Model and Calibration Method, IEEE TPAMI 28(8), equation 6 divided by k1; docs.opencv.org, fisheye camera model.)
+    The polynomial is used up to its first maximum, at most to 180 degrees. (Kannala and Brandt
+    2006: A Generic Camera Model and Calibration Method, IEEE TPAMI 28(8), equation 6 divided by k1;
+    docs.opencv.org, fisheye camera model.)
     """
     x, y, z = np.asarray(xyz, np.float64).T
     r = np.hypot(x, y)
@@ -108,14 +117,17 @@ def _fisheye_undistort(m: FloatArray, k: Sequence[float]) -> FloatArray:
     theta = np.interp(theta_d, distorted, table)
     theta = np.where(theta_d <= distorted[-1] * (1 + 1e-9), theta, np.nan)
     for _ in range(_N_NEWTON):
-        theta = np.clip(theta - (distorted_angle(theta, k) - theta_d) / _slope(theta, k), 0.0, table[-1])
+        theta = np.clip(
+            theta - (distorted_angle(theta, k) - theta_d) / _slope(theta, k), 0.0, table[-1]
+        )
     # sin(theta) / theta_d tends to 1 on the axis
     scale = np.where(theta_d > 0, np.sin(theta) / np.where(theta_d > 0, theta_d, 1.0), 1.0)
     return np.stack([m[:, 0] * scale, m[:, 1] * scale, np.cos(theta)], axis=1)
 
 
 def _double_sphere_distort(xyz: FloatArray, coefficients: Sequence[float]) -> FloatArray:
-    """Double sphere lens, Kalibr's `ds`: projection through the centres of two unit spheres that are xi apart.
+    """Double sphere lens, Kalibr's `ds`: projection through the centres of two unit spheres that
+    are xi apart.
 
     d1 = |X|,    d2 = sqrt(x^2 + y^2 + (xi d1 + z)^2)
     m  = (x, y) / (alpha d2 + (1 - alpha) (xi d1 + z))
@@ -137,14 +149,18 @@ def _double_sphere_distort(xyz: FloatArray, coefficients: Sequence[float]) -> Fl
 def _double_sphere_undistort(m: FloatArray, coefficients: Sequence[float]) -> FloatArray:
     xi, alpha = coefficients
     squared = (m**2).sum(axis=1)
-    with np.errstate(invalid="ignore"):  # outside the image circle the roots are of negative numbers
-        m_z = (1 - alpha**2 * squared) / (alpha * np.sqrt(1 - (2 * alpha - 1) * squared) + 1 - alpha)
+    # outside the image circle the roots are of negative numbers
+    with np.errstate(invalid="ignore"):
+        m_z = (1 - alpha**2 * squared) / (
+            alpha * np.sqrt(1 - (2 * alpha - 1) * squared) + 1 - alpha
+        )
         scale = (m_z * xi + np.sqrt(m_z**2 + (1 - xi**2) * squared)) / (m_z**2 + squared)
     return np.stack([scale * m[:, 0], scale * m[:, 1], scale * m_z - xi], axis=1)
 
 
 def _unified_distort(xyz: FloatArray, coefficients: Sequence[float]) -> FloatArray:
-    """Unified lens with radial and tangential distortion: Kalibr's `omni` with `radtan`, OpenCV's omnidir.
+    """Unified lens with radial and tangential distortion: Kalibr's `omni` with `radtan`, OpenCV's
+    omnidir.
 
     m' = (x, y) / (z + xi |X|),    m = m' distorted by k1 k2 p1 p2
 
@@ -169,9 +185,12 @@ def _unified_undistort(m: FloatArray, coefficients: Sequence[float]) -> FloatArr
     return np.stack([scale * x, scale * y, scale - xi], axis=1)
 
 
-PINHOLE, KANNALA_BRANDT = "pinhole", "kannala-brandt"  # names of the default, and of OpenCV's fisheye model
+# names of the default, and of OpenCV's fisheye model
+PINHOLE, KANNALA_BRANDT = "pinhole", "kannala-brandt"
 LENSES: dict[str, Lens] = {  # the lens models by their names in rig.yaml
-    PINHOLE: Lens(("k1", "k2", "p1", "p2", "..."), _pinhole_distort, _pinhole_undistort, is_wide=False),
+    PINHOLE: Lens(
+        ("k1", "k2", "p1", "p2", "..."), _pinhole_distort, _pinhole_undistort, is_wide=False
+    ),
     KANNALA_BRANDT: Lens(("k1", "k2", "k3", "k4"), _fisheye_distort, _fisheye_undistort),
     "double-sphere": Lens(("xi", "alpha"), _double_sphere_distort, _double_sphere_undistort),
     "omni": Lens(("xi", "k1", "k2", "p1", "p2"), _unified_distort, _unified_undistort),

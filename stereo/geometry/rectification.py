@@ -1,12 +1,15 @@
-"""Rectifier: rectifies a stereo pair, so that corresponding points have equal rows; Undistorter: undistorts one image.
+"""Rectifier: rectifies a stereo pair, so that corresponding points have equal rows; Undistorter:
+undistorts one image.
 
-Both cameras are rotated about their centres until their x axes lie along the baseline and their image planes coincide
-(Bouguet's method, OpenCV's stereoRectify); the same remapping removes the lens distortion. Distances are measured along
-the z axis of the rotated left camera. Images of wide lenses are remapped to virtual pinholes (`virtual_pinhole.py`),
-whose image size differs from the recorded one.
+Both cameras are rotated about their centres until their x axes lie along the baseline and their
+image planes coincide (Bouguet's method, OpenCV's stereoRectify); the same remapping removes the
+lens distortion. Distances are measured along the z axis of the rotated left camera. Images of wide
+lenses are remapped to virtual pinholes (`virtual_pinhole.py`), whose image size differs from the
+recorded one.
 
-The left image is rectified completely, for the detector; the right image is rectified only where it is read: remapping
-the strips in which 15 boxes are matched takes a tenth of the time of the entire image.
+The left image is rectified completely, for the detector; the right image is rectified only where it
+is read: remapping the strips in which 15 boxes are matched takes a tenth of the time of the entire
+image.
 """
 
 from __future__ import annotations
@@ -24,18 +27,30 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, grey
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
-from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera, virtual_pinhole
+from track_range.stereo.geometry.virtual_pinhole import (
+    axial_focal_px,
+    view_from_camera,
+    virtual_pinhole,
+)
 
-Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]  # OpenCV's fixed-point maps: whole pixels and fractions
+# OpenCV's fixed-point maps: whole pixels and fractions
+Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 _Matrix = cv2.typing.MatLike
-# Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is in both views.
+# Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is
+# in both views.
 _MAX_ROTATION_RAD = math.radians(45.0)
-_MAX_ZOOM = 4.0  # largest factor between the focal lengths before and after rectification in a plausible calibration
-_FOCAL_SCATTER = 0.1  # relative difference of focal lengths of different cameras; identical lenses differ by 1 or 2 %
-_MIN_REDUCTION = 1.3  # factor by which the right image is reduced above which it is smoothed first, against aliasing
-_N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
-N_OUTLINE = 8  # number of points of each edge of a box in the recorded image, where edges are curves
-_OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside the image
+# largest factor between the focal lengths before and after rectification in a plausible calibration
+_MAX_ZOOM = 4.0
+# relative difference of focal lengths of different cameras; identical lenses differ by 1 or 2 %
+_FOCAL_SCATTER = 0.1
+# factor by which the right image is reduced above which it is smoothed first, against aliasing
+_MIN_REDUCTION = 1.3
+# number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
+_N_BOX_STEPS = 4
+# number of points of each edge of a box in the recorded image, where edges are curves
+N_OUTLINE = 8
+# source of the pixels that the lens does not image; black, as everything outside the image
+_OUTSIDE_PX = -100.0
 
 
 class _UndistortedImages:
@@ -46,27 +61,39 @@ class _UndistortedImages:
     is_turned = False  # whether the images of the video are turned by 180 degrees first
 
     def _turned(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees if its images are turned; and in reverse."""
+        """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees if its images are
+        turned; and in reverse.
+        """
         if not self.is_turned:
             return xy_px
         last_px = np.array(self.recorded_size_px, np.float64) - 1
-        return last_px - xy_px if xy_px.shape[1] == 2 else np.tile(last_px, 2) - xy_px[:, [2, 3, 0, 1]]
+        return (
+            last_px - xy_px if xy_px.shape[1] == 2 else np.tile(last_px, 2) - xy_px[:, [2, 3, 0, 1]]
+        )
 
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the left video -> of its undistorted images: each edge moves like its midpoint."""
+        """Boxes (N, 4) in pixels of the left video -> of its undistorted images: each edge moves
+        like its midpoint.
+        """
         xyxy_px = self._turned(xyxy_px)
         return xyxy_px if self._view is None else _moved_boxes(xyxy_px, self._view.points)
 
     def recorded_points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) in pixels of the undistorted left images -> of the left video; NaN where not imaged."""
+        """Points (N, 2) in pixels of the undistorted left images -> of the left video; NaN where
+        not imaged.
+        """
         return self._turned(xy_px if self._view is None else self._view.recorded_points(xy_px))
 
     def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the undistorted left images -> of the left video; inverse of `left_boxes`."""
+        """Boxes (N, 4) in pixels of the undistorted left images -> of the left video; inverse of
+        `left_boxes`.
+        """
         return self._turned(xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px))
 
     def recorded_outlines(self, xyxy_px: FloatArray) -> FloatArray:
-        """(N, 4 N_OUTLINE, 2) closed outlines of boxes (N, 4) of the undistorted images, in pixels of the video."""
+        """(N, 4 N_OUTLINE, 2) closed outlines of boxes (N, 4) of the undistorted images, in pixels
+        of the video.
+        """
         if not len(xyxy_px):
             return np.zeros((0, 4 * N_OUTLINE, 2))
         corners = xyxy_px[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2)
@@ -104,44 +131,62 @@ class Rectifier(_UndistortedImages):
 
         Args:
             rig: the calibrated pair.
-            row_offset_px: vertical offset y_right - y_left that remains after rectification; removed from the right
-                image.
-            right_correction: (3, 3) matrix from directions in the rectified right image to corrected ones; None = no
-                correction.
-            shift_px: horizontal shift of the right image to the left, which increases all disparities.
-            fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = the left
-            lens's, up to 120 degrees.
+            row_offset_px: vertical offset y_right - y_left that remains after rectification;
+                removed from the right image.
+            right_correction: (3, 3) matrix from directions in the rectified right image to
+                corrected ones; None = no correction.
+            shift_px: horizontal shift of the right image to the left, which increases all
+                disparities.
+            fov_deg: horizontal field of view to which the images of wide lenses are undistorted;
+                None = the left lens's, up to 120 degrees.
             is_turned: whether both videos are turned by 180 degrees against the rig.
             source: file of the rig, for messages.
 
         Raises:
-            RigError: the rig is implausible, the cameras are not side by side, or a camera is upside down.
+            RigError: the rig is implausible, the cameras are not side by side, or a camera is
+                upside down.
         """
         check_rig(rig, source)
         self.is_turned = is_turned
         self.recorded_size_px, self._right_size_px = rig.left.size_px, rig.right.size_px
         if rig.is_rectified:
-            self.rig, self._view, right_view = rig, None, _View(rig.right, np.eye(3), rig.right.matrix)
+            self.rig, self._view, right_view = (
+                rig,
+                None,
+                _View(rig.right, np.eye(3), rig.right.matrix),
+            )
         else:
             self.rig, self._view, right_view = _rectified(rig, fov_deg, source)
         size_px = self.rig.left.size_px
         self._left_maps = None if self._view is None else _maps(self._view, size_px)
         reduction = axial_focal_px(rig.right) / self.rig.left.fx_px
-        self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
-        is_moved = not rig.is_rectified or row_offset_px != 0.0 or shift_px != 0.0 or right_correction is not None
-        self._right_view = right_view.moved(right_correction, shift_px, row_offset_px) if is_moved else None
+        self._right_blur_px = (
+            0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
+        )
+        is_moved = (
+            not rig.is_rectified
+            or row_offset_px != 0.0
+            or shift_px != 0.0
+            or right_correction is not None
+        )
+        self._right_view = (
+            right_view.moved(right_correction, shift_px, row_offset_px) if is_moved else None
+        )
         self._right_maps = None if self._right_view is None else _maps(self._right_view, size_px)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
-        """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already rectified.
+        """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already
+        rectified.
 
-        A remapped right image is grey and computed only where it is read. Pixels outside a camera's view are black.
-        Raises ValueError if the size of an image differs from its camera's.
+        A remapped right image is grey and computed only where it is read. Pixels outside a camera's
+        view are black. Raises ValueError if the size of an image differs from its camera's.
         """
         _check_size(left, self.recorded_size_px, "left")
         _check_size(right, self._right_size_px, "right")
         if self.is_turned:
-            left, right = (np.asarray(cv2.rotate(image, cv2.ROTATE_180), np.uint8) for image in (left, right))
+            left, right = (
+                np.asarray(cv2.rotate(image, cv2.ROTATE_180), np.uint8) for image in (left, right)
+            )
         if self._right_blur_px:
             right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
         return (
@@ -150,7 +195,9 @@ class Rectifier(_UndistortedImages):
         )
 
     def points(self, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (N, 2) in pixels of the left and of the right video -> in pixels of the rectified images."""
+        """Points (N, 2) in pixels of the left and of the right video -> in pixels of the rectified
+        images.
+        """
         return (
             left_px if self._view is None else self._view.points(left_px),
             right_px if self._right_view is None else self._right_view.points(right_px),
@@ -158,7 +205,9 @@ class Rectifier(_UndistortedImages):
 
 
 class RemappedView:
-    """A grey image, `recorded`, that is remapped only where it is read, and stored once it was read completely."""
+    """A grey image, `recorded`, that is remapped only where it is read, and stored once it was read
+    completely.
+    """
 
     def __init__(self, image: Image, maps: Maps) -> None:
         """The view of `image`, (H, W) or (H, W, 3) BGR, through `maps`."""
@@ -184,20 +233,26 @@ class RemappedView:
 class Undistorter(_UndistortedImages):
     """Removes the lens distortion from the images of one camera.
 
-    The images of a wide lens are undistorted to the horizontal field of view `fov_deg` (None = the field of the lens,
-    up to 120 degrees) about an axis `yaw_deg` to the right of the camera's axis. The attribute `camera` is the ideal
-    camera of the undistorted images: the same matrix with square pixels, or the virtual pinhole of a wide lens.
+    The images of a wide lens are undistorted to the horizontal field of view `fov_deg` (None = the
+    field of the lens, up to 120 degrees) about an axis `yaw_deg` to the right of the camera's axis.
+    The attribute `camera` is the ideal camera of the undistorted images: the same matrix with
+    square pixels, or the virtual pinhole of a wide lens.
     """
 
-    def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
-        self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.squared()
+    def __init__(
+        self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0
+    ) -> None:
+        self.camera = (
+            virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.squared()
+        )
         self.recorded_size_px = camera.size_px
         view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
         self._view = view if camera.is_distorted or not camera.has_square_pixels else None
         self._maps = None if self._view is None else _maps(self._view, self.camera.size_px)
 
     def undistort(self, image: Image) -> Image:
-        """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
+        """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has
+        none.
 
         Raises ValueError if the size of the image differs from the camera's image size.
         """
@@ -207,34 +262,47 @@ class Undistorter(_UndistortedImages):
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """Target of a remapping: the camera rotated by `rotation` (3, 3), with the ideal camera matrix (3, 3 or 4)."""
+    """Target of a remapping: the camera rotated by `rotation` (3, 3), with the ideal camera matrix
+    (3, 3 or 4).
+    """
 
     camera: PinholeCamera
     rotation: _Matrix
     matrix: _Matrix
 
     def moved(self, correction: FloatArray | None, left_px: float, up_px: float) -> _View:
-        """The view with its directions multiplied by a matrix (3, 3), and its content moved to the left and up."""
+        """The view with its directions multiplied by a matrix (3, 3), and its content moved to the
+        left and up.
+        """
         rotation = self.rotation if correction is None else correction @ np.asarray(self.rotation)
         matrix = np.array(self.matrix, np.float64)
         matrix[:2] -= np.array([[left_px], [up_px]]) * matrix[2]
         return _View(self.camera, rotation, matrix)
 
     def points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) of the recorded image in pixels of this view; NaN for directions that it cannot show."""
+        """Points (N, 2) of the recorded image in pixels of this view; NaN for directions that it
+        cannot show.
+        """
         matrix = np.ascontiguousarray(self.matrix[:, :3])
         if self.camera.is_wide:
-            rays = self.camera.recorded_rays(np.asarray(xy_px, np.float64)) @ np.asarray(self.rotation).T
+            rays = (
+                self.camera.recorded_rays(np.asarray(xy_px, np.float64))
+                @ np.asarray(self.rotation).T
+            )
             projected = rays @ matrix.T
             depth = np.where(projected[:, 2:] > 0, projected[:, 2:], np.nan)
             return np.asarray(projected[:, :2] / depth, np.float64)
         distortion = distortion_coefficients(self.camera)
         source = np.ascontiguousarray(xy_px, np.float64).reshape(-1, 1, 2)
-        moved = cv2.undistortPoints(source, self.camera.matrix, distortion, R=np.asarray(self.rotation), P=matrix)
+        moved = cv2.undistortPoints(
+            source, self.camera.matrix, distortion, R=np.asarray(self.rotation), P=matrix
+        )
         return np.asarray(moved, np.float64).reshape(-1, 2)
 
     def recorded_points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) of this view in pixels of the recorded image; NaN where the lens shows nothing."""
+        """Points (N, 2) of this view in pixels of the recorded image; NaN where the lens shows
+        nothing.
+        """
         homogeneous = np.concatenate([xy_px, np.ones((len(xy_px), 1))], axis=1)
         rays = homogeneous @ np.linalg.inv(self.matrix[:, :3]).T @ np.asarray(self.rotation)
         return self.camera.recorded_px(np.asarray(rays, np.float64))
@@ -245,7 +313,11 @@ class _View:
         recorded = target
         with np.errstate(over="ignore", invalid="ignore"):  # of boxes far outside the image
             for _ in range(_N_BOX_STEPS):  # midpoints of edges become points beside the midpoints
-                recorded = recorded + target - _moved_boxes(_moved_boxes(recorded, self.points), self.recorded_points)
+                recorded = (
+                    recorded
+                    + target
+                    - _moved_boxes(_moved_boxes(recorded, self.points), self.recorded_points)
+                )
         return recorded
 
 
@@ -262,12 +334,14 @@ def _moved_boxes(xyxy_px: FloatArray, moved: Callable[[FloatArray], FloatArray])
 def stereo_rectification(
     rig: StereoRig, fov_deg: float | None = None
 ) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
-    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks: R1, R2, P1, P2, Q.
+    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks: R1, R2,
+    P1, P2, Q.
 
-    These are the rotations (3, 3) and projections (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV.
-    Different cameras are rectified to the field of view and resolution of the left one: OpenCV knows one image size,
-    and would cut both images to what the narrower camera sees. Pairs with wide lenses are rectified to the left lens's
-    virtual pinhole with the horizontal field of view `fov_deg`, None = the lens's up to 120 degrees.
+    These are the rotations (3, 3) and projections (3, 4) of the rectified cameras, and Q (4, 4), as
+    in OpenCV. Different cameras are rectified to the field of view and resolution of the left one:
+    OpenCV knows one image size, and would cut both images to what the narrower camera sees. Pairs
+    with wide lenses are rectified to the left lens's virtual pinhole with the horizontal field of
+    view `fov_deg`, None = the lens's up to 120 degrees.
     """
     if rig.left.is_wide or rig.right.is_wide:
         return _wide_rectification(rig, fov_deg)
@@ -288,12 +362,22 @@ def stereo_rectification(
     return result[:5]
 
 
-def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
-    """Bouguet's R1 to Q for the left camera's virtual pinhole, whose view wide lenses cover after the rotations."""
+def _wide_rectification(
+    rig: StereoRig, fov_deg: float | None
+) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
+    """Bouguet's R1 to Q for the left camera's virtual pinhole, whose view wide lenses cover after
+    the rotations.
+    """
     camera = _ideal(rig.left, fov_deg)
     translation = rig.right_from_left[:3, 3:]
     r1, r2, *_ = cv2.stereoRectify(
-        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), camera.size_px, rig.right_from_left[:3, :3], translation
+        camera.matrix,
+        np.zeros(4),
+        camera.matrix,
+        np.zeros(4),
+        camera.size_px,
+        rig.right_from_left[:3, :3],
+        translation,
     )
     moved_m = (np.asarray(r2) @ translation).ravel()
     p1 = np.concatenate([camera.matrix, np.zeros((3, 1))], axis=1)
@@ -310,48 +394,68 @@ def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix,
     return r1, r2, p1, p2, q
 
 
-def rectified_points(camera: PinholeCamera, rotation: _Matrix, projection: _Matrix, xy_px: FloatArray) -> FloatArray:
-    """(N, 2) points of a recorded image after the rectification of its camera by `rotation` and `projection`."""
+def rectified_points(
+    camera: PinholeCamera, rotation: _Matrix, projection: _Matrix, xy_px: FloatArray
+) -> FloatArray:
+    """(N, 2) points of a recorded image after the rectification of its camera by `rotation` and
+    `projection`.
+    """
     return _View(camera, rotation, projection).points(xy_px)
 
 
 def _ideal(camera: PinholeCamera, fov_deg: float | None) -> PinholeCamera:
-    """The virtual pinhole of a wide lens; any other camera without its distortion and with square pixels."""
+    """The virtual pinhole of a wide lens; any other camera without its distortion and with square
+    pixels.
+    """
     return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.squared()
 
 
-def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[StereoRig, _View, _View]:
+def _rectified(
+    rig: StereoRig, fov_deg: float | None, source: object
+) -> tuple[StereoRig, _View, _View]:
     """The rectified rig, and the remappings of both cameras."""
     squared = replace(rig, left=rig.left.squared(), right=rig.right.squared())
     if squared.is_rectified and not (rig.left.is_distorted or rig.right.is_distorted):
-        left, right = (_View(camera, np.eye(3), squared.left.matrix) for camera in (rig.left, rig.right))
+        left, right = (
+            _View(camera, np.eye(3), squared.left.matrix) for camera in (rig.left, rig.right)
+        )
         return squared, left, right
     angle_rad = rotation_angle_rad(rig.right_from_left[:3, :3])
     if angle_rad > _MAX_ROTATION_RAD:
         raise RigError(
             f"{source}: expected cameras that point in similar directions, found a rotation of "
-            f"{math.degrees(angle_rad):.0f} degrees between them; check the rotation, and whether a camera is inverted."
+            f"{math.degrees(angle_rad):.0f} degrees between them; check the rotation, and whether "
+            "a camera is inverted."
         )
     target = _ideal(rig.left, fov_deg)
     r1, r2, p1, p2, _ = stereo_rectification(rig, fov_deg)
     if abs(float(p2[1, 3])) > abs(float(p2[0, 3])):
-        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
+        raise RigError(
+            f"{source}: expected cameras side by side, found one above the other; "
+            f"{NO_VERTICAL_PAIRS}."
+        )
     for side, rotation in (("left", r1), ("right", r2)):
         if rotation_angle_rad(rotation) > _MAX_ROTATION_RAD:
             raise RigError(
-                f"{source}: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
-                f"the {side} camera by {math.degrees(rotation_angle_rad(rotation)):.0f} degrees; check the translation."
+                f"{source}: expected a baseline perpendicular to the viewing direction, but "
+                f"rectification would rotate the {side} camera by "
+                f"{math.degrees(rotation_angle_rad(rotation)):.0f} degrees; check the translation."
             )
     focal_px = float(p1[0, 0])
     zoom = focal_px / target.fx_px
     if not 1 / _MAX_ZOOM <= zoom <= _MAX_ZOOM:
         raise RigError(
-            f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "
-            f"found {zoom:.2g}; check the distortion coefficients and the principal points, or calibrate again."
+            f"{source}: expected a rectification that changes the focal length by a factor of at "
+            f"most {_MAX_ZOOM:g}, found {zoom:.2g}; check the distortion coefficients and the "
+            "principal points, or calibrate again."
         )
     camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *target.size_px)
     baseline_m = -float(p2[0, 3]) / focal_px
-    return StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2)
+    return (
+        StereoRig.rectified(camera, baseline_m),
+        _View(rig.left, r1, p1),
+        _View(rig.right, r2, p2),
+    )
 
 
 def rotation_angle_rad(rotation: _Matrix) -> float:
@@ -360,10 +464,16 @@ def rotation_angle_rad(rotation: _Matrix) -> float:
 
 
 def _maps(view: _View, size_px: tuple[int, int]) -> Maps:
-    """Source of each pixel of the remapped image, in OpenCV's fixed-point form (1/32 px), which is the fastest."""
+    """Source of each pixel of the remapped image, in OpenCV's fixed-point form (1/32 px), which is
+    the fastest.
+    """
     if view.camera.is_wide:
-        x, y = np.meshgrid(np.arange(size_px[0], dtype=np.float64), np.arange(size_px[1], dtype=np.float64))
-        source_px = view.recorded_points(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(*x.shape, 2)
+        x, y = np.meshgrid(
+            np.arange(size_px[0], dtype=np.float64), np.arange(size_px[1], dtype=np.float64)
+        )
+        source_px = view.recorded_points(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(
+            *x.shape, 2
+        )
         known_px = np.where(np.isfinite(source_px), source_px, _OUTSIDE_PX).astype(np.float32)
         whole, fraction = cv2.convertMaps(known_px[..., 0], known_px[..., 1], cv2.CV_16SC2)
         return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
@@ -386,5 +496,6 @@ def _remapped(image: Image, maps: Maps) -> Image:
 def _check_size(image: Image, size_px: tuple[int, int], name: str) -> None:
     if (image.shape[1], image.shape[0]) != size_px:
         raise ValueError(
-            f"{name}: expected an image of {size_px[0]}x{size_px[1]} px, got {image.shape[1]}x{image.shape[0]}"
+            f"{name}: expected an image of {size_px[0]}x{size_px[1]} px, got "
+            f"{image.shape[1]}x{image.shape[0]}"
         )

@@ -19,18 +19,24 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 
 class RigError(UserError):
-    """A rig or calibration file that cannot be used; the message gives the reason and what to do."""
+    """A rig or calibration file that cannot be used; the message gives the reason and what to
+    do.
+    """
 
 
 def rigid_motion(rotation: npt.ArrayLike, translation: npt.ArrayLike) -> FloatArray:
-    """(4, 4) transform x -> R x + t of a (3, 3) rotation R and a translation t of 3 numbers, in any unit."""
+    """(4, 4) transform x -> R x + t of a (3, 3) rotation R and a translation t of 3 numbers, in any
+    unit.
+    """
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotation, np.ravel(translation)
     return motion
 
 
 def inverse_motion(motion: FloatArray) -> FloatArray:
-    """(4, 4) inverse of a rigid transform by its transpose, even if a file states the rotation with few digits."""
+    """(4, 4) inverse of a rigid transform by its transpose, even if a file states the rotation with
+    few digits.
+    """
     return rigid_motion(motion[:3, :3].T, -motion[:3, :3].T @ motion[:3, 3])
 
 
@@ -49,9 +55,11 @@ class StereoRig:
     left: PinholeCamera  # the left camera; all distances are in its frame
     right: PinholeCamera  # the right camera
     right_from_left: FloatArray  # (4, 4) rigid transform, metres
-    # correction of the disparities of a rectified pair, as `open_recording` estimates it; None = unknown
+    # correction of the disparities of a rectified pair, as `open_recording` estimates it; None =
+    # unknown
     alignment: AlignmentSource | None = None
-    accuracy: RigAccuracy | None = None  # of a calibration with a board, which every sigma contains; None = unknown
+    # of a calibration with a board, which every sigma contains; None = unknown
+    accuracy: RigAccuracy | None = None
 
     def __post_init__(self) -> None:
         check_shape("right_from_left", self.right_from_left, (4, 4))
@@ -63,7 +71,9 @@ class StereoRig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the cameras, metres; negative if the right camera is to the left of the left camera."""
+        """Distance between the cameras, metres; negative if the right camera is to the left of the
+        left camera.
+        """
         translation = self.right_from_left[:3, 3]
         return float(np.copysign(np.linalg.norm(translation), -translation[0]))
 
@@ -80,24 +90,30 @@ class StereoRig:
         )
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
-        """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <= 0."""
+        """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <=
+        0.
+        """
         positive = np.where(disparity_px > 0, disparity_px, np.nan)
         return np.asarray(self.left.fx_px * self.baseline_m / positive)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigAccuracy:
-    """Relative standard deviations of a calibration with a board; the names of the attributes are keys of rig.yaml."""
+    """Relative standard deviations of a calibration with a board; the names of the attributes are
+    keys of rig.yaml.
+    """
 
     focal_sigma: float  # of the focal length, of a pair of the left camera's
-    scale_sigma: float  # of the scale of distances: of focal length times baseline, of one camera of the focal length
+    # of the scale of distances: of focal length times baseline, of one camera of the focal length
+    scale_sigma: float
 
     @property
     def sentence(self) -> str:
         """Message for the user on the accuracy of the calibration."""
         return (
-            f"Calibrated with a board: the focal length is known within {100 * self.focal_sigma:.2g} %, the scale of "
-            f"distances within {100 * self.scale_sigma:.2g} %, which is part of the sigma of every distance."
+            "Calibrated with a board: the focal length is known within "
+            f"{100 * self.focal_sigma:.2g} %, the scale of distances within "
+            f"{100 * self.scale_sigma:.2g} %, which is part of the sigma of every distance."
         )
 
 
@@ -113,10 +129,13 @@ class Mounting:
 
     @property
     def sentence(self) -> str:
-        """Message for the user on the focal length, height and pitch, with their standard deviations."""
+        """Message for the user on the focal length, height and pitch, with their standard
+        deviations.
+        """
         height, pitch = self.camera_height_m, self.pitch_deg
         return (
-            f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part "
-            f"of the sigma of every distance; camera height {height:.2f} ± {self.camera_height_sigma_m:.2f} m, pitch "
-            f"{pitch:+.1f} ± {self.pitch_sigma_deg:.1f} degrees (positive = down)."
+            "Calibrated on the road: the focal length is known within "
+            f"{100 * self.focal_sigma:.1f} %, which is part of the sigma of every distance; camera "
+            f"height {height:.2f} ± {self.camera_height_sigma_m:.2f} m, pitch {pitch:+.1f} ± "
+            f"{self.pitch_sigma_deg:.1f} degrees (positive = down)."
         )

@@ -20,21 +20,34 @@ from track_range.stereo.geometry.lenses import LENSES
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
-MAX_SIDE_PX = 32768  # largest plausible width or height of an image, pixels; four times that of 8K video
-ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]  # width or height of an image in a calibration file, pixels
-_FOCAL_PER_WIDTH = (0.1, 20.0)  # plausible focal length / image width: fields of view from 157 to 3 degrees
-_ROTATION_TOLERANCE = 1e-3  # largest deviation of R^T R from the identity; calibration files have six digits or more
-_MAX_TRANSFORM = 1e6  # largest magnitude of a number in a transform that is compared with the limits
-_MAX_DISTORTION = 1e6  # largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands
-_MAX_PRINCIPAL_POINT_PX = 1e6  # largest plausible magnitude of a principal point in a file without an image size
-_MIN_MARGIN = 0.01  # smallest distance of a principal point from the border / side; cropped images have small ones
-_N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
-_COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"  # description of them for messages
-_MIN_IMAGED = 0.5  # fraction of the image width around the principal point that a plausible wide lens images at least
-NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"  # advice for vertical pairs
-_N_VIEW_POINTS = 25  # number of points along each side of the image at which the shared view is sampled
-# Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
-# Pairs for driving share more than 90 %.
+# largest plausible width or height of an image, pixels; four times that of 8K video
+MAX_SIDE_PX = 32768
+# width or height of an image in a calibration file, pixels
+ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]
+# plausible focal length / image width: fields of view from 157 to 3 degrees
+_FOCAL_PER_WIDTH = (0.1, 20.0)
+# largest deviation of R^T R from the identity; calibration files have six digits or more
+_ROTATION_TOLERANCE = 1e-3
+# largest magnitude of a number in a transform that is compared with the limits
+_MAX_TRANSFORM = 1e6
+# largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands
+_MAX_DISTORTION = 1e6
+# largest plausible magnitude of a principal point in a file without an image size
+_MAX_PRINCIPAL_POINT_PX = 1e6
+# smallest distance of a principal point from the border / side; cropped images have small ones
+_MIN_MARGIN = 0.01
+# possible numbers of distortion coefficients in OpenCV's model
+_N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+# description of them for messages
+_COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"
+# fraction of the image width around the principal point that a plausible wide lens images at least
+_MIN_IMAGED = 0.5
+# advice for vertical pairs
+NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
+# number of points along each side of the image at which the shared view is sampled
+_N_VIEW_POINTS = 25
+# Fractions of the left image in the right camera's view below which a rig is refused, and below
+# which there is a note. Pairs for driving share more than 90 %.
 _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
 
 
@@ -42,13 +55,16 @@ _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
 class RigCalibration:
     """Content of a calibration file in any format."""
 
-    left: PinholeCamera  # the left (or only) camera; width_px = height_px = 0 if the file has no image size
+    # the left (or only) camera; width_px = height_px = 0 if the file has no image size
+    left: PinholeCamera
     right: PinholeCamera | None  # the right camera; None for a single camera
     right_from_left: FloatArray | None  # (4, 4) rigid transform, metres; None for a single camera
-    # (3,) translation from the frame of the data set's labels to the left camera's frame; zeros except for KITTI
+    # (3,) translation from the frame of the data set's labels to the left camera's frame; zeros
+    # except for KITTI
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()  # messages for the user
-    # the cameras of images of other sizes, of the sensor's other modes or before rectification; the image size decides
+    # the cameras of images of other sizes, of the sensor's other modes or before rectification; the
+    # image size decides
     others: tuple[RigCalibration, ...] = ()
     metres_per_unit: float = 1.0  # of the lengths in the file
     unit_doubt: str = ""  # why the unit of the lengths is not known, as a message; "" = it is known
@@ -57,7 +73,9 @@ class RigCalibration:
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
 
     def checked_rig(self, source: object) -> StereoRig | None:
-        """The rig; None for a single camera. Raises RigError if it is implausible, or its unit is not known."""
+        """The rig; None for a single camera. Raises RigError if it is implausible, or its unit is
+        not known.
+        """
         if self.right is None or self.right_from_left is None:
             return None
         if self.unit_doubt:
@@ -67,24 +85,36 @@ class RigCalibration:
         return rig
 
     def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:
-        """The cameras of images of `size_px` = (width, height), else of larger images of this shape; None = any."""
+        """The cameras of images of `size_px` = (width, height), else of larger images of this
+        shape; None = any.
+        """
         if size_px is None or not self.others:
             return self
         modes = (self, *self.others)
         alike = sorted(
             (mode for mode in modes if has_aspect_of(mode.left, size_px)),
-            key=lambda mode: (mode.left.width_px < size_px[0], abs(mode.left.width_px - size_px[0])),
+            key=lambda mode: (
+                mode.left.width_px < size_px[0],
+                abs(mode.left.width_px - size_px[0]),
+            ),
         )
         exact = (mode for mode in modes if is_size_of(mode.left, size_px))
-        return next(exact, self if self in alike and len(modes) == 2 else alike[0] if alike else self)
+        return next(
+            exact, self if self in alike and len(modes) == 2 else alike[0] if alike else self
+        )
 
     def in_unit(self, metres_per_unit: float | None) -> RigCalibration:
-        """The content in another unit of length, for a file whose unit is not `metres_per_unit`; None = as it is."""
+        """The content in another unit of length, for a file whose unit is not `metres_per_unit`;
+        None = as it is.
+        """
         if metres_per_unit is None or self.right_from_left is None:
             return self
         motion = self.right_from_left.copy()
         motion[:3, 3] *= metres_per_unit / self.metres_per_unit
-        notes = (*(note for note in self.notes if "baseline is" not in note), "Lengths are in the given unit.")
+        notes = (
+            *(note for note in self.notes if "baseline is" not in note),
+            "Lengths are in the given unit.",
+        )
         return replace(
             self,
             right_from_left=motion,
@@ -96,48 +126,56 @@ class RigCalibration:
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
-    """Raise RigError, which begins with `source`, for implausible focal lengths, distortion, rotation or baseline."""
+    """Raise RigError, which begins with `source`, for implausible focal lengths, distortion,
+    rotation or baseline.
+    """
     check_camera(rig.left, f"{source}: left")
     check_camera(rig.right, f"{source}: right")
     if not np.abs(rig.right_from_left).max() <= _MAX_TRANSFORM:
         raise RigError(
-            f"{source}: expected finite numbers up to {_MAX_TRANSFORM:g} in right_from_left, found other values; "
-            "calibrate again."
+            f"{source}: expected finite numbers up to {_MAX_TRANSFORM:g} in right_from_left, found "
+            "other values; calibrate again."
         )
     rotation = rig.right_from_left[:3, :3]
     deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if deviation > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise RigError(
-            f"{source}: expected a rotation matrix in right_from_left, found R^T R differing from the identity by "
-            f"{deviation:.3g} and a determinant of {np.linalg.det(rotation):.3g}; give the 3 x 3 matrix row by row."
+            f"{source}: expected a rotation matrix in right_from_left, found R^T R differing from "
+            f"the identity by {deviation:.3g} and a determinant of {np.linalg.det(rotation):.3g}; "
+            "give the 3 x 3 matrix row by row."
         )
     x_m, y_m, z_m = rig.right_from_left[:3, 3]
     if abs(y_m) > abs(x_m):
         raise RigError(
-            f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {y_m:.3g} m in y; "
-            f"{NO_VERTICAL_PAIRS}."
+            f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and "
+            f"{y_m:.3g} m in y; {NO_VERTICAL_PAIRS}."
         )
     if abs(z_m) > 2 * abs(x_m):
         raise RigError(
-            f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {z_m:.3g} m in z, "
-            "one behind the other; calibrate again, with the board near to the cameras and tilted."
+            f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and "
+            f"{z_m:.3g} m in z, one behind the other; calibrate again, with the board near to the "
+            "cameras and tilted."
         )
     low, high = BASELINE_M
     if low <= -rig.baseline_m <= high:
         raise RigError(
-            f"{source}: expected the right camera to the right of the left one, found a baseline of "
-            f"{rig.baseline_m:.6g} m; swap left and right."
+            f"{source}: expected the right camera to the right of the left one, found a baseline "
+            f"of {rig.baseline_m:.6g} m; swap left and right."
         )
     if not low <= rig.baseline_m <= high:
         raise RigError(
-            f"{source}: expected a baseline between {low:g} and {high:g} m, found {rig.baseline_m + 0.0:.6g} m; "
-            "translations must be in metres."
+            f"{source}: expected a baseline between {low:g} and {high:g} m, found "
+            f"{rig.baseline_m + 0.0:.6g} m; translations must be in metres."
         )
 
 
 def shared_view(rig: StereoRig) -> float:
-    """Fraction of the left image, 0 to 1, that the right camera sees far away; distortion of wide lenses only."""
-    x, y = np.meshgrid(*(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in rig.left.size_px))
+    """Fraction of the left image, 0 to 1, that the right camera sees far away; distortion of wide
+    lenses only.
+    """
+    x, y = np.meshgrid(
+        *(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in rig.left.size_px)
+    )
     xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)
     rays = rays[np.isfinite(rays).all(axis=1)] @ rig.right_from_left[:3, :3].T
@@ -147,20 +185,27 @@ def shared_view(rig: StereoRig) -> float:
 
 
 def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
-    """Notes on a right camera that sees only a part of the left image; RigError if it sees hardly any part."""
+    """Notes on a right camera that sees only a part of the left image; RigError if it sees hardly
+    any part.
+    """
     fraction = shared_view(rig)
     if fraction < _MIN_SHARED_VIEW:
         raise RigError(
-            f"{source}: expected cameras that see the same scene, found a right camera that sees {fraction:.0%} of the "
-            "left image; check the rotation and the image sizes."
+            f"{source}: expected cameras that see the same scene, found a right camera that sees "
+            f"{fraction:.0%} of the left image; check the rotation and the image sizes."
         )
     if fraction >= _FULL_SHARED_VIEW:
         return ()
-    return (f"{source}: the right camera sees {fraction:.0%} of the left image; the rest is measured with one camera.",)
+    return (
+        f"{source}: the right camera sees {fraction:.0%} of the left image; the rest is "
+        "measured with one camera.",
+    )
 
 
 def check_camera(camera: PinholeCamera, source: object) -> None:
-    """Raise RigError, which begins with `source`, for an implausible size, focal length, centre or distortion."""
+    """Raise RigError, which begins with `source`, for an implausible size, focal length, centre or
+    distortion.
+    """
     size_px = camera.size_px
     if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
         raise RigError(
@@ -169,35 +214,48 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
         )
     for name, focal_px in (("fx_px", camera.fx_px), ("fy_px", camera.fy_px)):
         if not 0 < focal_px <= _FOCAL_PER_WIDTH[1] * MAX_SIDE_PX:
-            raise RigError(f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}.")
+            raise RigError(
+                f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}."
+            )
         low, high = (fraction * max(camera.width_px, 1) for fraction in _FOCAL_PER_WIDTH)
         if camera.width_px and not low <= focal_px <= high:
             raise RigError(
-                f"{source}: expected a focal length {name} between {low:g} and {high:g} px for images "
-                f"{camera.width_px} px wide, found {focal_px:g}; give it in pixels, not in millimetres."
+                f"{source}: expected a focal length {name} between {low:g} and {high:g} px for "
+                f"images {camera.width_px} px wide, found {focal_px:g}; give it in pixels, not in "
+                "millimetres."
             )
     if not max(abs(camera.cx_px), abs(camera.cy_px)) <= _MAX_PRINCIPAL_POINT_PX:  # also NaN
         raise RigError(
-            f"{source}: expected a finite principal point in pixels, found ({camera.cx_px:g}, {camera.cy_px:g})."
+            f"{source}: expected a finite principal point in pixels, found ({camera.cx_px:g}, "
+            f"{camera.cy_px:g})."
         )
     margins = (
         min(centre_px, side_px - centre_px) / max(side_px, 1)
-        for centre_px, side_px in ((camera.cx_px, camera.width_px), (camera.cy_px, camera.height_px))
+        for centre_px, side_px in (
+            (camera.cx_px, camera.width_px),
+            (camera.cy_px, camera.height_px),
+        )
     )
     if camera.width_px and min(margins) < _MIN_MARGIN:
         raise RigError(
-            f"{source}: expected a principal point inside the image of {camera.width_px}x{camera.height_px} px, at "
-            f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}), as in "
-            f"images of about {2 * camera.cx_px:.0f}x{2 * camera.cy_px:.0f} px; correct the image size, or calibrate "
-            "again."
+            f"{source}: expected a principal point inside the image of "
+            f"{camera.width_px}x{camera.height_px} px, at least {_MIN_MARGIN:.0%} of the side from "
+            f"its border, found ({camera.cx_px:g}, {camera.cy_px:g}), as in images of about "
+            f"{2 * camera.cx_px:.0f}x{2 * camera.cy_px:.0f} px; correct the image size, or "
+            "calibrate again."
         )
     coefficients, names = camera.distortion, LENSES[camera.lens].coefficients
     numbers = (len(names),) if camera.is_wide else _N_DISTORTION_COEFFICIENTS
     is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN
     if len(coefficients) not in numbers or not is_plausible:
-        expected = f"{len(names)} finite coefficients ({' '.join(names)})" if camera.is_wide else _COEFFICIENTS
+        expected = (
+            f"{len(names)} finite coefficients ({' '.join(names)})"
+            if camera.is_wide
+            else _COEFFICIENTS
+        )
         raise RigError(
-            f"{source}: expected {expected}, found {len(coefficients)}: {quoted(list(coefficients))}; calibrate again."
+            f"{source}: expected {expected}, found {len(coefficients)}: "
+            f"{quoted(list(coefficients))}; calibrate again."
         )
     if camera.is_wide and camera.width_px:
         _check_wide(camera, source)
@@ -210,6 +268,7 @@ def _check_wide(camera: PinholeCamera, source: object) -> None:
     rays = camera.recorded_rays(row_px)
     if not (np.diff(np.arctan2(rays[:, 0], rays[:, 2])) > 0).all():  # false for NaN
         raise RigError(
-            f"{source}: expected coefficients of the lens model {camera.lens} that image at least the middle "
-            f"{_MIN_IMAGED:.0%} of the picture, found {quoted(list(camera.distortion))}; calibrate again."
+            f"{source}: expected coefficients of the lens model {camera.lens} that image at least "
+            f"the middle {_MIN_IMAGED:.0%} of the picture, found "
+            f"{quoted(list(camera.distortion))}; calibrate again."
         )

@@ -3,9 +3,10 @@
     f = the lens's own resolution on its axis, pixels per radian
     W = f (tan left + tan right),  H = f (tan up + tan down)
 
-with the angles from the axis that the lens images, up to a limit. Objects on the axis keep their size in pixels;
-towards the edges a pinhole stretches the image by 1 / cos^2, which limits a useful field of view to about 120 degrees.
-Wider lenses need several virtual pinholes with axes in other directions.
+with the angles from the axis that the lens images, up to a limit. Objects on the axis keep their
+size in pixels; towards the edges a pinhole stretches the image by 1 / cos^2, which limits a useful
+field of view to about 120 degrees. Wider lenses need several virtual pinholes with axes in other
+directions.
 """
 
 import math
@@ -17,8 +18,10 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 
-FOV_LIMITS_DEG = (20.0, 120.0)  # smallest, and largest (default) horizontal field of view, also in --fov-deg
-# Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood.
+# smallest, and largest (default) horizontal field of view, also in --fov-deg
+FOV_LIMITS_DEG = (20.0, 120.0)
+# Largest angle above and below the axis that is shown; a road user that is cut there is nearer than
+# the hood.
 _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
 _N_ANGLES = 1201  # number of angles at which the reach of a lens is sampled, 0.05 degrees apart
 _MIN_SIDE_PX = 32  # smallest width and height of a virtual pinhole's images
@@ -27,7 +30,9 @@ _N_SAMPLES = 257  # number of pixels along a row or column at which the field of
 
 
 class FieldOfView(NamedTuple):
-    """Angles from the optical axis that a camera images along the row and column of its principal point, radians."""
+    """Angles from the optical axis that a camera images along the row and column of its principal
+    point, radians.
+    """
 
     left_rad: float
     right_rad: float
@@ -57,7 +62,9 @@ def field_of_view(camera: PinholeCamera) -> FieldOfView:
 
 
 def axial_focal_px(camera: PinholeCamera) -> float:
-    """Resolution on the optical axis, pixels per radian: the focal length of a pinhole with the same resolution."""
+    """Resolution on the optical axis, pixels per radian: the focal length of a pinhole with the
+    same resolution.
+    """
     if not camera.is_wide:
         return camera.fx_px
     rays = np.array([[_SMALL_RAD, 0.0, 1.0], [0.0, _SMALL_RAD, 1.0]])
@@ -66,17 +73,23 @@ def axial_focal_px(camera: PinholeCamera) -> float:
 
 
 def view_from_camera(yaw_deg: float) -> FloatArray:
-    """(3, 3) rotation from a camera's frame to a view whose axis is `yaw_deg` to the right of the camera's axis."""
+    """(3, 3) rotation from a camera's frame to a view whose axis is `yaw_deg` to the right of the
+    camera's axis.
+    """
     sine, cosine = math.sin(math.radians(yaw_deg)), math.cos(math.radians(yaw_deg))
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0) -> PinholeCamera:
-    """The ideal pinhole camera with the resolution of a wide camera on its axis, and an even image size.
+def virtual_pinhole(
+    camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0
+) -> PinholeCamera:
+    """The ideal pinhole camera with the resolution of a wide camera on its axis, and an even image
+    size.
 
-    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the view of the lens, up to the upper
-    limit; parts that the lens does not image on one side are left out. `yaw_deg` is the direction of the pinhole's
-    axis, to the right of the camera's axis. Raises RigError if the lens images hardly anything there.
+    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the view of the lens,
+    up to the upper limit; parts that the lens does not image on one side are left out. `yaw_deg` is
+    the direction of the pinhole's axis, to the right of the camera's axis. Raises RigError if the
+    lens images hardly anything there.
     """
     half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
     focal_px = axial_focal_px(camera)
@@ -89,22 +102,32 @@ def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg
             ((0.0, 1.0), _MAX_HALF_HEIGHT_RAD),
         )
     )
-    width_px, height_px = (2 * round(side_px / 2) for side_px in (left_px + right_px, up_px + down_px))
+    width_px, height_px = (
+        2 * round(side_px / 2) for side_px in (left_px + right_px, up_px + down_px)
+    )
     if min(width_px, height_px) < _MIN_SIDE_PX:
         raise RigError(
-            f"--yaw-deg {yaw_deg:g}: expected a direction that the lens sees, found only {width_px}x{height_px} px in "
-            "view; choose one nearer to the middle of the image."
+            f"--yaw-deg {yaw_deg:g}: expected a direction that the lens sees, found only "
+            f"{width_px}x{height_px} px in view; choose one nearer to the middle of the image."
         )
     return PinholeCamera(focal_px, focal_px, left_px - 0.5, up_px - 0.5, width_px, height_px)
 
 
-def _reach_rad(camera: PinholeCamera, yaw_deg: float, across: tuple[float, float], limit_rad: float) -> float:
-    """Largest angle from a view's axis up to which the camera images all directions of one half row or column.
+def _reach_rad(
+    camera: PinholeCamera, yaw_deg: float, across: tuple[float, float], limit_rad: float
+) -> float:
+    """Largest angle from a view's axis up to which the camera images all directions of one half row
+    or column.
 
-    `across` is the direction (x, y) of the half row or column in the view, of length 1; `limit_rad` the largest result.
+    `across` is the direction (x, y) of the half row or column in the view, of length 1; `limit_rad`
+    the largest result.
     """
     angles = np.linspace(0.0, limit_rad, _N_ANGLES)
-    rays = np.stack([np.sin(angles) * across[0], np.sin(angles) * across[1], np.cos(angles)], axis=1)
+    rays = np.stack(
+        [np.sin(angles) * across[0], np.sin(angles) * across[1], np.cos(angles)], axis=1
+    )
     x, y = camera.recorded_px(rays @ view_from_camera(yaw_deg)).T
-    is_imaged = (x >= -0.5) & (x <= camera.width_px - 0.5) & (y >= -0.5) & (y <= camera.height_px - 0.5)
+    is_imaged = (
+        (x >= -0.5) & (x <= camera.width_px - 0.5) & (y >= -0.5) & (y <= camera.height_px - 0.5)
+    )
     return float(angles[max(int(np.append(~is_imaged, True).argmax()) - 1, 0)])

@@ -20,11 +20,27 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity, Outcome, PatchMatches
-from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
+from track_range.stereo.matching.patch_matches import (
+    BoxMatcher,
+    ExpectedDisparity,
+    Outcome,
+    PatchMatches,
+)
+from track_range.stereo.matching.sgbm import (
+    Mode,
+    Sgbm,
+    SgbmSettings,
+    centre_disparity,
+    inner_half_median,
+)
 
 CENTRE = "-centre"
-_MODE: dict[str, Mode] = {"sgbm-3way": "3way", "sgbm-5way": "sgbm", "sgbm-hh": "hh", "sgbm-hh4": "hh4"}
+_MODE: dict[str, Mode] = {
+    "sgbm-3way": "3way",
+    "sgbm-5way": "sgbm",
+    "sgbm-hh": "hh",
+    "sgbm-hh4": "hh4",
+}
 
 MATCHER_NAMES = ("patch", *(name + end for name in ("sgbm", *_MODE) for end in ("", CENTRE)))
 
@@ -52,7 +68,9 @@ class DenseMatcher:
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
-    """The matcher called `name`, with the settings that a run uses for `rig`; ValueError for unknown names."""
+    """The matcher called `name`, with the settings that a run uses for `rig`; ValueError for
+    unknown names.
+    """
     if name not in MATCHER_NAMES:
         raise ValueError(f"unknown matcher '{name}': expected one of {', '.join(MATCHER_NAMES)}")
     if name == "patch":
@@ -68,27 +86,32 @@ class MatcherResults:
 
     objects: Objects
     columns: dict[str, MatcherColumn]  # by name of the matcher
-    ms_per_frame: dict[str, float]  # median time per pair on one thread, milliseconds, by name of the matcher
+    # median time per pair on one thread, milliseconds, by name of the matcher
+    ms_per_frame: dict[str, float]
     notes: tuple[str, ...] = ()  # messages for the user, without duplicates
 
 
-Expectation = Callable[[StereoPair], ExpectedDisparity]  # disparities of the objects of a pair by their classes' sizes
+# disparities of the objects of a pair by their classes' sizes
+Expectation = Callable[[StereoPair], ExpectedDisparity]
 
 
 def measure_pairs(
     pairs: Iterable[StereoPair], names: Sequence[str], *, expected: Expectation | None = None
 ) -> MatcherResults:
-    """Run several matchers, by their names (`MATCHER_NAMES`), on the same pairs, which are read one by one.
+    """Run several matchers, by their names (`MATCHER_NAMES`), on the same pairs, which are read one
+    by one.
 
-    As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next pair; other objects are
-    searched in the full range. `expected` gives the expected disparities of the objects of a pair; None = unknown.
-    Raises ValueError for unknown names.
+    As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next
+    pair; other objects are searched in the full range. `expected` gives the expected disparities of
+    the objects of a pair; None = unknown. Raises ValueError for unknown names.
     """
     notes = dict[str, None]()
     cameras = list[PinholeCamera]()
     none, none_int = np.zeros(0), np.zeros(0, np.int64)
     columns: list[tuple[Any, ...]] = [(none, none, none, none_int, none_int)]  # those of `Objects`
-    measured: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [(none, none)] for name in names}
+    measured: dict[str, list[tuple[FloatArray, FloatArray]]] = {
+        name: [(none, none)] for name in names
+    }
     times_ms: dict[str, list[float]] = {name: [] for name in names}
     last_px: dict[str, dict[int, float]] = {name: {} for name in names}
     for number, pair in enumerate(pairs):
@@ -103,16 +126,23 @@ def measure_pairs(
             matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px, by_size)
             times_ms[name].append(1e3 * (time.perf_counter() - start_s))
             measured[name].append((matches.disparity_px, matches.sigma_px))
-            last_px[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}
+            last_px[name] = {
+                n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0
+            }
         cameras.append(pair.rig.left)
         focal_baseline_m = np.full(n_objects, pair.rig.left.fx_px * pair.rig.baseline_m)
         numbers = np.full(n_objects, number)
         group = pair.track_id if len(pair.track_id) else numbers
         columns.append((pair.true_px, focal_baseline_m, pair.x_px, numbers, group))
-    true_px, focal_baseline_m, x_px, pair_number, group = map(np.concatenate, zip(*columns, strict=True))
+    true_px, focal_baseline_m, x_px, pair_number, group = map(
+        np.concatenate, zip(*columns, strict=True)
+    )
     return MatcherResults(
         Objects(true_px, focal_baseline_m, x_px, pair_number, group, tuple(cameras)),
-        {name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True))) for name, parts in measured.items()},
+        {
+            name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True)))
+            for name, parts in measured.items()
+        },
         {name: float(np.median(times)) for name, times in times_ms.items() if times},
         tuple(notes),
     )

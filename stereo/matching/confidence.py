@@ -1,4 +1,6 @@
-"""Match confidence: margins of a surface's cost to the costs of a chance match and of the second best disparity."""
+"""Match confidence: margins of a surface's cost to the costs of a chance match and of the second
+best disparity.
+"""
 
 from dataclasses import dataclass
 
@@ -8,11 +10,13 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
 from track_range.stereo.matching.subpixel import RefinedSurface
 from track_range.stereo.matching.tiles import BoxTiles
 
-# Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
-# prior half of the costs belong to the minimum.
+# Percentile of a box's costs that estimates the cost of a chance match; above the median, because
+# in a search around a prior half of the costs belong to the minimum.
 _CHANCE_PERCENTILE = 75.0
-_PEAK_HALF_WIDTH = 2  # disparities on both sides of the best one that belong to its minimum, px of the tile
-_PEAK_HALF_WIDTH_PER_DISPARITY = 20  # px of disparity per px of half width: nearer objects extend over more
+# disparities on both sides of the best one that belong to its minimum, px of the tile
+_PEAK_HALF_WIDTH = 2
+# px of disparity per px of half width: nearer objects extend over more
+_PEAK_HALF_WIDTH_PER_DISPARITY = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +30,9 @@ class MatchConfidence:
     is_inside: BoolArray  # (N,) whether the minimum lies inside the search range, not at an end
 
 
-def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> MatchConfidence:
+def match_confidence(
+    cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles
+) -> MatchConfidence:
     """Confidence of surfaces in costs (D, G, N), bits per pixel."""
     last = len(cost) - 1
     curve = _object_curve(cost, surface, tiles)
@@ -44,7 +50,9 @@ def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTile
 
 
 def _between_disparities(curve: FloatArray) -> FloatArray:
-    """(D, N) costs of minima between two disparities, by a V-shaped fit to costs (D, N); other costs do not change."""
+    """(D, N) costs of minima between two disparities, by a V-shaped fit to costs (D, N); other
+    costs do not change.
+    """
     lowest = curve.copy()
     before, at, after = curve[:-2], curve[1:-1], curve[2:]
     with np.errstate(invalid="ignore"):  # inf - inf
@@ -55,7 +63,8 @@ def _between_disparities(curve: FloatArray) -> FloatArray:
 
 
 def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> FloatArray:
-    """(D, N) mean cost of the object's windows as a function of the surface's p0; inf = more than half are not visible.
+    """(D, N) mean cost of the object's windows as a function of the surface's p0; inf = more than
+    half are not visible.
 
         curve(k) = mean over the object's windows i of C_i(k + round(d(u_i, v_i) - p0))
 
@@ -67,7 +76,8 @@ def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) 
     k = np.arange(len(cost))[:, None, None] + shift
     inside = np.minimum(np.maximum(k, 0), last)
     window = np.arange(shift.size).reshape(shift.shape)
-    shifted = cost.reshape(-1).take(inside * shift.size + window)  # a third of `take_along_axis`'s time
+    # a third of `take_along_axis`'s time
+    shifted = cost.reshape(-1).take(inside * shift.size + window)
     is_seen = (inside == k) & is_object & np.isfinite(shifted)
     n_seen = is_seen.sum(axis=1)
     total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=1)
@@ -76,7 +86,9 @@ def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) 
 
 
 def _chance_cost(curve: FloatArray) -> FloatArray:
-    """(N,) the percentile of the finite costs of each column of (D, N); -inf where there are none."""
+    """(N,) the percentile of the finite costs of each column of (D, N); -inf where there are
+    none.
+    """
     ordered = np.sort(curve, axis=0)
     n_finite = np.isfinite(curve).sum(axis=0)
     index = np.rint(_CHANCE_PERCENTILE / 100 * (n_finite - 1)).astype(np.int64)

@@ -8,14 +8,14 @@
     6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surfaces`
     7. checks     texture, uniqueness, search range, cost; sigma                           `confidence`
 
-The range of disparities lies about the last match of the box's track; else about the disparity expected from the
-object's size; else it is the full range, first on coarse tiles and then, about the result, on fine tiles. The full
-range is also searched where the other two give no match.
+The range of disparities lies about the last match of the box's track; else about the disparity
+expected from the object's size; else it is the full range, first on coarse tiles and then, about
+the result, on fine tiles. The full range is also searched where the other two give no match.
 
-A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
-a second best minimum of nearly the same cost (repeated texture), or costs nearly as much as a chance match (12 bits).
-The best of many chance matches has some depth too. An object that is not near its prior is recognised by the cost and
-by windows without a minimum.
+A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is
+shallow (no texture), has a second best minimum of nearly the same cost (repeated texture), or costs
+nearly as much as a chance match (12 bits). The best of many chance matches has some depth too. An
+object that is not near its prior is recognised by the cost and by windows without a minimum.
 """
 
 from __future__ import annotations
@@ -32,15 +32,31 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
-from track_range.stereo.matching.surface_choice import OtherBoxes, SurfaceChoice, choose_surface, features
+from track_range.stereo.matching.surface_choice import (
+    OtherBoxes,
+    SurfaceChoice,
+    choose_surface,
+    features,
+)
 from track_range.stereo.matching.surfaces import SurfaceFit, Surfaces, find_surfaces, window_weights
-from track_range.stereo.matching.tiles import COARSE, FINE, MIN_IMAGE_HW, BoxTiles, TileShape, box_tiles, tile_scale
+from track_range.stereo.matching.tiles import (
+    COARSE,
+    FINE,
+    MIN_IMAGE_HW,
+    BoxTiles,
+    TileShape,
+    box_tiles,
+    tile_scale,
+)
 from track_range.stereo.matching.window_matches import WindowMatches, match_windows, window_costs
 
-_EXPECTED_SIGMAS = 2.0  # largest deviation of an expected disparity from that by size, in standard deviations
+# largest deviation of an expected disparity from that by size, in standard deviations
+_EXPECTED_SIGMAS = 2.0
 _MIN_EXPECTED_LOG_SIGMA = 0.1  # smallest of these
-_EXPECTED_SUPPORT = 0.06  # minimum support at the expected disparity: three of 49 windows, such as between bars
-_EXPECTED_COST_BITS = 2.0  # cost by which a surface at the expected disparity may exceed the limit, bits per pixel
+# minimum support at the expected disparity: three of 49 windows, such as between bars
+_EXPECTED_SUPPORT = 0.06
+# cost by which a surface at the expected disparity may exceed the limit, bits per pixel
+_EXPECTED_COST_BITS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,38 +64,56 @@ class PatchMatcherSettings:
     """Search range, thresholds of the checks, and the parts of sigma."""
 
     min_disparity_px: int = 1  # smallest disparity of the full search
-    max_disparity_px: int = 192  # largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig)
-    # largest disparity per px of the box's larger side, baseline / smallest object, both in metres; inf = no limit
+    # largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig)
+    max_disparity_px: int = 192
+    # largest disparity per px of the box's larger side, baseline / smallest object, both in metres;
+    # inf = no limit
     max_disparity_per_side: float = math.inf
     search_px: int = 8  # half width of the search around the last match of a track, px of the tile
-    size_search_px: int = 16  # half width of the search around the disparity expected from the size, px of the tile
+    # half width of the search around the disparity expected from the size, px of the tile
+    size_search_px: int = 16
     min_side_px: float = 8.0  # smallest side of a box
     # smallest fraction of the windows that must have a minimum, and lie within the right image
     min_seen_fraction: float = 0.25
     min_support: float = 0.15  # smallest fraction of those that must belong to the object's surface
     min_probability: float = 0.4  # smallest probability of the surface to be the object
-    # minimum difference between the costs of a chance match and of the minimum, in bits of 24 per pixel
+    # minimum difference between the costs of a chance match and of the minimum, in bits of 24 per
+    # pixel
     min_margin_bits: float = 1.5
-    max_cost_bits: float = 8.0  # largest cost of the minimum; not checked for priors from the full search
-    # minimum fraction of the visible windows with a minimum near a track's prior: if the object is elsewhere, most
-    # minima lie at an end of the search range. Not checked for priors from the full search.
+    # largest cost of the minimum; not checked for priors from the full search
+    max_cost_bits: float = 8.0
+    # minimum fraction of the visible windows with a minimum near a track's prior: if the object is
+    # elsewhere, most minima lie at an end of the search range. Not checked for priors from the full
+    # search.
     min_minima_fraction: float = 0.5
-    # minimum fraction of those minima that are confirmed by grey values. Not checked for priors from the full search.
+    # minimum fraction of those minima that are confirmed by grey values. Not checked for priors
+    # from the full search.
     min_confirmed_fraction: float = 0.25
-    # minimum difference between the costs of the second best and the best minimum, as a fraction of the margin
-    # (OpenCV's uniquenessRatio is a fraction of the cost)
+    # minimum difference between the costs of the second best and the best minimum, as a fraction of
+    # the margin (OpenCV's uniquenessRatio is a fraction of the cost)
     uniqueness_ratio: float = 0.12
     floor_px: float = 0.1  # sigma of a flat, textured, noiseless box, px of its tile
-    floor_fraction: float = 0.008  # the same as a fraction of the disparity: objects are not smooth surfaces
-    noise_fraction: float = 0.5  # fraction of the propagated variances of the windows that contributes to sigma
-    scatter_fraction: float = 0.6  # fraction of the windows' scatter about the surface that contributes to sigma
-    tilt_fraction: float = 0.12  # fraction of the surface's tilt across the box that contributes to sigma
+    # the same as a fraction of the disparity: objects are not smooth surfaces
+    floor_fraction: float = 0.008
+    # fraction of the propagated variances of the windows that contributes to sigma
+    noise_fraction: float = 0.5
+    # fraction of the windows' scatter about the surface that contributes to sigma
+    scatter_fraction: float = 0.6
+    # fraction of the surface's tilt across the box that contributes to sigma
+    tilt_fraction: float = 0.12
 
     @classmethod
-    def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
-        """Settings for a rectified rig, for distances from `nearest_m` and objects of at least `smallest_m`, metres."""
+    def for_rig(
+        cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3
+    ) -> PatchMatcherSettings:
+        """Settings for a rectified rig, for distances from `nearest_m` and objects of at least
+        `smallest_m`, metres.
+        """
         nearest_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
-        return cls(max_disparity_px=math.ceil(nearest_px), max_disparity_per_side=rig.baseline_m / smallest_m)
+        return cls(
+            max_disparity_px=math.ceil(nearest_px),
+            max_disparity_per_side=rig.baseline_m / smallest_m,
+        )
 
 
 class KnownBoxes(NamedTuple):
@@ -94,7 +128,9 @@ class KnownBoxes(NamedTuple):
     def select(self, rows: IntArray) -> KnownBoxes:
         """The boxes in rows (M,)."""
         xyxy_px, track_px, by_size, limit_px, others = self
-        return KnownBoxes(xyxy_px[rows], track_px[rows], by_size.select(rows), limit_px[rows], others)
+        return KnownBoxes(
+            xyxy_px[rows], track_px[rows], by_size.select(rows), limit_px[rows], others
+        )
 
 
 class SurfaceSearch(NamedTuple):
@@ -110,14 +146,18 @@ class SurfaceSearch(NamedTuple):
 
     @property
     def disparity_px(self) -> FloatArray:
-        """(S, N) disparities of the surfaces at the boxes' centres, px of the image; NaN = no surface."""
+        """(S, N) disparities of the surfaces at the boxes' centres, px of the image; NaN = no
+        surface.
+        """
         return self.tiles.disparity_px(self.surfaces.centre.T).T
 
     @property
     def chosen(self) -> tuple[BoolArray, SurfaceFit]:
         """Windows (N, G) and planes of the chosen surfaces."""
         chosen, rows = self.choice.chosen, np.arange(len(self.choice.chosen))
-        return self.surfaces.is_member[chosen, rows], SurfaceFit(self.surfaces.planes.p[chosen, rows])
+        return self.surfaces.is_member[chosen, rows], SurfaceFit(
+            self.surfaces.planes.p[chosen, rows]
+        )
 
 
 class PatchMatcher:
@@ -134,13 +174,17 @@ class PatchMatcher:
         prior_px: FloatArray,
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
-        """See `BoxMatcher.match`; images are rectified and of equal size; boxes may be NaN or outside the image.
+        """See `BoxMatcher.match`; images are rectified and of equal size; boxes may be NaN or
+        outside the image.
 
-        Without a prior or a clear match near it, the disparities near that of the size `by_size`, then all disparities
-        are searched. Only the needed pixels of the right image are read. ValueError: the images differ in size.
+        Without a prior or a clear match near it, the disparities near that of the size `by_size`,
+        then all disparities are searched. Only the needed pixels of the right image are read.
+        ValueError: the images differ in size.
         """
         if left.shape[:2] != right.shape[:2]:
-            raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
+            raise ValueError(
+                f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}"
+            )
         boxes, limit_px, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
         n = len(boxes)
         matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
@@ -156,9 +200,13 @@ class PatchMatcher:
             (known, track_px, search_px),
             (no_track, size_px, self._settings.size_search_px),
         ):
-            rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(centre_px))
+            rows = np.flatnonzero(
+                is_usable & np.isnan(matches.disparity_px) & np.isfinite(centre_px)
+            )
             if len(rows):
-                matches.put(rows, self._measured_near(*images, part.select(rows), centre_px[rows], reach_px))
+                matches.put(
+                    rows, self._measured_near(*images, part.select(rows), centre_px[rows], reach_px)
+                )
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
             coarse = self._full_range(*images, no_track.select(rows))
@@ -167,11 +215,17 @@ class PatchMatcher:
             rows, coarse_px = rows[has_match], coarse.disparity_px[has_match]
             if len(rows):
                 part = no_track.select(rows)
-                matches.put(rows, self._measured_near(*images, part, coarse_px, search_px, is_known=True))
+                matches.put(
+                    rows, self._measured_near(*images, part, coarse_px, search_px, is_known=True)
+                )
         return matches
 
-    def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Boxes (N, 4) in the image, (N,) their largest disparities, (N,) outcomes: MATCHED if it can be searched."""
+    def _usable(
+        self, xyxy_px: FloatArray, image_hw: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Boxes (N, 4) in the image, (N,) their largest disparities, (N,) outcomes: MATCHED if it
+        can be searched.
+        """
         settings, (height, width) = self._settings, image_hw
         with np.errstate(invalid="ignore"):
             boxes = np.clip(xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
@@ -193,11 +247,18 @@ class PatchMatcher:
         return np.where(is_inside, disparity_px, np.nan)
 
     def search_near(
-        self, left: Image, right: ImageView, known: KnownBoxes, centre_px: FloatArray, search_px: int
+        self,
+        left: Image,
+        right: ImageView,
+        known: KnownBoxes,
+        centre_px: FloatArray,
+        search_px: int,
     ) -> SurfaceSearch:
         """The surfaces of boxes within `search_px` px of their tiles of disparities (N,)."""
         scale = tile_scale(known.xyxy_px, FINE)[0]
-        first_px = np.maximum(centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale)
+        first_px = np.maximum(
+            centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale
+        )
         return self._search(left, right, known, first_px, 2 * search_px + 1, FINE)
 
     def _measured_near(
@@ -210,7 +271,9 @@ class PatchMatcher:
         *,
         is_known: bool = False,
     ) -> PatchMatches:
-        """Matches of boxes near disparities (N,); is_known = these are results of the full search in the same pair."""
+        """Matches of boxes near disparities (N,); is_known = these are results of the full search
+        in the same pair.
+        """
         search = self.search_near(left, right, known, centre_px, search_px)
         members, plane = search.chosen
         refined = refine_surface(search.tiles, search.matches.index, members, plane)
@@ -226,10 +289,14 @@ class PatchMatcher:
         return self._search(left, right, known, first_px, n_disparities, COARSE)
 
     def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> PatchMatches:
-        """Matches of boxes by a search over the full range, on coarse tiles without fractions of a pixel."""
+        """Matches of boxes by a search over the full range, on coarse tiles without fractions of a
+        pixel.
+        """
         search = self.search_full_range(left, right, known)
         members, plane = search.chosen
-        residual = np.where(members, search.matches.index - plane.at(search.tiles.u, search.tiles.v), np.nan)
+        residual = np.where(
+            members, search.matches.index - plane.at(search.tiles.u, search.tiles.v), np.nan
+        )
         coarse = RefinedSurface(plane, residual, np.where(members, 1.0, 0.0), members)
         return self._checked(search, coarse, known, is_known=False)
 
@@ -242,10 +309,13 @@ class PatchMatcher:
         n_disparities: int,
         shape: TileShape,
     ) -> SurfaceSearch:
-        """Windows and surfaces of boxes at `n_disparities` or a few more disparities from first_px (N,)."""
+        """Windows and surfaces of boxes at `n_disparities` or a few more disparities from first_px
+        (N,).
+        """
         tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, shape)
         cost = window_costs(tiles)
-        # All boxes have the range of the largest one; disparities beyond a box's limits are no matches.
+        # All boxes have the range of the largest one; disparities beyond a box's limits are no
+        # matches.
         disparity = tiles.first + np.arange(tiles.n_disparities)[:, None]
         beyond = disparity > known.limit_px / tiles.scale[0] + 2
         if beyond.any():
@@ -253,17 +323,30 @@ class PatchMatcher:
         matches = match_windows(cost)
         weight = window_weights(matches, tiles)
         surfaces = find_surfaces(matches.index, weight, tiles)
-        expected_px = np.where(np.isfinite(known.track_px), known.track_px, known.by_size.disparity_px)
-        others = known.others.windows(known.xyxy_px, expected_px, tiles, tiles.disparity_px(matches.index))
-        phi = features(
-            surfaces, tiles, matches.cost, by_size=known.by_size, track_px=known.track_px, others_fraction=others
+        expected_px = np.where(
+            np.isfinite(known.track_px), known.track_px, known.by_size.disparity_px
         )
-        return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
+        others = known.others.windows(
+            known.xyxy_px, expected_px, tiles, tiles.disparity_px(matches.index)
+        )
+        phi = features(
+            surfaces,
+            tiles,
+            matches.cost,
+            by_size=known.by_size,
+            track_px=known.track_px,
+            others_fraction=others,
+        )
+        return SurfaceSearch(
+            tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces)
+        )
 
     def _checked(
         self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_known: bool
     ) -> PatchMatches:
-        """Checks and sigmas of the boxes; the first check of the table that fails determines the outcome."""
+        """Checks and sigmas of the boxes; the first check of the table that fails determines the
+        outcome.
+        """
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
         n_used = np.maximum(tiles.is_used.sum(axis=1), 1)
@@ -274,18 +357,27 @@ class PatchMatcher:
         probability = choice.probability[choice.chosen, rows]
 
         disparity_px = tiles.disparity_px(surface.fit.p[:, 0])
-        # A surface at the distance that the object's size lets expect needs less support from the images.
+        # A surface at the distance that the object's size lets expect needs less support from the
+        # images.
         log_sigma = np.hypot(known.by_size.log_sigma, _MIN_EXPECTED_LOG_SIGMA)
         with np.errstate(invalid="ignore", divide="ignore"):
             deviation = np.abs(np.log(disparity_px / known.by_size.disparity_px))
         is_expected = deviation < _EXPECTED_SIGMAS * log_sigma  # False where the size is unknown
-        support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_fraction
+        support_limit = (
+            np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_fraction
+        )
         cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
 
         is_elsewhere = minima_fraction < settings.min_minima_fraction * seen_fraction
-        is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
+        is_elsewhere |= (
+            surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
+        )
         is_elsewhere &= ~is_expected & (tiles.shape == FINE)
-        is_misfit = np.isfinite(confidence.cost) & (is_elsewhere | (confidence.cost > cost_limit)) & (not is_known)
+        is_misfit = (
+            np.isfinite(confidence.cost)
+            & (is_elsewhere | (confidence.cost > cost_limit))
+            & (not is_known)
+        )
         is_unique = confidence.second_best_margin >= settings.uniqueness_ratio * confidence.margin
         is_certain = probability >= settings.min_probability
         checks = (
@@ -294,7 +386,10 @@ class PatchMatcher:
             (Outcome.NO_FIT, is_misfit),
             (Outcome.NO_TEXTURE, ~(confidence.margin >= settings.min_margin_bits) | (support == 0)),
             (Outcome.OUT_OF_RANGE, ~confidence.is_inside),
-            (Outcome.AMBIGUOUS, ~(is_unique | is_expected) | ~is_certain | (support < support_limit)),
+            (
+                Outcome.AMBIGUOUS,
+                ~(is_unique | is_expected) | ~is_certain | (support < support_limit),
+            ),
             (Outcome.OUT_OF_RANGE, ~(disparity_px > 0)),
         )
         outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
@@ -302,13 +397,17 @@ class PatchMatcher:
             outcome[has_failed] = reason
         is_matched = outcome == Outcome.MATCHED
         sigma_px = tiles.scale[0] * self._sigma(search, surface)
-        measured = np.where(is_matched, disparity_px, np.nan), np.where(is_matched, sigma_px, np.nan)
+        measured = (
+            np.where(is_matched, disparity_px, np.nan),
+            np.where(is_matched, sigma_px, np.nan),
+        )
         return PatchMatches(*measured, outcome, choice.n_surfaces, probability)
 
     def _sigma(self, search: SurfaceSearch, surface: RefinedSurface) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction scatter)^2
+        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction
+        scatter)^2
                   + (tilt_fraction tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
@@ -316,18 +415,35 @@ class PatchMatcher:
             tilt    = (|p1| + |p2|) / 2             over the inner half of the box
             choice^2 = sum over the other surfaces of P (d - p0)^2
 
-        Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
+        Windows that overlap share pixels: G_independent is the number of windows that fit side by
+        side.
         """
-        settings, tiles, surfaces, choice = self._settings, search.tiles, search.surfaces, search.choice
+        settings, tiles, surfaces, choice = (
+            self._settings,
+            search.tiles,
+            search.surfaces,
+            search.choice,
+        )
         is_inlier = np.isfinite(surface.residual)
         n_inliers = np.maximum(is_inlier.sum(axis=1), 1)
         total = np.maximum(surface.weight.sum(axis=1), 1e-6)
         noise = np.sqrt(n_inliers / np.maximum(n_inliers / 4.0, 1.0) / total)
         scatter = 1.25 * np.where(is_inlier, np.abs(surface.residual), 0.0).sum(axis=1) / n_inliers
         tilt = np.abs(surface.fit.p[:, 1:3]).sum(axis=1) / 2
-        difference = np.where(np.isfinite(surfaces.centre), surfaces.centre - surface.fit.p[:, 0], 0.0)
+        difference = np.where(
+            np.isfinite(surfaces.centre), surfaces.centre - surface.fit.p[:, 0], 0.0
+        )
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
-        variance = other + (settings.floor_fraction * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
-        variance = variance + (settings.noise_fraction * noise) ** 2 + (settings.scatter_fraction * scatter) ** 2
-        return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_fraction * tilt) ** 2)))
+        variance = (
+            other
+            + (settings.floor_fraction * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
+        )
+        variance = (
+            variance
+            + (settings.noise_fraction * noise) ** 2
+            + (settings.scatter_fraction * scatter) ** 2
+        )
+        return np.asarray(
+            np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_fraction * tilt) ** 2))
+        )

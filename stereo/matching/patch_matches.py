@@ -1,4 +1,6 @@
-"""BoxMatcher: measures the disparities of boxes; PatchMatches: the result for each box, with reasons of failures."""
+"""BoxMatcher: measures the disparities of boxes; PatchMatches: the result for each box, with
+reasons of failures.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ REASONS: dict[Outcome, str] = {  # descriptions of the outcomes for the user
     Outcome.TOO_SMALL: "too small",
     Outcome.NOT_SEEN: "outside the right image",
     Outcome.NO_TEXTURE: "no texture, or saturated",
-    Outcome.AMBIGUOUS: "ambiguous: several disparities match equally well, or several surfaces may be the object",
+    Outcome.AMBIGUOUS: "ambiguous: several disparities match equally well, or several surfaces may "
+    "be the object",
     Outcome.OUT_OF_RANGE: "disparity at the end of the search range",
     Outcome.NO_FIT: "no match in the right image",
 }
@@ -61,8 +64,10 @@ class PatchMatches:
     disparity_px: FloatArray  # (N,) disparity at the centre of the box; NaN = not measured
     sigma_px: FloatArray  # (N,) its standard deviation, without the uncertainty of the alignment
     outcome: IntArray  # (N,) values of `Outcome`
-    n_surfaces: IntArray  # (N,) number of surfaces that the box shows: the object, occluders, background; 0 = unknown
-    probability: FloatArray  # (N,) probability that the measured surface is the object; NaN = unknown
+    # (N,) number of surfaces that the box shows: the object, occluders, background; 0 = unknown
+    n_surfaces: IntArray
+    # (N,) probability that the measured surface is the object; NaN = unknown
+    probability: FloatArray
 
     @classmethod
     def of(cls, disparity_px: FloatArray, sigma_px: FloatArray, outcome: IntArray) -> PatchMatches:
@@ -89,7 +94,8 @@ class BoxMatcher(Protocol):
     ) -> PatchMatches:
         """Disparities of boxes in the left image, with the reasons of failures.
 
-        Images are (H, W) grey or (H, W, 3) BGR uint8, boxes (N, 4); `prior_px` (N,) is the last disparity of the box's
-        track, NaN = none; `by_size` are expected disparities from the sizes of the objects, None = unknown.
+        Images are (H, W) grey or (H, W, 3) BGR uint8, boxes (N, 4); `prior_px` (N,) is the last
+        disparity of the box's track, NaN = none; `by_size` are expected disparities from the sizes
+        of the objects, None = unknown.
         """
         ...

@@ -1,7 +1,9 @@
-"""Sgbm: the disparity of every pixel by OpenCV's semi-global matching (Hirschmueller 2008), and of boxes.
+"""Sgbm: the disparity of every pixel by OpenCV's semi-global matching (Hirschmueller 2008), and of
+boxes.
 
-OpenCV gives no disparities in the leftmost `n_disparities` columns, because not all candidates are inside the right
-image. Here both images are padded on the left first, and only pixels with a match outside the right image stay NaN.
+OpenCV gives no disparities in the leftmost `n_disparities` columns, because not all candidates are
+inside the right image. Here both images are padded on the left first, and only pixels with a match
+outside the right image stay NaN.
 """
 
 from __future__ import annotations
@@ -23,11 +25,13 @@ from track_range.stereo.geometry.rig import StereoRig
 DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
 _STEPS_PER_PX = 16  # disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px
-_MEDIAN_SIGMA_PX = 0.15  # of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)
+# of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)
+_MEDIAN_SIGMA_PX = 0.15
 _FRACTION_CUT = 0.25  # fraction of the box's width (height) that is cut off on each side
 _MAX_COST = 32767  # largest cost: OpenCV sums costs in 16 bits
 
-# Other names of settings in configuration files, and the fields of `SgbmSettings`, which have OpenCV's names.
+# Other names of settings in configuration files, and the fields of `SgbmSettings`, which have
+# OpenCV's names.
 _ALIASES = {
     "uniqueness_pct": "uniqueness_ratio",
     "max_left_right_px": "disp12_max_diff",
@@ -48,11 +52,14 @@ class SgbmSettings:
     """Parameters of OpenCV's StereoSGBM, and of reading boxes from its result."""
 
     min_disparity: int = 0  # smallest disparity, px
-    n_disparities: int = 128  # number of disparities, a multiple of 16; 128 reach 3 m with KITTI's rig (numDisparities)
+    # number of disparities, a multiple of 16; 128 reach 3 m with KITTI's rig (numDisparities)
+    n_disparities: int = 128
     block_size: int = 5  # side of the compared window, px, odd; usually 3 .. 7
-    # number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory)
+    # number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8
+    # (most memory)
     mode: Mode = "3way"
-    small_step_penalty: int = 8  # P1 per pixel of the window, for neighbours that differ by one disparity
+    # P1 per pixel of the window, for neighbours that differ by one disparity
+    small_step_penalty: int = 8
     large_step_penalty: int = 32  # P2 per pixel of the window, for larger steps
     uniqueness_ratio: int = 10  # minimum margin between the best and the second best cost, per cent
     # largest difference between left-to-right and right-to-left matching, px; -1 = not checked
@@ -61,12 +68,15 @@ class SgbmSettings:
     speckle_range: int = 2  # largest disparity difference within a region, px
     pre_filter_cap: int = 63  # limit at which the compared x-derivative is truncated
     min_valid_share: float = 0.2  # minimum fraction of known pixels in the inner half of a box
-    shape_share: float = 0.3  # fraction of the scatter inside the inner half that contributes to sigma
+    # fraction of the scatter inside the inner half that contributes to sigma
+    shape_share: float = 0.3
 
     def __post_init__(self) -> None:
         for name, is_valid, expected in _checks(self):
             if not is_valid:
-                raise ValueError(f"sgbm: expected {name} to be {expected}, got {getattr(self, name)!r}")
+                raise ValueError(
+                    f"sgbm: expected {name} to be {expected}, got {getattr(self, name)!r}"
+                )
 
     @classmethod
     def for_rig(
@@ -74,7 +84,9 @@ class SgbmSettings:
     ) -> SgbmSettings:
         """See `of`; by default for distances from `nearest_m` with a rectified rig."""
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
-        return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
+        return cls.of(
+            {"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})}
+        )
 
     @classmethod
     def of(cls, chosen: Mapping[str, Any]) -> SgbmSettings:
@@ -85,7 +97,9 @@ class SgbmSettings:
         known = [field.name for field in fields(cls)]
         for name in chosen:
             if name not in known and name not in _ALIASES:
-                raise ValueError(f"sgbm: unknown setting '{name}'; expected one of {', '.join(known)}")
+                raise ValueError(
+                    f"sgbm: unknown setting '{name}'; expected one of {', '.join(known)}"
+                )
         return cls(**{_ALIASES.get(name, name): value for name, value in chosen.items()})
 
 
@@ -106,8 +120,16 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
     large_text = f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2"
     return [
         ("min_disparity", whole("min_disparity", -512, 1024), "an integer from -512 to 1024"),
-        ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
-        ("block_size", whole("block_size", 1, 21) and block_size % 2 == 1, "an odd number up to 21"),
+        (
+            "n_disparities",
+            whole("n_disparities", 16, 1024) and n % 16 == 0,
+            "a multiple of 16 up to 1024",
+        ),
+        (
+            "block_size",
+            whole("block_size", 1, 21) and block_size % 2 == 1,
+            "an odd number up to 21",
+        ),
         ("mode", settings.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
         ("small_step_penalty", whole("small_step_penalty", 1), "an integer of 1 or more"),
         ("large_step_penalty", whole("large_step_penalty", *large), large_text),
@@ -143,16 +165,24 @@ class Sgbm:
     def dense_disparity(self, left: Image, right: Image) -> DisparityMap:
         """(H, W) float32 disparity x_left - x_right of each left pixel, NaN where unknown.
 
-        The images are rectified, of equal size, each (H, W) grey or (H, W, 3) BGR. Raises ValueError if they are not.
+        The images are rectified, of equal size, each (H, W) grey or (H, W, 3) BGR. Raises
+        ValueError if they are not.
         """
         if left.shape[:2] != right.shape[:2]:
-            raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
-        n_padded = max(self._settings.min_disparity + self._settings.n_disparities, 0)  # columns on the left
-        padded = [cv2.copyMakeBorder(grey(image), 0, 0, n_padded, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+            raise ValueError(
+                f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}"
+            )
+        # columns on the left
+        n_padded = max(self._settings.min_disparity + self._settings.n_disparities, 0)
+        padded = [
+            cv2.copyMakeBorder(grey(image), 0, 0, n_padded, 0, cv2.BORDER_REPLICATE)
+            for image in (left, right)
+        ]
         steps = self._matcher.compute(padded[0], padded[1])[:, n_padded:]
         disparity = steps.astype(np.float32) / _STEPS_PER_PX
         column = np.arange(left.shape[1], dtype=np.float32)
-        # OpenCV marks rejected pixels with less than the minimum, and gives the minimum itself without texture.
+        # OpenCV marks rejected pixels with less than the minimum, and gives the minimum itself
+        # without texture.
         is_unknown = (disparity <= self._settings.min_disparity) | (disparity > column)
         return np.where(is_unknown, np.float32(np.nan), disparity)
 
@@ -176,25 +206,38 @@ def inner_halves(
 ) -> Iterator[Patch | None]:
     """The inner half of each box (N, 4), clipped at `margin_px` from the image border.
 
-    It is the central half in width and height, which contains the object and little background. None where fewer than
-    `min_side_px` columns or rows are left, or the box is not finite or inverted.
+    It is the central half in width and height, which contains the object and little background.
+    None where fewer than `min_side_px` columns or rows are left, or the box is not finite or
+    inverted.
     """
     height, width = image_hw
-    with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes become NaN, which gives no patch
+    # infinite boxes become NaN, which gives no patch
+    with np.errstate(invalid="ignore", over="ignore"):
         cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _FRACTION_CUT
         first = np.maximum(np.ceil(xyxy_px[:, :2] + cut), margin_px)
-        last = np.minimum(np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px)
+        last = np.minimum(
+            np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px
+        )
     big_enough = (last - first + 1 >= min_side_px).all(axis=1)  # False for NaN too
     for i, usable in enumerate(np.asarray(big_enough).tolist()):
-        yield Patch(*first[i].astype(np.int64).tolist(), *last[i].astype(np.int64).tolist()) if usable else None
+        yield (
+            Patch(*first[i].astype(np.int64).tolist(), *last[i].astype(np.int64).tolist())
+            if usable
+            else None
+        )
 
 
 def inner_half_median(
-    disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
+    disparity: DisparityMap | FloatArray,
+    xyxy_px: FloatArray,
+    *,
+    settings: SgbmSettings | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Median disparity of the inner half of each box (N, 4), and its standard deviation, (N,) pixels each.
+    """Median disparity of the inner half of each box (N, 4), and its standard deviation, (N,)
+    pixels each.
 
-    NaN where too few pixels are known, and for boxes outside the image, smaller than 2 px or not finite.
+    NaN where too few pixels are known, and for boxes outside the image, smaller than 2 px or not
+    finite.
     """
     settings = settings or SgbmSettings()
     median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
@@ -205,16 +248,21 @@ def inner_half_median(
 
 
 def centre_disparity(
-    disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
+    disparity: DisparityMap | FloatArray,
+    xyxy_px: FloatArray,
+    *,
+    settings: SgbmSettings | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Disparity of the pixel at the centre of each box (N, 4), as used by Guo Pengyu, and sigma, (N,) each.
+    """Disparity of the pixel at the centre of each box (N, 4), as used by Guo Pengyu, and sigma,
+    (N,) each.
 
-    NaN where that pixel is unknown or outside the image. Sigma is computed from the inner half, including the scatter
-    of its pixels, or for a flat patch if too few pixels are known.
+    NaN where that pixel is unknown or outside the image. Sigma is computed from the inner half,
+    including the scatter of its pixels, or for a flat patch if too few pixels are known.
     """
     settings = settings or SgbmSettings()
     centre_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    with np.errstate(invalid="ignore", over="ignore"):  # the centres of infinite boxes are outside the image
+    # the centres of infinite boxes are outside the image
+    with np.errstate(invalid="ignore", over="ignore"):
         centres_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
     centres = np.rint(np.clip(centres_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
     for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape)):
@@ -222,12 +270,18 @@ def centre_disparity(
         is_inside = 0 <= y < disparity.shape[0] and 0 <= x < disparity.shape[1]
         if patch is not None and is_inside and np.isfinite(disparity[y, x]):
             sigma = _median_and_sigma(disparity, patch, settings)[1]
-            centre_px[i], sigma_px[i] = disparity[y, x], _MEDIAN_SIGMA_PX if math.isnan(sigma) else sigma
+            centre_px[i], sigma_px[i] = (
+                disparity[y, x],
+                _MEDIAN_SIGMA_PX if math.isnan(sigma) else sigma,
+            )
     return centre_px, sigma_px
 
 
-def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float | None = None) -> Image:
-    """(H, W, 3) uint8 BGR colour map of disparities (H, W): near is red, far is blue, unknown (NaN) is black.
+def disparity_picture(
+    disparity: DisparityMap | FloatArray, *, largest_px: float | None = None
+) -> Image:
+    """(H, W, 3) uint8 BGR colour map of disparities (H, W): near is red, far is blue, unknown (NaN)
+    is black.
 
     `largest_px` is the disparity of the nearest colour; None = the 99th percentile.
     """
@@ -235,7 +289,9 @@ def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float
     if largest_px is None:
         largest_px = float(np.percentile(disparity[known], 99)) if known.any() else 1.0
     level = np.clip(np.where(known, disparity, 0.0) / max(largest_px, 1e-6), 0.0, 1.0)
-    picture = np.asarray(cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8)
+    picture = np.asarray(
+        cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8
+    )
     return np.where(known[:, :, None], picture, np.uint8(0))
 
 
@@ -246,4 +302,6 @@ def _median_and_sigma(
     known = inside[np.isfinite(inside)].astype(np.float64)
     if len(known) < max(settings.min_valid_share * inside.size, 1):
         return math.nan, math.nan
-    return float(np.median(known)), math.hypot(_MEDIAN_SIGMA_PX, settings.shape_share * mad_sigma(known))
+    return float(np.median(known)), math.hypot(
+        _MEDIAN_SIGMA_PX, settings.shape_share * mad_sigma(known)
+    )

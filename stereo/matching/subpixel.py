@@ -1,19 +1,22 @@
-"""Subpixel disparities: least squares on the grey values of each window of a surface (Lucas & Kanade 1981).
+"""Subpixel disparities: least squares on the grey values of each window of a surface (Lucas &
+Kanade 1981).
 
-Census uses only the order of grey values: it determines the disparity to a pixel, but the steps of its bits bias the
-subpixel minimum. Starting from the surface d(x, y) through the census disparities, with g the left tile's derivative
-along the row,
+Census uses only the order of grey values: it determines the disparity to a pixel, but the steps of
+its bits bias the subpixel minimum. Starting from the surface d(x, y) through the census
+disparities, with g the left tile's derivative along the row,
 
     left(x) = a right(x - d(x, y)) + s g(x) + b        d of the window <- d - s        twice
 
-The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
-derivative is the left tile's in both iterations. The first one interpolates right(x - d) linearly, the last one by a
-cubic, which shifts all frequencies of a smoothed image by nearly the same amount: no fraction of a pixel is preferred.
-The variance of d follows from the least squares, with the residuals as the noise. The surface is fitted again to the
-windows that the grey values confirm.
+The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with
+census. The derivative is the left tile's in both iterations. The first one interpolates right(x -
+d) linearly, the last one by a cubic, which shifts all frequencies of a smoothed image by nearly the
+same amount: no fraction of a pixel is preferred. The variance of d follows from the least squares,
+with the residuals as the noise. The surface is fitted again to the windows that the grey values
+confirm.
 
-A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a pixel per pixel. So
-one vertical offset per box is fitted to the residuals, and its effect on each window's d removed.
+A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a
+pixel per pixel. So one vertical offset per box is fitted to the residuals, and its effect on each
+window's d removed.
 """
 
 from __future__ import annotations
@@ -24,20 +27,29 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
-from track_range.stereo.matching.surfaces import SurfaceFit, centre_weights, fit_surfaces, surface_terms
+from track_range.stereo.matching.surfaces import (
+    SurfaceFit,
+    centre_weights,
+    fit_surfaces,
+    surface_terms,
+)
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values
 _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
-_MIN_GAIN = 0.3  # smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
+# smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
+_MIN_GAIN = 0.3
 _MAX_SIGMA_PX = 0.2  # largest standard deviation of d of a confirmed window, px of the tile
 _UNCONFIRMED_SIGMA_PX = 0.2  # of a window that keeps its census disparity, px of the tile
-_MIN_NOISE_GREY2 = 0.14  # smallest variance of a smoothed grey value: rounding or compression, 1 level before smoothing
-# Factor on the variance, because smoothing correlates the noise of neighbours, which least squares assumes to be
-# independent; measured on exact shifts.
+# smallest variance of a smoothed grey value: rounding or compression, 1 level before smoothing
+_MIN_NOISE_GREY2 = 0.14
+# Factor on the variance, because smoothing correlates the noise of neighbours, which least squares
+# assumes to be independent; measured on exact shifts.
 _NOISE_CORRELATION = 3.5
-_VERTICAL_SIGMA_PX = 0.3  # prior of the vertical offset, px of the tile; the alignment corrects larger ones
-# Lower limit of a window's standard deviation, px of the tile and fraction of its disparity: no object is smooth.
+# prior of the vertical offset, px of the tile; the alignment corrects larger ones
+_VERTICAL_SIGMA_PX = 0.3
+# Lower limit of a window's standard deviation, px of the tile and fraction of its disparity: no
+# object is smooth.
 _FLOOR_PX, _FLOOR_FRACTION = 0.06, 0.01
 
 
@@ -46,14 +58,19 @@ class RefinedSurface:
     """The surfaces of N boxes with G windows each, px of the tile."""
 
     fit: SurfaceFit  # the surfaces, relative to index 0 of the costs
-    residual: FloatArray  # (N, G) disparity of a window minus the surface; NaN for windows that are not part of it
-    weight: FloatArray  # (N, G) 1 / variance of the windows, px^-2; 0 for windows that are not part of it
+    # (N, G) disparity of a window minus the surface; NaN for windows that are not part of it
+    residual: FloatArray
+    # (N, G) 1 / variance of the windows, px^-2; 0 for windows that are not part of it
+    weight: FloatArray
     # (N, G) windows whose disparity the grey values confirm; the others have their census disparity
     is_confirmed: BoolArray
 
 
-def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
-    """The surface with subpixel disparities, from census disparities (N, G) relative to index 0, px of the tile.
+def refine_surface(
+    tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit
+) -> RefinedSurface:
+    """The surface with subpixel disparities, from census disparities (N, G) relative to index 0, px
+    of the tile.
 
     `is_member` (N, G) are the windows of the surface, `plane` is the plane through them.
     """
@@ -70,22 +87,35 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
         at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
         at_pixels = np.minimum(np.maximum(at_pixels, np.float32(1.0)), np.float32(last))
         step = equations.solve(at_pixels, is_last=iteration == len(_N_FIT_ITERATIONS) - 1)
-        is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
+        is_fitted = (
+            (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
+        )
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
-        s = step.s if step.vertical is None else step.s - _vertical_offset_fraction(step.vertical, is_confirmed)
+        s = (
+            step.s
+            if step.vertical is None
+            else step.s - _vertical_offset_fraction(step.vertical, is_confirmed)
+        )
         refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
         central_weight, n_iterations = weight * central, _N_FIT_ITERATIONS[iteration]
         fit = fit_surfaces(
-            refined, central_weight, terms, disparity=disparity, is_curved=True, n_iterations=n_iterations
+            refined,
+            central_weight,
+            terms,
+            disparity=disparity,
+            is_curved=True,
+            n_iterations=n_iterations,
         )
     residual = np.where(is_member, refined - fit.at(u, v), np.nan)
     return RefinedSurface(fit, residual, weight, is_confirmed)
 
 
 def _smooth(grey: Grey) -> FloatArray32:
-    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 on both axes: the cubic then interpolates well."""
+    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 on both axes: the cubic then
+    interpolates well.
+    """
     values = grey.astype(np.uint16)
     down = values[:-2] + values[2:]
     down += 2 * values[1:-1]
@@ -95,7 +125,9 @@ def _smooth(grey: Grey) -> FloatArray32:
 
 
 class _Vertical(NamedTuple):
-    """For the vertical offset t of a box, (N, G) each: <g, h> / <g, g>, and the window's part of t's equation."""
+    """For the vertical offset t of a box, (N, G) each: <g, h> / <g, g>, and the window's part of
+    t's equation.
+    """
 
     fraction: FloatArray
     numerator: FloatArray
@@ -112,10 +144,11 @@ class _Step(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    """The parts of `l = a r + s g + b` in windows of K pixels that do not change with the iterations.
+    """The parts of `l = a r + s g + b` in windows of K pixels that do not change with the
+    iterations.
 
-    With <x, y> the covariance sum over a window's pixels, sum(x y) - sum(x) sum(y) / K, which removes b, the normal
-    equations of (s, a) and their solution are
+    With <x, y> the covariance sum over a window's pixels, sum(x y) - sum(x) sum(y) / K, which
+    removes b, the normal equations of (s, a) and their solution are
 
         <g, g> s + <g, r> a = <g, l>        s = (<g, l> <r, r> - <r, l> <g, r>) / D
         <g, r> s + <r, r> a = <r, l>        a = (<r, l> <g, g> - <g, l> <g, r>) / D
@@ -123,15 +156,16 @@ class _Equations(NamedTuple):
         D = <g, g> <r, r> - <g, r>^2        var s = noise <r, r> / D
                                             noise = (<l, l> - a <r, l> - s <g, l>) / (K - 4)
 
-    With h the left derivative down the column, a vertical offset t between the images adds t h to the model; s absorbs
-    t <g, h> / <g, g>.
+    With h the left derivative down the column, a vertical offset t between the images adds t h to
+    the model; s absorbs t <g, h> / <g, g>.
     """
 
     l: FloatArray32  # noqa: E741  (H, W, N) left grey values, less the tile's mean
     g: FloatArray32  # (H, W, N) their derivative along the row
     h: FloatArray32  # (H, W, N) their derivative down the column
     grey: FloatArray32  # (H, W', N) grey values of both images, less the same mean
-    sums: FloatArray  # (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels
+    # (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels
+    sums: FloatArray
     tiles: BoxTiles
 
     @classmethod
@@ -155,7 +189,8 @@ class _Equations(NamedTuple):
     def solve(self, index: FloatArray32, *, is_last: bool) -> _Step:
         """The solution with the right values at the disparities index (H, W, N).
 
-        The first steps interpolate linearly; only the last one needs exact fractions and the vertical offset.
+        The first steps interpolate linearly; only the last one needs exact fractions and the
+        vertical offset.
         """
         l, g, h, n = self.l, self.g, self.h, self.tiles.shape.window_px  # noqa: E741
         values = np.empty((5 if is_last else 4, *l.shape), np.float32)
@@ -165,8 +200,16 @@ class _Equations(NamedTuple):
             np.multiply(r, factor, out=product)
         sum_l, sum_g, sum_h, sum_ll, sum_gg, sum_hh, sum_gl, sum_gh, sum_hl = self.sums
         sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(values, self.tiles)
-        ll, gg, rr = sum_ll - sum_l * sum_l / n, sum_gg - sum_g * sum_g / n, sum_rr - sum_r * sum_r / n
-        gl, gr, rl = sum_gl - sum_g * sum_l / n, sum_gr - sum_g * sum_r / n, sum_rl - sum_r * sum_l / n
+        ll, gg, rr = (
+            sum_ll - sum_l * sum_l / n,
+            sum_gg - sum_g * sum_g / n,
+            sum_rr - sum_r * sum_r / n,
+        )
+        gl, gr, rl = (
+            sum_gl - sum_g * sum_l / n,
+            sum_gr - sum_g * sum_r / n,
+            sum_rl - sum_r * sum_l / n,
+        )
         determinant = gg * rr - gr**2 + 1e-3
         s = (gl * rr - rl * gr) / determinant
         a = (rl * gg - gl * gr) / determinant
@@ -178,11 +221,15 @@ class _Equations(NamedTuple):
             hh, gh = sum_hh - sum_h * sum_h / n, sum_gh - sum_g * sum_h / n
             hl, hr = sum_hl - sum_h * sum_l / n, sum_hr[0] - sum_h * sum_r / n
             fraction = gh / np.maximum(gg, 1e-3)
-            vertical = _Vertical(fraction, (hl - s * gh - a * hr) / noise, (hh - fraction * gh) / noise)
+            vertical = _Vertical(
+                fraction, (hl - s * gh - a * hr) / noise, (hh - fraction * gh) / noise
+            )
         return _Step(s, a, noise / information, vertical)
 
     def _right_at(self, index: FloatArray32, out: FloatArray32, *, is_linear: bool) -> FloatArray32:
-        """Fill (H, W, N) right values at the disparities index, by Lagrange's cubic through four pixels, or a line."""
+        """Fill (H, W, N) right values at the disparities index, by Lagrange's cubic through four
+        pixels, or a line.
+        """
         height, width, n = index.shape
         # Column of the first of the four pixels; the strip follows the left tile with its margins.
         zero = width + 2 * MARGIN_PX + self.tiles.n_disparities - 1
@@ -200,7 +247,10 @@ class _Equations(NamedTuple):
             np.multiply(after, t, out=out)
             out += at
             return out
-        before, next_after = pixels.take(first, mode="wrap"), pixels[3 * n :].take(first, mode="wrap")
+        before, next_after = (
+            pixels.take(first, mode="wrap"),
+            pixels[3 * n :].take(first, mode="wrap"),
+        )
         # at + t (c1 + t (c2 + t c3))
         c3 = at - after
         c3 *= np.float32(3)
@@ -230,9 +280,11 @@ def _by_window(values: FloatArray32, tiles: BoxTiles) -> FloatArray:
 
 
 def _vertical_offset_fraction(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:
-    """(N, G) part of each window's s that is due to the vertical offset t of its box, from all confirmed windows.
+    """(N, G) part of each window's s that is due to the vertical offset t of its box, from all
+    confirmed windows.
 
-    t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 / sigma^2)
+    t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 /
+    sigma^2)
     """
     numerator = (is_confirmed * vertical.numerator).sum(axis=1)
     information = (is_confirmed * vertical.information).sum(axis=1)

@@ -2,10 +2,11 @@
 
     P(s) = exp(theta . phi(s)) / sum over the surfaces t of exp(theta . phi(t))
 
-The features phi are where a surface lies in the box, how well it matches, whether other surfaces are in front of or
-behind it, and how its disparity agrees with what is known about the object: its size, its track and the other boxes. An
-occluder is in front, narrow, and too near for the size of the box; the background is behind, at the box's corners; the
-object surrounds its occluder, so that it is seen on both sides.
+The features phi are where a surface lies in the box, how well it matches, whether other surfaces
+are in front of or behind it, and how its disparity agrees with what is known about the object: its
+size, its track and the other boxes. An occluder is in front, narrow, and too near for the size of
+the box; the background is behind, at the box's corners; the object surrounds its occluder, so that
+it is seen on both sides.
 """
 
 from dataclasses import dataclass
@@ -20,12 +21,18 @@ from track_range.stereo.matching.tiles import BoxTiles
 _SIDE_U, _SIDE_V = 0.15, 0.15  # limits of the middle third of a box, in box sizes from its centre
 _CENTRE_SIGMA = 0.175  # standard deviation of the weight of the box's centre, in box sizes
 _MIN_FRACTION = 0.05  # added to fractions before their logarithm
-_MIN_LOG_SIGMA = 0.1  # smallest sigma of the log disparity by size: visible parts are smaller than objects
-_MAX_DEVIATION = 4.0  # standard deviations from the expected disparity; larger deviations are as improbable
-_TRACK_LOG_SIGMA = 0.05  # standard deviation of the log disparity in one frame about that of the track's last match
-_NEARER, _FARTHER = 1.03, 0.97  # ratio of disparities from which a surface is in front of or behind another one
-_OTHER_BOX_RATIO = 1.15  # ratio of the expected disparities from which another box is nearer or farther than the box
-_OTHER_BOX_FRACTION = 0.12  # largest relative difference of a surface from the disparity of another box it belongs to
+# smallest sigma of the log disparity by size: visible parts are smaller than objects
+_MIN_LOG_SIGMA = 0.1
+# standard deviations from the expected disparity; larger deviations are as improbable
+_MAX_DEVIATION = 4.0
+# standard deviation of the log disparity in one frame about that of the track's last match
+_TRACK_LOG_SIGMA = 0.05
+# ratio of disparities from which a surface is in front of or behind another one
+_NEARER, _FARTHER = 1.03, 0.97
+# ratio of the expected disparities from which another box is nearer or farther than the box
+_OTHER_BOX_RATIO = 1.15
+# largest relative difference of a surface from the disparity of another box it belongs to
+_OTHER_BOX_FRACTION = 0.12
 
 THETA = {
     "area": 0.27,
@@ -48,9 +55,9 @@ THETA = {
     "off_track": -0.20,
     "of_other_box": -1.24,
 }
-"""theta: multinomial logistic regression of the correct surface on the features, with an L2 penalty of 2, on the
-scenario `occlusion` of the simulation, seeds 0-19, with and without sizes and priors (`python -m benchmarks
-surface_choice`)."""
+"""theta: multinomial logistic regression of the correct surface on the features, with an L2 penalty
+of 2, on the scenario `occlusion` of the simulation, seeds 0-19, with and without sizes and priors
+(`python -m benchmarks surface_choice`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,24 +65,32 @@ class SurfaceChoice:
     """The object's surface in each of N boxes."""
 
     chosen: IntArray  # (N,) number of the surface
-    probability: FloatArray  # (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface
+    # (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface
+    probability: FloatArray
     n_surfaces: IntArray  # (N,) number of surfaces with at least two windows
 
 
 @dataclass(frozen=True, slots=True)
 class OtherBoxes:
-    """All boxes of a frame with their expected disparities: nearer boxes occlude, farther boxes are background."""
+    """All boxes of a frame with their expected disparities: nearer boxes occlude, farther boxes are
+    background.
+    """
 
     xyxy_px: FloatArray  # (M, 4) boxes
     expected_px: FloatArray  # (M,) expected disparities, from the track or the size; NaN = unknown
 
     def windows(
-        self, xyxy_px: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
+        self,
+        xyxy_px: FloatArray,
+        expected_px: FloatArray,
+        tiles: BoxTiles,
+        disparity_px: FloatArray,
     ) -> FloatArray:
-        """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
+        """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther;
+        0 = it does not.
 
-        `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px` (N, G) the
-        disparities of the windows, px of the image.
+        `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px`
+        (N, G) the disparities of the windows, px of the image.
         """
         size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
         x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
@@ -84,7 +99,9 @@ class OtherBoxes:
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.abs(np.log(self.expected_px[:, None] / expected_px[None, :]))
             is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
-            is_same = np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
+            is_same = (
+                np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
+            )
         is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
         return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
 
@@ -100,8 +117,8 @@ def features(
 ) -> dict[str, FloatArray]:
     """The features phi by name, (S, N) each.
 
-    `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last matches of the tracks,
-    NaN = none; `others_fraction` (N, G) comes from `OtherBoxes.windows`.
+    `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last
+    matches of the tracks, NaN = none; `others_fraction` (N, G) comes from `OtherBoxes.windows`.
     """
     u, v, used = tiles.u, tiles.v, tiles.is_used
     n_boxes, n_windows = u.shape
@@ -117,7 +134,8 @@ def features(
     is_surface = np.isfinite(surfaces.centre)
     member = surfaces.is_member.astype(np.float64)
     n = np.maximum(member.sum(axis=2), 1.0)
-    fraction = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]  # (N, S, 8)
+    # (N, S, 8)
+    fraction = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]
     log_fraction = np.log(fraction + _MIN_FRACTION).transpose(2, 1, 0)
     area, disparity = fraction[..., 0].T, np.where(is_surface, surfaces.disparity, 0.0)
     single, parts = disparity[:, None], area[:, None]
@@ -125,7 +143,9 @@ def features(
     behind = (single < disparity[None] * _FARTHER) * parts
     centre = np.where(is_surface, surfaces.centre, 0.0)
     disparity_px = np.maximum(tiles.first_px + tiles.scale[0] * centre, 0.1)
-    by_size_z = _deviation(disparity_px, by_size.disparity_px, np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA))
+    by_size_z = _deviation(
+        disparity_px, by_size.disparity_px, np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA)
+    )
     track_z = _deviation(disparity_px, track_px, np.full(len(track_px), _TRACK_LOG_SIGMA))
     nearer, farther = np.maximum(by_size_z, 0.0), np.maximum(-by_size_z, 0.0)
     return {
@@ -161,14 +181,21 @@ def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceCho
     with np.errstate(invalid="ignore"):
         likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
     probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
-    return SurfaceChoice(score.argmax(axis=0), probability, (surfaces.is_member.sum(axis=2) >= 2).sum(axis=0))
+    return SurfaceChoice(
+        score.argmax(axis=0), probability, (surfaces.is_member.sum(axis=2) >= 2).sum(axis=0)
+    )
 
 
-def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray) -> FloatArray:
+def _deviation(
+    disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray
+) -> FloatArray:
     """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # the logarithm of expected disparities of infinity
+    # the logarithm of expected disparities of infinity
+    with np.errstate(invalid="ignore", divide="ignore"):
         z = np.log(disparity_px / expected_px) / log_sigma
-    return np.asarray(np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION)))
+    return np.asarray(
+        np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION))
+    )
 
 
 def _extent(position: FloatArray, is_member: BoolArray) -> FloatArray:

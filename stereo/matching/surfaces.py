@@ -1,18 +1,20 @@
-"""The surfaces that a box shows, of the object and in front of and behind it: groups of windows on a plane.
+"""The surfaces that a box shows, of the object and in front of and behind it: groups of windows on
+a plane.
 
-Windows vote for a disparity: the support of a window is the number of windows that agree with it; windows in the lower
-middle of the box count most. The window with the largest support is the first surface; a plane through the windows that
-agree with it decides which windows belong to it. The remaining windows vote again, for the next surface.
+Windows vote for a disparity: the support of a window is the number of windows that agree with it;
+windows in the lower middle of the box count most. The window with the largest support is the first
+surface; a plane through the windows that agree with it decides which windows belong to it. The
+remaining windows vote again, for the next surface.
 
     d(u, v) = p0 + p1 u + p2 v + p3 u^2 + p4 v^2      u, v: position relative to the box's centre, in box sizes
 
-The fit of a surface, a plane with a small curvature, minimises the weighted absolute residuals r, bounded beyond a few
-times a floor f, by iteratively reweighted least squares with the weights
+The fit of a surface, a plane with a small curvature, minimises the weighted absolute residuals r,
+bounded beyond a few times a floor f, by iteratively reweighted least squares with the weights
 
     w_i = w / (max(|r_i| / f, 1) (1 + (r_i / (2 f))^2))
 
-The curvature has the prior N(0, (c d)^2): cars are rounded, but few windows do not show how much. p0 is the disparity
-at the box's centre, also of a car seen obliquely.
+The curvature has the prior N(0, (c d)^2): cars are rounded, but few windows do not show how much.
+p0 is the disparity at the box's centre, also of a car seen obliquely.
 """
 
 from dataclasses import dataclass
@@ -23,24 +25,35 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_matches import WindowMatches
 
-# f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px.
+# f: residual below which windows have equal weights, as a fraction of the mean disparity, and its
+# minimum in px.
 _FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05
-_BOUND_FLOORS = 2.0  # residual, in units of f, at which a window counts half of what it would without the bound
+# residual, in units of f, at which a window counts half of what it would without the bound
+_BOUND_FLOORS = 2.0
 _RIDGE = 4e-3  # on the tilt p1, p2, relative to the total weight: for windows that nearly coincide
-# c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
-# Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs.
+# c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the
+# box's inner half. Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of
+# KITTI 2015's given pairs.
 _CURVATURE = 0.25
-_OVERLAP = 4.0  # number of windows that contain a pixel: their errors are correlated, so the prior counts as much more
+# number of windows that contain a pixel: their errors are correlated, so the prior counts as much
+# more
+_OVERLAP = 4.0
 N_SURFACES = 3  # largest number of surfaces per box, S
 _SAME_SURFACE_FRACTION = 0.15  # largest relative difference of the disparities of one surface
 _SAME_SURFACE_PX = 0.75  # its minimum, px of the tile
 _ON_PLANE = 0.75  # largest distance from the plane, as a fraction of that difference
-_MIN_ON_PLANE = 0.8  # minimum fraction of the windows of a surface on its plane; otherwise it is not a plane
-_N_GROWTHS = 2  # times that a plane is fitted to the first surface, and its windows selected: it grows along its plane
+# minimum fraction of the windows of a surface on its plane; otherwise it is not a plane
+_MIN_ON_PLANE = 0.8
+# times that a plane is fitted to the first surface, and its windows selected: it grows along its
+# plane
+_N_GROWTHS = 2
 _N_FIT_ITERATIONS = 3  # iterations of each fit of a plane
-_CENTRE_SIGMA = 0.2  # of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded
-_LOWER_MIDDLE = 0.125  # v of the most likely position of the object, in box sizes: objects touch the box's lower edge
-_MIN_WINDOWS = 4  # minimum number of windows that a plane is fitted to, one more than its parameters
+# of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded
+_CENTRE_SIGMA = 0.2
+# v of the most likely position of the object, in box sizes: objects touch the box's lower edge
+_LOWER_MIDDLE = 0.125
+# minimum number of windows that a plane is fitted to, one more than its parameters
+_MIN_WINDOWS = 4
 _FULL_COST_BITS = 6.0  # cost up to which a window counts fully, bits per pixel
 _NO_MATCH_BITS = 10.0  # cost from which it counts as a chance match, which has 12
 
@@ -52,9 +65,13 @@ class SurfaceFit:
     p: FloatArray  # (..., N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """(..., N, G) disparities at positions (N, G), or arrays that can be broadcast to this shape."""
+        """(..., N, G) disparities at positions (N, G), or arrays that can be broadcast to this
+        shape.
+        """
         p = self.p[..., None, :]
-        return np.asarray(p[..., 0] + u * (p[..., 1] + p[..., 3] * u) + v * (p[..., 2] + p[..., 4] * v))
+        return np.asarray(
+            p[..., 0] + u * (p[..., 1] + p[..., 3] * u) + v * (p[..., 2] + p[..., 4] * v)
+        )
 
 
 def surface_terms(u: FloatArray, v: FloatArray) -> FloatArray:
@@ -71,13 +88,15 @@ def fit_surfaces(
     is_curved: bool = False,
     n_iterations: int = 4,
 ) -> SurfaceFit:
-    """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not part of a surface.
+    """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not
+    part of a surface.
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
-    `index`, (N, G) or (..., N, G), is relative to any disparity of the box, such as index 0 of the costs; `weight` is
-    1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) the box's disparity, px of the tile, for
-    the scale of residuals and curvature. Without `is_curved`, a plane is fitted.
+    `index`, (N, G) or (..., N, G), is relative to any disparity of the box, such as index 0 of the
+    costs; `weight` is 1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N)
+    the box's disparity, px of the tile, for the scale of residuals and curvature. Without
+    `is_curved`, a plane is fitted.
     """
     n_parameters = 5 if is_curved else 3
     a = np.ascontiguousarray(terms[..., :n_parameters])
@@ -109,15 +128,20 @@ class Surfaces:
     """S surfaces of each of N boxes, in order of decreasing support."""
 
     is_member: BoolArray  # (S, N, G) windows of each surface; none = the box shows fewer surfaces
-    # (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none
+    # (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN =
+    # none
     centre: FloatArray
     disparity: FloatArray  # (S, N) the same, from 0
     planes: SurfaceFit  # their planes
 
 
 def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:
-    """(N, G) weights of windows: the slope of the minimum, reduced for costs that a chance match could have."""
-    resemblance = np.clip((_NO_MATCH_BITS - matches.cost) / (_NO_MATCH_BITS - _FULL_COST_BITS), 0.0, 1.0)
+    """(N, G) weights of windows: the slope of the minimum, reduced for costs that a chance match
+    could have.
+    """
+    resemblance = np.clip(
+        (_NO_MATCH_BITS - matches.cost) / (_NO_MATCH_BITS - _FULL_COST_BITS), 0.0, 1.0
+    )
     return np.asarray(np.where(tiles.is_used, matches.slope * resemblance, 0.0))
 
 
@@ -127,18 +151,26 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
-    """The S surfaces with most support, from disparities (N, G) relative to index 0, px of the tile, and weights.
+    """The S surfaces with most support, from disparities (N, G) relative to index 0, px of the
+    tile, and weights.
 
-    The first surface grows along its plane before further surfaces are found in the rest; these grow together.
+    The first surface grows along its plane before further surfaces are found in the rest; these
+    grow together.
     """
     u, v = tiles.u, tiles.v
-    tolerance = np.maximum(_SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
+    tolerance = np.maximum(
+        _SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX
+    )
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
-    agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
+    agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(
+        np.float64
+    )
     central, terms = centre_weights(u, v), surface_terms(u, v)
 
     def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Windows (n, N, G) that agree with the window of most support, its disparity and its tolerance (n, N, 1)."""
+        """Windows (n, N, G) that agree with the window of most support, its disparity and its
+        tolerance (n, N, 1).
+        """
         chosen = []
         for _ in range(n):
             support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
@@ -151,12 +183,16 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
         return np.stack(is_members), np.stack(best_indices), np.stack(limits)
 
     def grown(free: FloatArray, n: int, *, n_growths: int) -> tuple[BoolArray, FloatArray]:
-        """Windows (n, N, G) and coefficients (n, N, 5) of the n surfaces with most support among free windows."""
+        """Windows (n, N, G) and coefficients (n, N, 5) of the n surfaces with most support among
+        free windows.
+        """
         is_member, best_index, limit = modes(free, n)
         disparity = np.maximum(tiles.first + best_index[..., 0], 0.1)
         for _ in range(n_growths):
             fit_weight = np.where(is_member, free * central, 0.0)
-            plane = fit_surfaces(index, fit_weight, terms, disparity=disparity, n_iterations=_N_FIT_ITERATIONS)
+            plane = fit_surfaces(
+                index, fit_weight, terms, disparity=disparity, n_iterations=_N_FIT_ITERATIONS
+            )
             n_windows = is_member.sum(axis=-1)
             constant = np.concatenate([best_index, np.zeros((*n_windows.shape, 4))], axis=-1)
             plane = SurfaceFit(np.where(n_windows[..., None] < _MIN_WINDOWS, constant, plane.p))

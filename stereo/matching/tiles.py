@@ -1,4 +1,5 @@
-"""BoxTiles: each box of a frame resampled to a tile of the same size, with the strip of the right image it may match.
+"""BoxTiles: each box of a frame resampled to a tile of the same size, with the strip of the right
+image it may match.
 
 +---+---+---+---+     A tile has 8 x 8 cells; each 2 x 2 cells are a window, so that 7 x 7 windows overlap by half.
 |   |   |   |   |     All boxes of a frame form one array, whatever their size: large boxes are shrunk to the tile, and
@@ -24,12 +25,18 @@ Grey = npt.NDArray[np.uint8]
 N_CELLS = 8  # cells per row and per column of a tile
 N_SIDE = N_CELLS - 1  # windows per row and per column of a tile
 N_WINDOWS = N_SIDE**2  # windows per tile, G
-MARGIN_PX = 4  # pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)
-_BOX_FRACTION = 0.65  # of a box's sides that its tile covers, around its centre; the rest is mostly background
-_MAX_ASPECT = 4.0  # largest ratio of the scales in x and y: of longer boxes, the tile shows the middle
-_OVERHANG = 0.25  # smallest distance of a used window's centre from the box's edges, in window sizes
+# pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)
+MARGIN_PX = 4
+# of a box's sides that its tile covers, around its centre; the rest is mostly background
+_BOX_FRACTION = 0.65
+# largest ratio of the scales in x and y: of longer boxes, the tile shows the middle
+_MAX_ASPECT = 4.0
+# smallest distance of a used window's centre from the box's edges, in window sizes
+_OVERHANG = 0.25
 # Possible scales of tiles, px of the image per px of the tile.
-_SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), np.arange(4, 8), 2.0 ** np.arange(3, 8)])
+_SCALES = np.concatenate(
+    [np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), np.arange(4, 8), 2.0 ** np.arange(3, 8)]
+)
 _STEPS_MULTIPLE = 4  # D - 1 is a multiple of this, so that strips end at whole pixels at each scale
 
 
@@ -52,22 +59,27 @@ class TileShape(NamedTuple):
 
 FINE = TileShape((4, 6), 1.0)  # tiles for the measurement
 COARSE = TileShape((2, 3), 2.0)  # tiles for the search of the full range of disparities
-MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)  # smallest image that contains a window, px
+# smallest image that contains a window, px
+MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class BoxTiles:
     """The tiles of N boxes, and the strips of the right image for D disparities.
 
-    Window g at disparity index k of a tile matches the strip's columns that start D - 1 - k further right.
+    Window g at disparity index k of a tile matches the strip's columns that start D - 1 - k further
+    right.
     """
 
     shape: TileShape  # resolution of the tiles
     both: Grey  # (H + 8, 2 W + 16 + D - 1, N) grey values: `left` and, beside it, `right`
     scale: FloatArray  # (2, N) px of the image per px of the tile, in x and in y
-    first_px: FloatArray  # (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0]
+    # (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0]
+    first_px: FloatArray
     n_disparities: int  # D
-    u: FloatArray  # (N, G) position of a window's centre to the right of the box's centre, divided by the box's width
+    # (N, G) position of a window's centre to the right of the box's centre, divided by the box's
+    # width
+    u: FloatArray
     v: FloatArray  # (N, G) position below the box's centre, divided by the box's height
     is_used: BoolArray  # (N, G) windows inside the box and the left image
     is_seen: BoolArray  # (W + 8 + D - 1, N) columns of the strip inside the right image
@@ -98,24 +110,37 @@ class BoxTiles:
         column = np.arange(width)[:, None] + 0.5 - cell_width
         row = np.arange(height)[:, None] + 0.5 - cell_height
         step_u, step_v = self.u[:, 1] - self.u[:, 0], self.v[:, N_SIDE] - self.v[:, 0]
-        return self.u[:, 0] + column * step_u / cell_width, self.v[:, 0] + row * step_v / cell_height
+        return self.u[:, 0] + column * step_u / cell_width, self.v[
+            :, 0
+        ] + row * step_v / cell_height
 
 
 def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
     """(2, N) scales in x and y of the tiles of boxes (N, 4)."""
     size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T
-    required = np.maximum(_BOX_FRACTION * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale)
+    required = np.maximum(
+        _BOX_FRACTION * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale
+    )
     required = np.minimum(required, _MAX_ASPECT * required[::-1])
     allowed = _SCALES * (shape.min_scale / FINE.min_scale)
-    return np.asarray(allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)])
+    return np.asarray(
+        allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)]
+    )
 
 
 def box_tiles(
-    left: Image, right: ImageView, xyxy_px: FloatArray, first_px: FloatArray, n_disparities: int, shape: TileShape
+    left: Image,
+    right: ImageView,
+    xyxy_px: FloatArray,
+    first_px: FloatArray,
+    n_disparities: int,
+    shape: TileShape,
 ) -> BoxTiles:
-    """The tiles of boxes (N, 4) inside the left image, grey or BGR; only their pixels and strips are read.
+    """The tiles of boxes (N, 4) inside the left image, grey or BGR; only their pixels and strips
+    are read.
 
-    `first_px` (N,) are the smallest disparities, rounded to whole pixels, `n_disparities` is the smallest D.
+    `first_px` (N,) are the smallest disparities, rounded to whole pixels, `n_disparities` is the
+    smallest D.
     """
     n_disparities = -(-(n_disparities - 1) // _STEPS_MULTIPLE) * _STEPS_MULTIPLE + 1
     n, (height, width) = len(xyxy_px), shape.hw
@@ -140,7 +165,9 @@ def box_tiles(
         _resample(right, tops[i], bottoms[i], strip_start, strip_ends[i], strips[i])
 
     column_px = strip_px + (np.arange(strip_width)[:, None] + 0.5) * scale[0]
-    u, v, is_used = _window_positions(xyxy_px, (centre_px - start_px) / scale - MARGIN_PX, scale, shape)
+    u, v, is_used = _window_positions(
+        xyxy_px, (centre_px - start_px) / scale - MARGIN_PX, scale, shape
+    )
     is_used &= _is_inside(start_px, scale, shape, (left.shape[0], left.shape[1]))
     return BoxTiles(
         shape,
@@ -158,7 +185,9 @@ def box_tiles(
 def _window_positions(
     xyxy_px: FloatArray, centre: FloatArray, scale: FloatArray, shape: TileShape
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """U, v (N, G) of the windows' centres, and whether they are inside the box; `centre` (2, N) of the box in px."""
+    """U, v (N, G) of the windows' centres, and whether they are inside the box; `centre` (2, N) of
+    the box in px.
+    """
     size = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T / scale
     steps = np.arange(1, N_SIDE + 1)
     u = (steps * shape.cell_hw[1] - centre[0][:, None]) / size[0][:, None]
@@ -171,19 +200,26 @@ def _window_positions(
     return u, v, (np.abs(u) <= limit_u) & (np.abs(v) <= limit_v)
 
 
-def _is_inside(start_px: IntArray, scale: FloatArray, shape: TileShape, image_hw: tuple[int, int]) -> BoolArray:
+def _is_inside(
+    start_px: IntArray, scale: FloatArray, shape: TileShape, image_hw: tuple[int, int]
+) -> BoolArray:
     """(N, G) windows of tiles that lie entirely in the left image."""
     inside = []
     for axis, (cell, side_px) in enumerate(zip(shape.cell_hw[::-1], image_hw[::-1], strict=True)):
         first = np.arange(N_SIDE) * cell + MARGIN_PX
         first_px = start_px[axis][:, None] + first * scale[axis][:, None]
         last_px = first_px + 2 * cell * scale[axis][:, None]
-        inside.append((first_px >= -0.5 * scale[axis][:, None]) & (last_px <= side_px + 0.5 * scale[axis][:, None]))
+        inside.append(
+            (first_px >= -0.5 * scale[axis][:, None])
+            & (last_px <= side_px + 0.5 * scale[axis][:, None])
+        )
     return np.asarray((inside[1][:, :, None] & inside[0][:, None, :]).reshape(len(scale[0]), -1))
 
 
 def _resample(image: ImageView, top: int, bottom: int, start: int, end: int, tile: Grey) -> None:
-    """Fill a tile with means of the grey pixels [top:bottom, start:end]; outside the image, its border is repeated."""
+    """Fill a tile with means of the grey pixels [top:bottom, start:end]; outside the image, its
+    border is repeated.
+    """
     height, width = image.shape[:2]
     inside = max(top, 0), min(bottom, height), max(start, 0), min(end, width)
     if inside[0] >= inside[1] or inside[2] >= inside[3]:
@@ -194,11 +230,17 @@ def _resample(image: ImageView, top: int, bottom: int, start: int, end: int, til
     if inside != (top, bottom, start, end):
         border = (inside[0] - top, bottom - inside[1], inside[2] - start, end - inside[3])
         grey = cv2.copyMakeBorder(grey, *border, cv2.BORDER_REPLICATE)
-    tile[:] = grey if grey.shape == tile.shape else cv2.resize(grey, tile.shape[::-1], interpolation=cv2.INTER_AREA)
+    tile[:] = (
+        grey
+        if grey.shape == tile.shape
+        else cv2.resize(grey, tile.shape[::-1], interpolation=cv2.INTER_AREA)
+    )
 
 
 def window_sums(values: FloatArray32, cell_hw: tuple[int, int]) -> FloatArray32:
-    """(K, 7, 7, N) sums over the windows of K arrays (K, H, W, N), as products with matrices of 0 and 1."""
+    """(K, 7, 7, N) sums over the windows of K arrays (K, H, W, N), as products with matrices of 0
+    and 1.
+    """
     n_arrays, height, width, n = values.shape
     down = _window_matrix(cell_hw[0]) @ values.reshape(n_arrays, height, width * n)
     return np.asarray(_window_matrix(cell_hw[1]) @ down.reshape(n_arrays, N_SIDE, width, n))

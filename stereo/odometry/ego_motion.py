@@ -1,4 +1,6 @@
-"""EgoMotion: speed and yaw rate of the camera; CameraStep: motion between images; Odometry measures both."""
+"""EgoMotion: speed and yaw rate of the camera; CameraStep: motion between images; Odometry measures
+both.
+"""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +15,8 @@ from track_range.stereo.geometry.frames import Frame
 class EgoMotion:
     """Motion of the left camera since the previous frame."""
 
-    speed_mps: float = math.nan  # speed along the optical axis, negative = backwards; NaN = not measured
+    # speed along the optical axis, negative = backwards; NaN = not measured
+    speed_mps: float = math.nan
     speed_sigma_mps: float = math.nan  # its standard deviation; NaN = not measured
     yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right; NaN = not measured
     is_still: bool = False  # whether the camera is at rest; False if unknown
@@ -26,8 +29,10 @@ class CameraStep:
     time_s: float  # time of the frame
     dt_s: float  # time since the previous frame
     rotation: FloatArray  # (3, 3) rotation `now_from_before` of the static scene
-    rotation_sigma_rad: float  # standard deviation of the yaw between the frames, which does not average out
-    travel: FloatArray  # (2,) x, y of the ray at depth 1 along the direction of travel, in this frame
+    # standard deviation of the yaw between the frames, which does not average out
+    rotation_sigma_rad: float
+    # (2,) x, y of the ray at depth 1 along the direction of travel, in this frame
+    travel: FloatArray
     travelled_m: float  # distance travelled
     travelled_sigma: float  # relative standard deviation of `travelled_m`, the same in all frames
     now: FlowFrame  # the images of this frame
@@ -42,5 +47,7 @@ class Odometry(Protocol):
         ...
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame, with boxes (N, 4) of road users, which are not static; unknown at first."""
+        """Motion since the previous frame, with boxes (N, 4) of road users, which are not static;
+        unknown at first.
+        """
         ...

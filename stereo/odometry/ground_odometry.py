@@ -1,21 +1,24 @@
-r"""GroundOdometry: speed of one camera in units of its height above the road, and the horizon, one frame after another.
+r"""GroundOdometry: speed of one camera in units of its height above the road, and the horizon, one
+frame after another.
 
-The road ahead is resampled on a grid of X and Z as seen from above, in the previous frame and in this one, with the
-rotation between them removed. Driving s metres then shifts the picture along Z:
+The road ahead is resampled on a grid of X and Z as seen from above, in the previous frame and in
+this one, with the rotation between them removed. Driving s metres then shifts the picture along Z:
 
     now(X, Z - s) = before(X, Z)        pixel of (X, Z): pi(R C [X, h, Z])
 
-C is the rotation from a level frame, which looks along the direction of travel, to the camera's frame; R is the
-rotation from frame to frame (`ImageMotion`). A car drives parallel to the road, so the horizon has the row of the
-epipole. `RoadHorizon` filters this row.
+C is the rotation from a level frame, which looks along the direction of travel, to the camera's
+frame; R is the rotation from frame to frame (`ImageMotion`). A car drives parallel to the road, so
+the horizon has the row of the epipole. `RoadHorizon` filters this row.
 
-The picture is divided into strips. The shift is the maximum of their mean normalised correlation; strips under boxes of
-road users or without texture do not count. The speed is unknown if the maximum is low or not unique. A horizon in a
-wrong row makes distant parts of the road shift more, or less, than near parts: if the horizon is taken to be d rad too
-low, a point at distance Z seems to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h).
-So the slope of the shifts over the distances measures the horizon, whatever the height.
+The picture is divided into strips. The shift is the maximum of their mean normalised correlation;
+strips under boxes of road users or without texture do not count. The speed is unknown if the
+maximum is low or not unique. A horizon in a wrong row makes distant parts of the road shift more,
+or less, than near parts: if the horizon is taken to be d rad too low, a point at distance Z seems
+to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h). So the slope
+of the shifts over the distances measures the horizon, whatever the height.
 
-An error of the camera height is an equal relative error of the speed. The road is taken to be plane up to 15 m.
+An error of the camera height is an equal relative error of the speed. The road is taken to be plane
+up to 15 m.
 """
 
 import math
@@ -37,51 +40,61 @@ from track_range.stereo.odometry.speed_filter import SpeedFilter
 _HALF_WIDTH_M = 1.5  # half the width of the picture
 _NEAREST_M = 4.5  # nearest road in the picture, if the image shows it
 _FARTHEST_M = 15.0  # farthest road in the picture, if it is long enough
-_MIN_LENGTH_M, _MAX_PIXEL_M = 8.0, 0.25  # length of the picture to aim at, and of the road that a pixel may cover in it
+# length of the picture to aim at, and of the road that a pixel may cover in it
+_MIN_LENGTH_M, _MAX_PIXEL_M = 8.0, 0.25
 _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
 _STRIP_M = 2.0  # length of a strip
-_PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
+# distance of the middle of the picture, at which its plane has the slope of the road
+_PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
-_MIN_STRIP_GREY = 1.0  # smallest standard deviation of a strip in grey levels; below it there is only noise
+# smallest standard deviation of a strip in grey levels; below it there is only noise
+_MIN_STRIP_GREY = 1.0
 _MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
 _MIN_CORRELATION = 0.25  # smallest mean correlation of a reliable shift
 _MIN_UNIQUENESS = 0.05  # smallest difference of it from the second best maximum
 _MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
 _SHIFT_SIGMA_M = 0.02  # standard deviation of a shift; assumed, a fifth of a cell
-# Relative error of all speeds, from a road that is not plane and the camera height; the errors on simulated drives,
-# seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
+# Relative error of all speeds, from a road that is not plane and the camera height; the errors on
+# simulated drives, seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
 _SCALE_SIGMA = 0.03
 
 # The horizon from the shifts of the strips:
 _MIN_STRIPS = 4  # minimum number of strips for a measurement
-_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: the farthest's, 0.012 rad off, 30 m/s
+# largest difference of a strip's shift from the common one: the farthest's, 0.012 rad off, 30 m/s
+_MAX_STRIP_CELLS = 6
 _MIN_STRIP_CORRELATION = 0.4  # of the strip at its own shift
 _STRIP_SIGMA_M = 0.015  # standard deviation of the shift of one strip
-_STRIPS_SIGMA_RAD = 0.0015  # of the horizon by errors that the strips share: 0.0015 to 0.002 on simulated drives
-_OUTLIER_SIGMA = 4.0  # innovation of the horizon in standard deviations above which the shifts are wrong
+# of the horizon by errors that the strips share: 0.0015 to 0.002 on simulated drives
+_STRIPS_SIGMA_RAD = 0.0015
+# innovation of the horizon in standard deviations above which the shifts are wrong
+_OUTLIER_SIGMA = 4.0
 _MAX_FRAMES = 50.0  # largest amplification of an error of the rotation, by slow motion
 
-# The direction of travel:
-# Standard deviation of the row of the epipole as a measurement of the horizon: 0.002 to 0.005 rad on simulated drives,
-# seeds 0-2, correlated over a second, and the camera moves up and down on the springs.
+# The direction of travel: Standard deviation of the row of the epipole as a measurement of the
+# horizon: 0.002 to 0.005 rad on simulated drives, seeds 0-2, correlated over a second, and the
+# camera moves up and down on the springs.
 _EPIPOLE_SIGMA_RAD = 0.012
 _SURE_RAD = 0.004  # standard deviation of the horizon below which the epipole is expected there
-_TRAVEL_SIGMA_RAD = 0.004  # deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
+# deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
+_TRAVEL_SIGMA_RAD = 0.004
 _TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
 _TYPICAL_MPS = 10.0  # speed for the curvature of the road until the first speed is known
 
 
 class GroundOdometry:
-    """Measures the speed of one camera without distortion, and the horizon; the state belongs to the instance.
+    """Measures the speed of one camera without distortion, and the horizon; the state belongs to
+    the instance.
 
-    A wrong `height_m` of the camera above the road only scales the lengths. Other estimators of the same stream may use
-    the same `flow` of the background; None = a separate one.
+    A wrong `height_m` of the camera above the road only scales the lengths. Other estimators of the
+    same stream may use the same `flow` of the background; None = a separate one.
     """
 
     source = "the motion of the road in the images"
 
-    def __init__(self, camera: PinholeCamera, height_m: float, *, flow: BackgroundFlow | None = None) -> None:
+    def __init__(
+        self, camera: PinholeCamera, height_m: float, *, flow: BackgroundFlow | None = None
+    ) -> None:
         self._camera, self.height_m = camera, height_m
         self._flow = flow or BackgroundFlow()
         self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
@@ -102,11 +115,14 @@ class GroundOdometry:
 
     @property
     def view(self) -> RoadView:
-        """The road in the last frame; lengths are in units of the camera height of this instance."""
+        """The road in the last frame; lengths are in units of the camera height of this
+        instance.
+        """
         return self._horizon.view
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not reliable.
+        """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
+        reliable.
 
         A second call for the same frame returns the same motion.
         """
@@ -125,7 +141,9 @@ class GroundOdometry:
         return ego
 
     def step(self, ego: EgoMotion) -> CameraStep | None:
-        """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at rest."""
+        """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at
+        rest.
+        """
         motion, now = self.motion, self._flow.now
         is_known = motion.is_known and not motion.is_still and math.isfinite(ego.speed_mps)
         if not is_known or now is None or math.isnan(self._side) or ego.speed_mps <= 0:
@@ -142,7 +160,9 @@ class GroundOdometry:
             now=now,
         )
 
-    def _moved(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> EgoMotion:
+    def _moved(
+        self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
+    ) -> EgoMotion:
         """The filtered speed; moves the horizon on to this frame."""
         dt_s, is_moving = motion.dt_s, motion.is_known and not motion.is_still
         side, row = (
@@ -153,31 +173,45 @@ class GroundOdometry:
         if is_moving:
             if math.isfinite(side):
                 fraction = 1.0 if math.isnan(self._side) else min(1.0, dt_s / _TRAVEL_TIME_S)
-                self._side = side if fraction == 1.0 else self._side + fraction * (side - self._side)
+                self._side = (
+                    side if fraction == 1.0 else self._side + fraction * (side - self._side)
+                )
             if math.isfinite(self._side):
                 shift_m = self._shift_m(motion, before, now, boxes)
         independent_mps, common_mps = _SHIFT_SIGMA_M / dt_s, _SCALE_SIGMA * abs(shift_m / dt_s)
-        speed = self._filter.update(motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps)
+        speed = self._filter.update(
+            motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps
+        )
         if math.isfinite(speed[0]):
             self._speed_mps = speed[0]
         pitch_rad, roll_rad = motion.pitch_rad_s * dt_s, motion.roll_rad_s * dt_s
-        self._horizon.predict(dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s)
+        self._horizon.predict(
+            dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s
+        )
         if is_moving:
             if math.isfinite(row):
                 self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
                 self.has_horizon = True
             view = self._horizon.view
             if view.horizon_variance < _SURE_RAD**2:
-                self._image_motion.expect_travel(view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2)
+                self._image_motion.expect_travel(
+                    view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2
+                )
         return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
 
-    def _shift_m(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> float:
-        """Distance travelled; NaN = not reliable. The shifts of the strips first correct the horizon."""
+    def _shift_m(
+        self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
+    ) -> float:
+        """Distance travelled; NaN = not reliable. The shifts of the strips first correct the
+        horizon.
+        """
         view, camera = self._horizon.view, self._camera
         horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
         lowest = (camera.height_px - 2 - camera.cy_px) / camera.fy_px
         sharp_m = math.sqrt(_MAX_PIXEL_M * camera.fy_px * self.height_m)
-        nearest_m = max(_NEAREST_M * min(sharp_m / _FARTHEST_M, 1.0), self.height_m / (lowest - horizon))
+        nearest_m = max(
+            _NEAREST_M * min(sharp_m / _FARTHEST_M, 1.0), self.height_m / (lowest - horizon)
+        )
         farthest_m = min(max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M), sharp_m)
         if not 0 < nearest_m < farthest_m - 2 * _STRIP_M:
             return math.nan
@@ -185,10 +219,20 @@ class GroundOdometry:
         level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
         Z = np.arange(farthest_m, nearest_m, -_STEP_Z_M)
         X = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _STEP_X_M)
-        road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))], axis=1)
-        before_px, now_px = camera.project(road @ level.T), camera.project(road @ (motion.rotation @ level).T)
+        road = np.stack(
+            [np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))],
+            axis=1,
+        )
+        before_px, now_px = (
+            camera.project(road @ level.T),
+            camera.project(road @ (motion.rotation @ level).T),
+        )
         hw = len(Z), len(X)
-        masked_fraction = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
+        masked_fraction = (
+            np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1]))
+            .reshape(hw)
+            .mean(axis=1)
+        )
         pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
         nearer_m, scores = _strip_correlations(*pictures, masked_fraction, motion.dt_s)
         distance_m = farthest_m - nearer_m
@@ -218,7 +262,8 @@ class GroundOdometry:
 def _strip_correlations(
     before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(K,) distance of usable strips of two pictures from the pictures' far end, in m, and (K, M) their correlations.
+    """(K,) distance of usable strips of two pictures from the pictures' far end, in m, and (K, M)
+    their correlations.
 
     NaN = outside the picture.
     """
@@ -227,7 +272,10 @@ def _strip_correlations(
     nearer_m, scores = [], []
     for top in range(0, len(before) - n_strip + 1, n_strip // 2):
         strip = before[top : top + n_strip]
-        if masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION or strip.std() < _MIN_STRIP_GREY:
+        if (
+            masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION
+            or strip.std() < _MIN_STRIP_GREY
+        ):
             continue
         score = np.full(n_shifts, np.nan)
         known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
@@ -248,22 +296,29 @@ def _best_shift(scores: FloatArray) -> float | None:
         return None
     n_near = round(_MIN_UNIQUE_M / _STEP_Z_M)
     others = np.concatenate([score[: max(best - n_near, 0)], score[best + n_near :]])
-    return None if score[best] - others.max(initial=-1.0) < _MIN_UNIQUENESS else _vertex(score, best)
+    return (
+        None if score[best] - others.max(initial=-1.0) < _MIN_UNIQUENESS else _vertex(score, best)
+    )
 
 
 class HorizonError(NamedTuple):
-    """Error of the assumed horizon: how much too low it is, as a tangent; its variance; mean distance of the strips."""
+    """Error of the assumed horizon: how much too low it is, as a tangent; its variance; mean
+    distance of the strips.
+    """
 
     error: float
     variance: float
     distance_m: float
 
 
-def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, height_m: float) -> HorizonError | None:
+def horizon_error(
+    shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, height_m: float
+) -> HorizonError | None:
     """Error of the horizon from the slope of the shifts over the distances; None = too few strips.
 
-    `shift_m` is the common shift of the strips, `distance_m` (K,) the distances of their centres in the middle of the
-    shift, `shifts_m` (K,) the shift of each, NaN = unknown, and `height_m` the camera's height above the road.
+    `shift_m` is the common shift of the strips, `distance_m` (K,) the distances of their centres in
+    the middle of the shift, `shifts_m` (K,) the shift of each, NaN = unknown, and `height_m` the
+    camera's height above the road.
     """
     is_known = np.isfinite(shifts_m)
     if is_known.sum() < _MIN_STRIPS or shift_m <= 0:
@@ -273,11 +328,15 @@ def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, 
     spread = float(centred @ centred)
     slope = float(centred @ shifts_m[is_known]) / spread
     to_rad = height_m / (2 * shift_m)
-    return HorizonError(slope * to_rad, (to_rad * _STRIP_SIGMA_M) ** 2 / spread + _STRIPS_SIGMA_RAD**2, mean_m)
+    return HorizonError(
+        slope * to_rad, (to_rad * _STRIP_SIGMA_M) ** 2 / spread + _STRIPS_SIGMA_RAD**2, mean_m
+    )
 
 
 def _peaks_near(scores: FloatArray, cell: int) -> FloatArray:
-    """(K,) maxima of the strips' correlations (K, M) near the common maximum, in cells; NaN = none."""
+    """(K,) maxima of the strips' correlations (K, M) near the common maximum, in cells; NaN =
+    none.
+    """
     start = max(cell - _MAX_STRIP_CELLS, 1)
     peaks = np.full(len(scores), np.nan)
     for i, score in enumerate(scores):
@@ -299,7 +358,9 @@ def _vertex(score: FloatArray, best: int) -> float:
 def _sampled(image: Image, points_px: FloatArray, hw: tuple[int, int]) -> FloatArray32:
     """(H, W) grey levels at points (H * W, 2); the edge is repeated outside the image."""
     maps = points_px.astype(np.float32).reshape(*hw, 2)
-    sampled = cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sampled = cv2.remap(
+        image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(sampled, np.float32)
 
 

@@ -1,16 +1,18 @@
-r"""ImageMotion: rotation of one camera and expansion of the image between two frames; the scale remains unknown.
+r"""ImageMotion: rotation of one camera and expansion of the image between two frames; the scale
+remains unknown.
 
 A static point has the ray p before and p' now, and moves on its epipolar line:
 
     p'^T [t]x R p = 0        R, t: rotation and direction of the translation, now from before
 
-Both are fitted to corners outside the boxes of road users by Gauss-Newton on the Sampson distance with Tukey weights
-(Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike. Near points separate
-them, but their surroundings deform as they approach, which increases errors of the flow: their weight is lower, and t
-is a random walk, so that its last estimate is the prior of the next one. Corners on edges are left out: a lane line in
-a curve stays in its place in the image, as if the road did not turn. With the rotation removed, points move away from
-the epipole e by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a
-typical depth.
+Both are fitted to corners outside the boxes of road users by Gauss-Newton on the Sampson distance
+with Tukey weights (Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant
+points alike. Near points separate them, but their surroundings deform as they approach, which
+increases errors of the flow: their weight is lower, and t is a random walk, so that its last
+estimate is the prior of the next one. Corners on edges are left out: a lane line in a curve stays
+in its place in the image, as if the road did not turn. With the rotation removed, points move away
+from the epipole e by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the
+forward speed over a typical depth.
 """
 
 import math
@@ -24,19 +26,24 @@ from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+# residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+_TUKEY = 4.685
 _N_ROUNDS = 7  # rounds of Gauss-Newton
-_N_ROTATION_ROUNDS = 3  # the first ones, for the rotation alone, which a wrong direction cannot mislead
+# the first ones, for the rotation alone, which a wrong direction cannot mislead
+_N_ROTATION_ROUNDS = 3
 _ROUNDS_OF_NOISE = (1, 3, 5)  # rounds that update the noise of the points, with the rotation so far
-_DIRECTION_SIGMA_RAD = 0.05  # standard deviation of the direction of travel at the start, and the largest one
-# Random walk of the direction of travel in the camera's frame, rad per square root of a second: a car that enters a
-# curve of 50 m slips by 0.03 rad at a camera 1.5 m in front of its rear axle, and brakes and bumps pitch it as much.
+# standard deviation of the direction of travel at the start, and the largest one
+_DIRECTION_SIGMA_RAD = 0.05
+# Random walk of the direction of travel in the camera's frame, rad per square root of a second: a
+# car that enters a curve of 50 m slips by 0.03 rad at a camera 1.5 m in front of its rear axle, and
+# brakes and bumps pitch it as much.
 _DIRECTION_DRIFT_RAD = 0.03
-# Standard deviation of the flow, as a fraction of the part that the translation causes; residuals on simulated drives,
-# seeds 0-9, grow by 0.02 to 0.05 of it.
+# Standard deviation of the flow, as a fraction of the part that the translation causes; residuals
+# on simulated drives, seeds 0-9, grow by 0.02 to 0.05 of it.
 _FLOW_NOISE = 0.03
-# Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
-# errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma.
+# Standard deviation of the common error of the flow of distant points, small pixels, which does not
+# average out; the errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1
+# in units of their sigma.
 _BIAS_PX = 0.06
 # Corners, and limits of plausible motions, in pixels of the small image:
 _N_FEATURES = 200  # largest number of corners
@@ -48,8 +55,10 @@ _MIN_FEATURES = 16  # minimum number of static points
 _MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracked ones
 _MAX_STILL_PX = 0.1  # largest median motion of the static points of a camera at rest
 _MAX_GAP_S = 0.6  # longest time between two frames
-_MIN_FORWARD = 0.5  # smallest forward part of a unit translation; a smaller one has no epipole near the image
-_MIN_RADIUS = 0.03  # smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
+# smallest forward part of a unit translation; a smaller one has no epipole near the image
+_MIN_FORWARD = 0.5
+# smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
+_MIN_RADIUS = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +76,8 @@ class ImageMotion:
     expansion_sigma_hz: float = math.nan  # its standard deviation
     # x, y of the direction of travel in full pixels, NaN = unknown
     epipole_px: tuple[float, float] = (math.nan, math.nan)
-    static_fraction: float = math.nan  # fraction of the tracked corners that move like a static scene
+    # fraction of the tracked corners that move like a static scene
+    static_fraction: float = math.nan
     n_features: int = 0  # number of tracked corners
     is_still: bool = False  # whether the camera is at rest; False if unknown
 
@@ -86,8 +96,8 @@ class ImageMotion:
 class ImageMotionEstimator:
     """Measures the motion of one camera without distortion, one frame after another.
 
-    An approximate focal length suffices for correlations. Other estimators of the same stream may use the same `flow`
-    of the background; None = a separate one.
+    An approximate focal length suffices for correlations. Other estimators of the same stream may
+    use the same `flow` of the background; None = a separate one.
     """
 
     def __init__(self, camera: PinholeCamera, *, flow: BackgroundFlow | None = None) -> None:
@@ -98,7 +108,8 @@ class ImageMotionEstimator:
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
     def expect_travel(self, row: float, variance: float) -> None:
-        """Combine the direction of travel with its expected row in the next frame, from the horizon of the road.
+        """Combine the direction of travel with its expected row in the next frame, from the horizon
+        of the road.
 
         `row` is the tangent of the direction below the camera's axis.
         """
@@ -112,10 +123,11 @@ class ImageMotionEstimator:
         self._direction_variance = self._direction_variance * [1.0, 1.0 - fraction]
 
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
-        """Motion since the previous frame, which must be earlier; unknown for the first frame and after a gap.
+        """Motion since the previous frame, which must be earlier; unknown for the first frame and
+        after a gap.
 
-        The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are boxes of road users,
-        which are not static; None = no boxes are known.
+        The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are
+        boxes of road users, which are not static; None = no boxes are known.
         """
         image_hw = self._camera.height_px, self._camera.width_px
         check_shape("image", image[:, :, 0] if image.ndim == 3 else image, image_hw)
@@ -139,7 +151,9 @@ class ImageMotionEstimator:
         if n_features < _MIN_FEATURES:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features)
         focal_px = camera.fx_px / factor
-        before, now = (camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2) for points in pair_px)
+        before, now = (
+            camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2) for points in pair_px
+        )
         self._direction_variance = np.minimum(
             self._direction_variance + _DIRECTION_DRIFT_RAD**2 * dt_s, _DIRECTION_SIGMA_RAD**2
         )
@@ -153,7 +167,9 @@ class ImageMotionEstimator:
         )
         static_fraction = float(fit.is_static.mean())
         if fit.is_static.sum() < _MIN_FEATURES or static_fraction < _MIN_STATIC_FRACTION:
-            return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_fraction=static_fraction)
+            return ImageMotion(
+                time_s=time_s, dt_s=dt_s, n_features=n_features, static_fraction=static_fraction
+            )
         turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
         is_still = bool(median_of(motion_px) <= _MAX_STILL_PX)
@@ -187,7 +203,8 @@ class EpipolarFit:
 
     rotation: FloatArray  # (3,) rotation vector `now_from_before`, rad
     rotation_sigma: FloatArray  # (3,) its standard deviations
-    direction: FloatArray  # (3,) unit vector t of the translation `now_from_before`; (0, 0, -1) = straight ahead
+    # (3,) unit vector t of the translation `now_from_before`; (0, 0, -1) = straight ahead
+    direction: FloatArray
     direction_variance: FloatArray  # (2,) variances of its x and y
     is_static: BoolArray  # (N,) whether a point is near its epipolar line
 
@@ -201,11 +218,12 @@ def fit_epipolar(
     noise: float,
     max_residual: float,
 ) -> EpipolarFit:
-    """Rotation and direction of the translation from rays (N, 3) with z = 1 of the same points in both frames.
+    """Rotation and direction of the translation from rays (N, 3) with z = 1 of the same points in
+    both frames.
 
-    The iteration starts from `direction` (3,), the expected unit translation; `direction_variance` (2,) is of its x and
-    y. `noise` is the standard deviation of the ray of a distant point, `max_residual` the largest Sampson distance of a
-    static point, both in rad.
+    The iteration starts from `direction` (3,), the expected unit translation; `direction_variance`
+    (2,) is of its x and y. `noise` is the standard deviation of the ray of a distant point,
+    `max_residual` the largest Sampson distance of a static point, both in rad.
     """
     x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
     rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction
@@ -213,10 +231,13 @@ def fit_epipolar(
     prior, sigma = np.zeros((5, 5)), np.full(len(now), noise)
     for k in range(_N_ROUNDS):
         if k in _ROUNDS_OF_NOISE:
-            sigma = np.hypot(noise, _FLOW_NOISE * np.linalg.norm(now - _turned(before, rotation), axis=1))
+            sigma = np.hypot(
+                noise, _FLOW_NOISE * np.linalg.norm(now - _turned(before, rotation), axis=1)
+            )
         residual, jacobian, tangents = _sampson(*pair, rotation, t)
         size = np.abs(residual) / sigma
-        median = np.sort(size)[len(size) // 2]  # a tenth of the time of numpy's median for so few values
+        # a tenth of the time of numpy's median for so few values
+        median = np.sort(size)[len(size) // 2]
         spread = max(MAD_TO_SIGMA * float(median), 1.0)
         weight = (1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) ** 2
         weighted = jacobian * (weight / (spread * sigma) ** 2)
@@ -256,9 +277,11 @@ def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:
 def _sampson(
     before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) Sampson distances, their derivatives (5, N) by rotation and direction, and the (2, 3) tangents of t.
+    """(N,) Sampson distances, their derivatives (5, N) by rotation and direction, and the (2, 3)
+    tangents of t.
 
-    Rays are (3, N). For q + dw x q, d(q . back) = dw . (q x back); by direction, d(p' . (t x q)) = dt . (q x p').
+    Rays are (3, N). For q + dw x q, d(q . back) = dw . (q x back); by direction, d(p' . (t x q)) =
+    dt . (q x p').
     """
     q = rotation @ before
     x, y, z = t.tolist()
@@ -274,12 +297,16 @@ def _sampson(
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """(3, N) cross products of columns; `np.cross` takes five times as long for so few columns."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
     """Median growth of the distances from the epipole, and its standard deviation."""
-    forward = direction[2] if abs(direction[2]) >= _MIN_FORWARD else math.copysign(1.0, direction[2])
+    forward = (
+        direction[2] if abs(direction[2]) >= _MIN_FORWARD else math.copysign(1.0, direction[2])
+    )
     epipole = direction[:2] / forward if abs(direction[2]) >= _MIN_FORWARD else np.zeros(2)
     from_epipole = turned[:, :2] - epipole
     radius2 = (from_epipole**2).sum(axis=1)

@@ -1,21 +1,25 @@
-r"""RoadHorizon: horizon, roll and vertical curvature of the road ahead of one camera, from its motion, frame by frame.
+r"""RoadHorizon: horizon, roll and vertical curvature of the road ahead of one camera, from its
+motion, frame by frame.
 
     row(Z) = y + h / Z - k(Z) Z / 2        tangent, below the camera's axis, of the road at distance Z
 
-y is the horizon, the vanishing line of the road under the car; h the height of the camera; k the curvature of the road
-in the vertical plane, positive where it turns upwards. A Kalman filter has the state
+y is the horizon, the vanishing line of the road under the car; h the height of the camera; k the
+curvature of the road in the vertical plane, positive where it turns upwards. A Kalman filter has
+the state
 
     x = [y, m, k, g]        m: mean of y over the drive (mounting, load); g: error of the measured rotation per frame
 
     y' = y + (pitch - g) - k V dt       the camera turns with the road, its horizon only with the pitch of the car
     k' = k exp(-V dt / l)               a random road with standard deviation and correlation length of its curvature
 
-A car pitches on its springs about its mean, so y - m is near 0. Measurements of y are the direction of travel, since a
-car drives parallel to the road, and the slope of the shifts of near and distant strips of the road (`GroundOdometry`):
-it belongs to the road Z ahead, whose horizon is y - k Z / 2. The height of a curved road at Z is a mean of the
-curvatures on the way with their centre at Z / 3, so k(Z) = k exp(-Z / 3l).
+A car pitches on its springs about its mean, so y - m is near 0. Measurements of y are the direction
+of travel, since a car drives parallel to the road, and the slope of the shifts of near and distant
+strips of the road (`GroundOdometry`): it belongs to the road Z ahead, whose horizon is y - k Z / 2.
+The height of a curved road at Z is a mean of the curvatures on the way with their centre at Z / 3,
+so k(Z) = k exp(-Z / 3l).
 
-Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor, so is 1 / k.
+Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor,
+so is 1 / k.
 """
 
 from __future__ import annotations
@@ -27,16 +31,21 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-_MOUNTING_RAD = 0.03  # standard deviation of the mean angle between the camera's axis and the road at the start
-_MOUNTING_DRIFT_RAD = 0.0005  # its random walk, rad per square root of a second: load, long phases of braking
-_SPRINGS_RAD, _SPRINGS_S = 0.0025, 0.3  # standard deviation of a car's pitch on its springs, and its correlation time
-# Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's focal length on
-# simulated drives, seeds 0-2.
+# standard deviation of the mean angle between the camera's axis and the road at the start
+_MOUNTING_RAD = 0.03
+# its random walk, rad per square root of a second: load, long phases of braking
+_MOUNTING_DRIFT_RAD = 0.0005
+# standard deviation of a car's pitch on its springs, and its correlation time
+_SPRINGS_RAD, _SPRINGS_S = 0.0025, 0.3
+# Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's
+# focal length on simulated drives, seeds 0-2.
 _ROTATION_RAD, _ROTATION_BIAS_RAD = 0.0002, 0.00012
 _LOST_RAD = 0.003  # standard deviation of the pitch between two frames if it is not measured
-_CURVATURE_PER_M = 0.0003  # standard deviation of the vertical curvature (radii of 3 km are usual on roads)
+# standard deviation of the vertical curvature (radii of 3 km are usual on roads)
+_CURVATURE_PER_M = 0.0003
 _CURVATURE_LENGTH_M = 80.0  # its correlation length
-_ROLL_S = 0.5  # time constant to roll 0: errors of the measured rotation add up to more than a car rolls
+# time constant to roll 0: errors of the measured rotation add up to more than a car rolls
+_ROLL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +55,8 @@ class RoadView:
     horizon: float  # tangent of the horizon below the camera's axis, at the middle column
     horizon_variance: float  # its variance
     slope: float = 0.0  # slope of the horizon in the image, positive = lower on the right-hand side
-    curvature_per_m: float = 0.0  # curvature k in the vertical plane below the camera, positive = turns upwards
+    # curvature k in the vertical plane below the camera, positive = turns upwards
+    curvature_per_m: float = 0.0
     curvature_variance: float = 0.0  # variance of k
     covariance: float = 0.0  # covariance of the horizon and k
     # height of the camera and its standard deviation, if it was measured; None = not
@@ -63,12 +73,16 @@ class RoadView:
 
 
 def curvature_fraction(distance_m: FloatArray) -> FloatArray:
-    """Fraction of the curvature at the camera, (...), in the mean curvature up to distances (...): exp(-Z / 3l)."""
+    """Fraction of the curvature at the camera, (...), in the mean curvature up to distances (...):
+    exp(-Z / 3l).
+    """
     return np.asarray(np.exp(distance_m / (-3.0 * _CURVATURE_LENGTH_M)))
 
 
 def unknown_curvature_variance(distance_m: FloatArray) -> FloatArray:
-    """Variance of the mean curvature (...) up to distances (...) that the curvature at the camera does not show."""
+    """Variance of the mean curvature (...) up to distances (...) that the curvature at the camera
+    does not show.
+    """
     return np.asarray(_CURVATURE_PER_M**2 * (1.0 - curvature_fraction(distance_m) ** 2))
 
 
@@ -78,7 +92,9 @@ class RoadHorizon:
     def __init__(self) -> None:
         self._x = np.zeros(4)
         mounting, springs = _MOUNTING_RAD**2, _SPRINGS_RAD**2
-        self._P = np.diag([mounting + springs, mounting, _CURVATURE_PER_M**2, _ROTATION_BIAS_RAD**2])
+        self._P = np.diag(
+            [mounting + springs, mounting, _CURVATURE_PER_M**2, _ROTATION_BIAS_RAD**2]
+        )
         self._P[0, 1] = self._P[1, 0] = mounting
         self._roll = 0.0
 
@@ -94,8 +110,11 @@ class RoadHorizon:
             covariance=float(self._P[0, 2]),
         )
 
-    def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, travelled_m: float) -> None:
-        """Move on to the next frame, with pitch (positive = upwards), roll (clockwise) and distance since the last one.
+    def predict(
+        self, dt_s: float, *, pitch_rad: float, roll_rad: float, travelled_m: float
+    ) -> None:
+        """Move on to the next frame, with pitch (positive = upwards), roll (clockwise) and distance
+        since the last one.
 
         NaN = unknown.
         """
@@ -111,17 +130,27 @@ class RoadHorizon:
         self._P = F @ self._P @ F.T + np.diag(Q)
         if is_known:
             self._x[0] += pitch_rad
-        self._roll = math.exp(-dt_s / _ROLL_S) * (self._roll + (roll_rad if math.isfinite(roll_rad) else 0.0))
+        self._roll = math.exp(-dt_s / _ROLL_S) * (
+            self._roll + (roll_rad if math.isfinite(roll_rad) else 0.0)
+        )
         frames_per_pitch = max(2 * _SPRINGS_S / dt_s, 1.0)
         self._update(np.array([1.0, -1.0, 0.0, 0.0]), 0.0, _SPRINGS_RAD**2 * frames_per_pitch)
 
     def measure(
-        self, horizon: float, variance: float, *, ahead_m: float = 0.0, frames: float = 0.0, max_sigma: float = math.inf
+        self,
+        horizon: float,
+        variance: float,
+        *,
+        ahead_m: float = 0.0,
+        frames: float = 0.0,
+        max_sigma: float = math.inf,
     ) -> bool:
-        """Add a measurement of the horizon, as a tangent, and its variance; False = not added, an outlier.
+        """Add a measurement of the horizon, as a tangent, and its variance; False = not added, an
+        outlier.
 
-        The road was seen to `ahead_m`: the measurement is y - k ahead / 2. `frames` is its error per constant error of
-        the rotation between two frames, `max_sigma` the largest innovation, in standard deviations.
+        The road was seen to `ahead_m`: the measurement is y - k ahead / 2. `frames` is its error
+        per constant error of the rotation between two frames, `max_sigma` the largest innovation,
+        in standard deviations.
         """
         h = np.array([1.0, 0.0, -ahead_m / 2, frames])
         S = float(h @ self._P @ h) + variance

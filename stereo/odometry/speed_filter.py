@@ -1,9 +1,11 @@
-r"""SpeedFilter: Kalman filter of the camera's speed, from the mean speeds between consecutive frames.
+r"""SpeedFilter: Kalman filter of the camera's speed, from the mean speeds between consecutive
+frames.
 
     x = [V, a]'    V, a: speed and acceleration at the middle of the interval between two frames
 
-A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt / 2. The sigma of a measurement has an
-independent part, which averages out, and a systematic one, which is added at the output.
+A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt / 2. The sigma of a
+measurement has an independent part, which averages out, and a systematic one, which is added at the
+output.
 """
 
 import math
@@ -12,11 +14,13 @@ import numpy as np
 
 from track_range.foundation.constant_velocity import ConstantVelocity
 
-_JERK_NOISE = 5.0  # random walk of the acceleration, m/s^2 per root of a second: a car brakes fully within 0.5 s
+# random walk of the acceleration, m/s^2 per root of a second: a car brakes fully within 0.5 s
+_JERK_NOISE = 5.0
 _INITIAL_ACCELERATION_MPS2 = 3.0  # standard deviation of the acceleration at the start
 _MAX_GAP_S = 0.35  # longest time in seconds without a measurement; the speed is unknown after it
 _OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations are ignored
-_LARGE_STEP_M = 4.0  # distance between two frames from which a first speed is not used until a second one agrees
+# distance between two frames from which a first speed is not used until a second one agrees
+_LARGE_STEP_M = 4.0
 _MAX_OUTLIERS = 3  # number of consecutive outliers after which the filter starts again
 
 
@@ -26,7 +30,8 @@ class SpeedFilter:
     def __init__(self) -> None:
         self._state: ConstantVelocity | None = None
         self._middle_s = self._measured_s = -math.inf
-        self._n_outliers = self._n_measured = 0  # consecutive outliers; measurements since the start that agree
+        # consecutive outliers; measurements since the start that agree
+        self._n_outliers = self._n_measured = 0
         self._systematic_mps = math.nan
 
     def update(
@@ -34,19 +39,24 @@ class SpeedFilter:
     ) -> tuple[float, float]:
         """Speed at `time_s` and its standard deviation, NaN = unknown.
 
-        `speed_mps` is the mean speed over `dt_s`, NaN = not measured; `sigma_mps` its independent standard deviation,
-        `systematic_mps` is the sigma of an error that is the same in all frames.
+        `speed_mps` is the mean speed over `dt_s`, NaN = not measured; `sigma_mps` its independent
+        standard deviation, `systematic_mps` is the sigma of an error that is the same in all
+        frames.
         """
         middle_s = time_s - dt_s / 2
         if middle_s - self._measured_s > _MAX_GAP_S:
             self._state = None
         if self._state is not None:
-            self._state = self._state.predict(np.array([middle_s - self._middle_s]), q=_JERK_NOISE**2)
+            self._state = self._state.predict(
+                np.array([middle_s - self._middle_s]), q=_JERK_NOISE**2
+            )
         self._middle_s = middle_s
         if math.isfinite(speed_mps):
             self._measure(middle_s, speed_mps, sigma_mps)
             self._systematic_mps = systematic_mps
-        if self._state is None or (self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M):
+        if self._state is None or (
+            self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M
+        ):
             return math.nan, math.nan
         now = self._state.predict(np.array([dt_s / 2]), q=_JERK_NOISE**2)
         return float(now.x[0]), math.hypot(math.sqrt(float(now.P_xx[0])), self._systematic_mps)

@@ -1,4 +1,5 @@
-r"""StereoOdometry: motion of a rectified pair from corners with disparities, one frame after another.
+r"""StereoOdometry: motion of a rectified pair from corners with disparities, one frame after
+another.
 
     left t-1 --LK--> left t        m: ray of a corner, d: its disparity, rho = d / (fx B): its inverse depth
        |                           R, t: motion `now_from_before`
@@ -38,11 +39,14 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
-_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+# residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+_TUKEY = 4.685
 _N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
-_N_TRIPLES = 40  # random triples of corners: of half static ones, one is all static with a probability of 99.5 %
+# random triples of corners: of half static ones, one is all static with a probability of 99.5 %
+_N_TRIPLES = 40
 _CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
-_MAX_DISTANCE2 = 9.0  # largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
+# largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
+_MAX_DISTANCE2 = 9.0
 _MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point leaves the image
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
@@ -54,8 +58,8 @@ _WINDOW_PX = 9  # side of the tracked window
 _N_LEVELS = 4  # pyramid levels above the small image for tracking over time
 _N_LEVELS_PREDICTED = 2  # the same with a predicted motion
 _NOISE_PX = 0.15  # standard deviation of a corner tracked over time; larger residuals raise both
-# Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on simulated drives is
-# 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
+# Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on
+# simulated drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
 _DISPARITY_NOISE_PX = 0.15
 _MAX_ROW_PX = 0.75  # largest difference of rows between left and right
 _MIN_DISPARITY_PX = 0.5
@@ -63,7 +67,8 @@ _NEAREST_M = 3.2  # nearest point of the scene; sets the largest disparity
 
 # Limits of reliable motions:
 _MIN_FEATURES = 20  # minimum number of static corners
-_MIN_STATIC_FRACTION = 0.35  # minimum fraction of static corners among those tracked with a disparity
+# minimum fraction of static corners among those tracked with a disparity
+_MIN_STATIC_FRACTION = 0.35
 _MAX_NOISE_FACTOR = 5.0  # largest ratio of the residuals to those expected
 _MAX_SIGMA_MPS = 0.5  # largest standard deviation of a reliable speed
 _MAX_RELATIVE_SIGMA = 0.05  # the same as a fraction of the speed; one of the two suffices
@@ -88,7 +93,9 @@ class RigidMotion(NamedTuple):
     translation_m: FloatArray
 
     def moved(self, rays: FloatArray, inverse_depth: FloatArray) -> FloatArray:
-        """(N, 3) R m + t rho of rays (N, 3) with inverse depths (N,) in 1/m: the points scaled by rho."""
+        """(N, 3) R m + t rho of rays (N, 3) with inverse depths (N,) in 1/m: the points scaled by
+        rho.
+        """
         return np.asarray(rays @ self.rotation.T + inverse_depth[:, None] * self.translation_m)
 
 
@@ -100,7 +107,8 @@ class MotionFit(NamedTuple):
 
     motion: RigidMotion  # the motion
     covariance: FloatArray  # (6, 6) of rotation and translation
-    by_offset: FloatArray  # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
+    # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
+    by_offset: FloatArray
     is_static: BoolArray  # (N,) which points agree with it
     noise_factor: float  # ratio of the residuals to those expected, at least 1
 
@@ -108,14 +116,19 @@ class MotionFit(NamedTuple):
 class StereoOdometry:
     """Measures the motion of a rectified pair; the state belongs to the instance.
 
-    `alignment` corrects its disparities; None = not measured. Other estimators may use the same `flow` of the
-    background in the left images; None = a separate one. Raises ValueError if the rig is not rectified.
+    `alignment` corrects its disparities; None = not measured. Other estimators may use the same
+    `flow` of the background in the left images; None = a separate one. Raises ValueError if the rig
+    is not rectified.
     """
 
     source = "stereo odometry"
 
     def __init__(
-        self, rig: StereoRig, alignment: AlignmentSource | None = None, *, flow: BackgroundFlow | None = None
+        self,
+        rig: StereoRig,
+        alignment: AlignmentSource | None = None,
+        *,
+        flow: BackgroundFlow | None = None,
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
@@ -137,18 +150,24 @@ class StereoOdometry:
         self._rng = np.random.default_rng(0)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame, with boxes (N, 4) of road users in the rectified left image.
+        """Motion since the previous frame, with boxes (N, 4) of road users in the rectified left
+        image.
 
-        Unknown for the first frame, after a gap, without a right image, and where it is not reliable.
+        Unknown for the first frame, after a gap, without a right image, and where it is not
+        reliable.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
-        check_shape("left", frame.left[:, :, 0] if frame.left.ndim == 3 else frame.left, self._image_hw)
+        check_shape(
+            "left", frame.left[:, :, 0] if frame.left.ndim == 3 else frame.left, self._image_hw
+        )
         before, self._before = self._before, None
         self._flow.add(frame.left, xyxy_px, frame.time_s)
         now = self._flow.now
         if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        self._before = self._view(frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved))
+        self._before = self._view(
+            frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved)
+        )
         if before is None or not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
             return EgoMotion()
         time_s, dt_s = frame.time_s, frame.time_s - before.time_s
@@ -170,22 +189,36 @@ class StereoOdometry:
         coarse_px = self._coarse_disparities(left, right, corners)
         is_known = np.isfinite(coarse_px)
         corners = corners[is_known]
-        start = corners - np.stack([coarse_px[is_known], np.zeros(len(corners))], axis=1).astype(np.float32)
-        matches, is_matched = tracked_corners(left, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start)
+        start = corners - np.stack([coarse_px[is_known], np.zeros(len(corners))], axis=1).astype(
+            np.float32
+        )
+        matches, is_matched = tracked_corners(
+            left, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start
+        )
         disparity_px, row_px = (corners - matches).astype(np.float64).T
         is_matched &= (np.abs(row_px) <= _MAX_ROW_PX) & (disparity_px >= _MIN_DISPARITY_PX)
         corners, disparity_px = corners[is_matched], disparity_px[is_matched]
         # the alignment counts in full pixels
         factor = 1 << self._n_halved
-        x_px, sigma_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2, np.zeros(len(corners))
+        x_px, sigma_px = (
+            factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2,
+            np.zeros(len(corners)),
+        )
         alignment = self._alignment.at(time_s)
-        full_px, _ = alignment.corrected(disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left)
+        full_px, _ = alignment.corrected(
+            disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left
+        )
         return _View(time_s, left, corners, full_px / factor)
 
     def _coarse_disparities(self, left: Image, right: Image, corners: FloatArray32) -> FloatArray:
-        """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN = unknown."""
+        """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN =
+        unknown.
+        """
         pad = self._n_disparities
-        images = [cv2.copyMakeBorder(halved(image), 0, 0, pad, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+        images = [
+            cv2.copyMakeBorder(halved(image), 0, 0, pad, 0, cv2.BORDER_REPLICATE)
+            for image in (left, right)
+        ]
         steps = self._coarse.compute(*images)[:, pad:]
         column = np.clip((corners[:, 0] - 0.5) / 2 + 0.5, 0, steps.shape[1] - 1).astype(int)
         row = np.clip((corners[:, 1] - 0.5) / 2 + 0.5, 0, steps.shape[0] - 1).astype(int)
@@ -193,7 +226,9 @@ class StereoOdometry:
         return np.where(disparity_px >= 0, disparity_px, np.nan)
 
     def _fit(self, before: _View, left: Image, is_masked: BoolArray) -> MotionFit | None:
-        """The motion from the corners of the previous frame; None if too few are static, or they do not fit."""
+        """The motion from the corners of the previous frame; None if too few are static, or they do
+        not fit.
+        """
         rays = self._rays(before.corners)
         inverse_depth = before.disparity_px / self._focal_baseline_m
         predicted = self._pixels(self._motion.moved(rays, inverse_depth)).astype(np.float32)
@@ -217,16 +252,25 @@ class StereoOdometry:
             inverse_depth_noise=_DISPARITY_NOISE_PX / self._focal_baseline_m,
             rng=self._rng,
         )
-        has_static = fit.is_static.sum() >= _MIN_FEATURES and fit.is_static.mean() >= _MIN_STATIC_FRACTION
+        has_static = (
+            fit.is_static.sum() >= _MIN_FEATURES and fit.is_static.mean() >= _MIN_STATIC_FRACTION
+        )
         return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
 
     def _speed(self, fit: MotionFit, time_s: float, dt_s: float) -> tuple[float, float, float]:
-        """Speed along the optical axis, its independent standard deviation, and the deviation common to all frames."""
-        forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
+        """Speed along the optical axis, its independent standard deviation, and the deviation
+        common to all frames.
+        """
+        # z of the displacement -R^T t
+        forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
         alignment_sigma_px = self._alignment.at(time_s).residual_px / (1 << self._n_halved)
         offset = alignment_sigma_px / self._focal_baseline_m
-        return speed_mps, sigma_mps, math.hypot(fit.by_offset[5] * offset / dt_s, _SCALE_SIGMA * speed_mps)
+        return (
+            speed_mps,
+            sigma_mps,
+            math.hypot(fit.by_offset[5] * offset / dt_s, _SCALE_SIGMA * speed_mps),
+        )
 
     def _rays(self, points: FloatArray32) -> FloatArray:
         """(N, 3) rays of points (N, 2) of the small image."""
@@ -250,10 +294,13 @@ def fit_motion(
 ) -> MotionFit:
     """Motion of the camera from N points with inverse depths.
 
-    `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1; `inverse_depth` (N,) is rho in
-    1/m. The standard deviations are `noise` of p', rad, and `inverse_depth_noise` of rho, 1/m; `rng` draws triples.
+    `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1;
+    `inverse_depth` (N,) is rho in 1/m. The standard deviations are `noise` of p', rad, and
+    `inverse_depth_noise` of rho, 1/m; `rng` draws triples.
     """
-    motion = _of_triples(rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng)
+    motion = _of_triples(
+        rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng
+    )
     for _ in range(_N_ROUNDS):
         residual, jacobian, by_depth = _reprojection(motion, rays, inverse_depth, now)
         variance = noise**2 + inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
@@ -265,10 +312,13 @@ def fit_motion(
         information += 1e-9 * np.trace(information) * np.eye(6)
         step = -np.linalg.solve(information, np.einsum("ajn,an->j", weighted, residual))
         motion = RigidMotion(_rotation(step[:3]) @ motion.rotation, motion.translation_m + step[3:])
-    by_offset = np.asarray(-np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64)
+    by_offset = np.asarray(
+        -np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64
+    )
     covariance = np.asarray(np.linalg.inv(information) * spread2, np.float64)
     is_static = distance2 <= _MAX_DISTANCE2 * spread2
-    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO  # the camera has not passed the point
+    # the camera has not passed the point
+    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO
     return MotionFit(motion, covariance, by_offset, np.asarray(is_static), math.sqrt(spread2))
 
 
@@ -279,9 +329,11 @@ def _rotation(vector: FloatArray) -> FloatArray:
 def _reprojection(
     motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
+    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by
+    inverse depth.
 
-    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
+    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d
+    q_z) / q_z.
     """
     u_x, u_y, u_z = motion.rotation @ rays.T
     t_x, t_y, t_z = motion.translation_m.tolist()
@@ -304,7 +356,9 @@ def _of_triples(
     inverse_depth_noise: float,
     rng: np.random.Generator,
 ) -> RigidMotion:
-    """The motion of a random triple of points, or rest, that has the smallest robust cost over all points."""
+    """The motion of a random triple of points, or rest, that has the smallest robust cost over all
+    points.
+    """
     x, y, rho = now[:, 0], now[:, 1], inverse_depth
     m_x, m_y = rays[:, 0], rays[:, 1]
     zero = np.zeros(len(x))
@@ -319,10 +373,14 @@ def _of_triples(
     systems = columns[:, :, triples].transpose(2, 0, 3, 1).reshape(_N_TRIPLES, 6, 6)
     right = moved[:, triples].transpose(1, 0, 2).reshape(_N_TRIPLES, 6, 1)
     transposed = systems.transpose(0, 2, 1)
-    solutions = np.linalg.solve(transposed @ systems + 1e-12 * np.eye(6), transposed @ right)[:, :, 0]
+    solutions = np.linalg.solve(transposed @ systems + 1e-12 * np.eye(6), transposed @ right)[
+        :, :, 0
+    ]
     solutions = np.concatenate([np.zeros((1, 6)), solutions])
     error2 = ((solutions @ columns - moved[:, None]) ** 2).sum(axis=0)
     depth_change = 1.0 + solutions[:, 5:] * rho  # the equations are multiplied by z' / z
-    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[:, None] * inverse_depth_noise**2
+    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[
+        :, None
+    ] * inverse_depth_noise**2
     best = solutions[int(np.argmin(np.minimum(error2 / variance, _MAX_DISTANCE2).sum(axis=1)))]
     return RigidMotion(_rotation(best[:3]), best[3:])

@@ -1,4 +1,5 @@
-"""CameraInfo: ROS's calibration of a camera (sensor_msgs/CameraInfo, foxglove.CameraCalibration), and its rigs.
+"""CameraInfo: ROS's calibration of a camera (sensor_msgs/CameraInfo, foxglove.CameraCalibration),
+and its rigs.
 
 P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
 
@@ -18,9 +19,11 @@ from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
-_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")  # distortion models that are OpenCV's
+# distortion models that are OpenCV's
+_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
 _FISHEYE_MODELS = ("equidistant", "fisheye")  # distortion models that are OpenCV's fisheye model
-_FOCAL_DIFFERENCE = 0.01  # largest relative difference of the focal lengths of two rectified cameras
+# largest relative difference of the focal lengths of two rectified cameras
+_FOCAL_DIFFERENCE = 0.01
 _ROW_DIFFERENCE_PX = 2.0  # largest difference of their principal rows
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients of OpenCV's model
 
@@ -43,7 +46,9 @@ class CameraInfo:
 
 
 def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:
-    """The camera of a message: P for rectified images, else K with distortion; RigError for an unknown lens model."""
+    """The camera of a message: P for rectified images, else K with distortion; RigError for an
+    unknown lens model.
+    """
     if is_rectified:
         return PinholeCamera.of_matrix(message.p, message.size_px)
     n_coefficients = len(message.distortion)
@@ -51,39 +56,50 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
     is_known = n_coefficients == 4 if message.is_fisheye else message.model in _MODELS
     if has_distortion and not (is_known and n_coefficients in _COEFFICIENTS):
         raise RigError(
-            f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, found "
-            f"{quoted(message.model)} with {n_coefficients} coefficients; use rectified images, or give a rig.yaml."
+            f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, "
+            f"found {quoted(message.model)} with {n_coefficients} coefficients; use rectified "
+            "images, or give a rig.yaml."
         )
     lens = KANNALA_BRANDT if message.is_fisheye else PINHOLE
-    return PinholeCamera.of_matrix(message.k, message.size_px, message.distortion if has_distortion else (), lens)
+    return PinholeCamera.of_matrix(
+        message.k, message.size_px, message.distortion if has_distortion else (), lens
+    )
 
 
 def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: bool) -> StereoRig:
-    """The rig of two messages; RigError for an unknown lens model, no baseline, or contradicting messages."""
+    """The rig of two messages; RigError for an unknown lens model, no baseline, or contradicting
+    messages.
+    """
     if not left.p[0, 0] or not right.p[0, 0]:
-        raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")
-    # the origin of the rectified frames is the left camera in most recordings, another camera in KITTI's
+        raise RigError(
+            f"{path}: expected projection matrices P in both calibrations, found zeros; "
+            "give a rig.yaml."
+        )
+    # the origin of the rectified frames is the left camera in most recordings, another camera in
+    # KITTI's
     offset_m = right.p[0, 3] / right.p[0, 0] - left.p[0, 3] / left.p[0, 0]
     if not offset_m:
         if left.p[1, 3] != right.p[1, 3]:
             raise RigError(
-                f"{path}: expected cameras side by side, found one above the other (P[0, 3] is 0, P[1, 3] is not); "
-                f"{NO_VERTICAL_PAIRS}."
+                f"{path}: expected cameras side by side, found one above the other (P[0, 3] is 0, "
+                f"P[1, 3] is not); {NO_VERTICAL_PAIRS}."
             )
         offset = f"{left.p[0, 3]:.6g} in both matrices P"
         cause = "; both seem to be of the right camera" if left.p[0, 3] else ""
         raise RigError(
-            f"{path}: expected a baseline (P[0, 3] = 0 for the left camera and -f B for the right one), found "
-            f"{offset}{cause}; calibrate the cameras as a pair, or give a rig.yaml."
+            f"{path}: expected a baseline (P[0, 3] = 0 for the left camera and -f B for the right "
+            f"one), found {offset}{cause}; calibrate the cameras as a pair, or give a rig.yaml."
         )
-    left_focal_px, right_focal_px = ((message.p[0, 0], message.p[1, 1]) for message in (left, right))
+    left_focal_px, right_focal_px = (
+        (message.p[0, 0], message.p[1, 1]) for message in (left, right)
+    )
     left_row_px, right_row_px = left.p[1, 2], right.p[1, 2]
     is_equal = np.allclose(left_focal_px, right_focal_px, rtol=_FOCAL_DIFFERENCE)
     if is_rectified and not (is_equal and abs(left_row_px - right_row_px) <= _ROW_DIFFERENCE_PX):
         raise RigError(
-            f"{path}: expected equal focal lengths and principal rows in the matrices P of rectified images, found "
-            f"{left_focal_px[0]:.6g} and {right_focal_px[0]:.6g} px, rows {left_row_px:.6g} and {right_row_px:.6g}; "
-            "give a rig.yaml."
+            f"{path}: expected equal focal lengths and principal rows in the matrices P of "
+            f"rectified images, found {left_focal_px[0]:.6g} and {right_focal_px[0]:.6g} px, rows "
+            f"{left_row_px:.6g} and {right_row_px:.6g}; give a rig.yaml."
         )
     r1, r2 = (np.eye(3), np.eye(3)) if is_rectified else (left.r, right.r)
     cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]

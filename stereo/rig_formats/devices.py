@@ -1,14 +1,16 @@
-"""Factory calibrations of stereo cameras: ZED's SN*.conf, DepthAI's (OAK) EEPROM, the output of rs-enumerate-devices.
+"""Factory calibrations of stereo cameras: ZED's SN*.conf, DepthAI's (OAK) EEPROM, the output of
+rs-enumerate-devices.
 
     ZED        [LEFT_CAM_HD] fx fy cx cy k1 k2 p1 p2 k3, ...   one section per resolution
                [STEREO] Baseline TY TZ, millimetres; RX_HD CV_HD RZ_HD, a rotation vector
                x_right = R x_left - (Baseline, TY, TZ)
     DepthAI    cameraData: [socket, {intrinsicMatrix, distortionCoeff, width, height, extrinsics}]
                extrinsics: x_to = rotationMatrix x + translation, centimetres; toCameraSocket
-    RealSense  Intrinsic of "Infrared 1" / 848x480 ...; Extrinsic from "Infrared 1" To "Infrared 2", metres
+    RealSense  Intrinsic of "Infrared 1" / 848x480 ...; Extrinsic from "Infrared 1" To "Infrared 2",
+    metres
 
-(stereolabs/zed-open-capture, examples/include/calibration.hpp; luxonis/depthai-core, CalibrationHandler;
-IntelRealSense/librealsense, tools/enumerate-devices.)
+(stereolabs/zed-open-capture, examples/include/calibration.hpp; luxonis/depthai-core,
+CalibrationHandler; IntelRealSense/librealsense, tools/enumerate-devices.)
 """
 
 # ruff: noqa: N815 - names of values are keys of the file
@@ -36,26 +38,36 @@ from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
 
-_ZED_TITLE, _OAK_TITLE, _REALSENSE_TITLE = "ZED's SN*.conf", "DepthAI's (OAK) calibration", "RealSense's calibration"
+_ZED_TITLE, _OAK_TITLE, _REALSENSE_TITLE = (
+    "ZED's SN*.conf",
+    "DepthAI's (OAK) calibration",
+    "RealSense's calibration",
+)
 _ZED_SIZES = {  # (width, height) of the images of one side by the name of the mode
     "2K": (2208, 1242), "FHD": (1920, 1080), "FHD1200": (1920, 1200), "HD": (1280, 720), "SVGA": (960, 600),
     "VGA": (672, 376), "HD1080": (1920, 1080), "HD1200": (1920, 1200), "HD720": (1280, 720), "4K": (3840, 2160),
     "QHDPLUS": (3200, 1800),
 }  # fmt: skip
 _ZED_SECTION = re.compile(r"^\s*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
-_OAK_UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001, 3: 0.0254, 4: 0.3048}  # depthai-core, LengthUnit: m, cm, mm, in, ft
-_SPEC_DIFFERENCE = 0.05  # relative difference of the baselines by calibration and by specification that is noted
+# depthai-core, LengthUnit: m, cm, mm, in, ft
+_OAK_UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001, 3: 0.0254, 4: 0.3048}
+# relative difference of the baselines by calibration and by specification that is noted
+_SPEC_DIFFERENCE = 0.05
 
 
 def _read_zed(text: str, path: Path) -> RigCalibration:
     """The cameras of the first resolution, with the cameras of other resolutions as `others`."""
     values = {
-        name.upper(): {key.lower(): value for key, value in section.items() if isinstance(value, float)}
+        name.upper(): {
+            key.lower(): value for key, value in section.items() if isinstance(value, float)
+        }
         for name, section in plain_values(text, path, _ZED_TITLE).items()
         if isinstance(section, dict)
     }
     modes = [name.removeprefix("LEFT_CAM_") for name in values if name.startswith("LEFT_CAM_")]
-    modes = [mode for mode in modes if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values] or modes[:1]
+    modes = [
+        mode for mode in modes if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values
+    ] or modes[:1]
     if not modes:
         raise RigError(
             f"{path}: expected sections such as LEFT_CAM_HD and RIGHT_CAM_HD, found none; download the file again from "
@@ -81,7 +93,9 @@ def _zed_mode(values: Mapping[str, Mapping[str, float]], mode: str, path: Path) 
                 f"{path}: expected numbers {', '.join(missing)} in the section {side}_CAM_{mode}, found none; download "
                 "the file again from calib.stereolabs.com."
             )
-        coefficients = [section.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
+        coefficients = [
+            section.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+        ]
         distortion = tuple(coefficients if any(coefficients[5:]) else coefficients[:5])
         focal = (section["fx"], section["fy"], section["cx"], section["cy"])
         cameras.append(PinholeCamera(*focal, *_ZED_SIZES.get(mode, (0, 0)), distortion))
@@ -131,7 +145,9 @@ class _OakCamera(BaseModel):
         is_fisheye = self.cameraType == 1
         distortion = self.distortionCoeff[:4] if is_fisheye else self.distortionCoeff
         lens = KANNALA_BRANDT if is_fisheye else PINHOLE
-        return PinholeCamera.of_matrix(self.intrinsicMatrix, (self.width, self.height), distortion, lens)
+        return PinholeCamera.of_matrix(
+            self.intrinsicMatrix, (self.width, self.height), distortion, lens
+        )
 
 
 class _OakPair(BaseModel):
@@ -154,8 +170,11 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     cameras = {}
     for socket, camera in file.cameraData:
         matrix = camera.get("intrinsicMatrix") if isinstance(camera, dict) else None
-        if isinstance(matrix, list) and len(matrix) == 3:  # other sockets are empty, or not calibrated
-            cameras[socket] = validated(_OakCamera, camera, f"{path}: cameraData {socket}", RigError)
+        # other sockets are empty, or not calibrated
+        if isinstance(matrix, list) and len(matrix) == 3:
+            cameras[socket] = validated(
+                _OakCamera, camera, f"{path}: cameraData {socket}", RigError
+            )
     pair = file.stereoRectificationData
     left, right = pair.leftCameraSocket, pair.rightCameraSocket
     if not {left, right} <= cameras.keys():
@@ -175,7 +194,9 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
         raise RigError(
             f"{path}: expected extrinsics from the socket {left} to {right}, found none; calibrate the device."
         )
-    length_m, specified_m = (float(np.linalg.norm(transform[:3, 3])) for transform in (motion, specified))
+    length_m, specified_m = (
+        float(np.linalg.norm(transform[:3, 3])) for transform in (motion, specified)
+    )
     reason = "calibrated translation"
     if not length_m:
         motion, length_m, reason = specified, specified_m, "specified translation"
@@ -185,35 +206,54 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
         f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) and {right} (right), "
         f"lengths in centimetres; the baseline is {length_m:.4f} m from its {reason}."
     )
-    rig = RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
+    rig = RigCalibration(
+        cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01
+    )
     # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
     cropped = [_cropped(cameras[socket].camera()) for socket in (left, right)]
     if cropped[0] is None or cropped[1] is None:
         return rig
     crop_note = f"{path}: images in 16:9 are taken to lack rows at the top and bottom, as in the sensor's modes."
-    return replace(rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),))
+    return replace(
+        rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),)
+    )
 
 
 def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
     """The camera of the middle rows in 16:9; None for a camera whose images have no more rows."""
     height_px = round(camera.width_px * 9 / 16)
     n_rows = (camera.height_px - height_px) / 2
-    return replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px) if n_rows > 0 and height_px else None
+    return (
+        replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px)
+        if n_rows > 0 and height_px
+        else None
+    )
 
 
-def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int, translation: str) -> FloatArray | None:
-    """(4, 4) transform in metres from the camera in one socket to another, or via other sockets; None = unknown."""
+def _route(
+    cameras: Mapping[int, _OakCamera], start: int, goal: int, translation: str
+) -> FloatArray | None:
+    """(4, 4) transform in metres from the camera in one socket to another, or via other sockets;
+    None = unknown.
+    """
     steps: dict[tuple[int, int], FloatArray] = {}
     for socket, camera in cameras.items():
         extrinsics, to = camera.extrinsics, camera.extrinsics.toCameraSocket
         if to in cameras and len(extrinsics.rotationMatrix) == 3:
-            point, metres = getattr(extrinsics, translation), _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01)
-            motion = rigid_motion(extrinsics.rotationMatrix, np.array([point.x, point.y, point.z]) * metres)
+            point, metres = (
+                getattr(extrinsics, translation),
+                _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01),
+            )
+            motion = rigid_motion(
+                extrinsics.rotationMatrix, np.array([point.x, point.y, point.z]) * metres
+            )
             steps.setdefault((socket, to), motion)
             steps.setdefault((to, socket), inverse_motion(motion))
     routes = {start: np.eye(4)}
     while goal not in routes and (
-        further := {b: step @ routes[a] for (a, b), step in steps.items() if a in routes and b not in routes}
+        further := {
+            b: step @ routes[a] for (a, b), step in steps.items() if a in routes and b not in routes
+        }
     ):
         routes |= further
     return routes.get(goal)
@@ -252,7 +292,9 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
                 f"{', '.join(f'{width}x{height}' for width, height in sizes)} px."
             )
             pairs = ((intrinsics[first][size], intrinsics[second][size]) for size in sizes)
-            rig, *others = [RigCalibration(*pair, motions[first, second], notes=(note,)) for pair in pairs]
+            rig, *others = [
+                RigCalibration(*pair, motions[first, second], notes=(note,)) for pair in pairs
+            ]
             return replace(rig, others=tuple(others))
     names = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
     raise RigError(
@@ -268,7 +310,8 @@ def _rs_numbers(text: str) -> list[float]:
 def _rs_camera(body: str) -> PinholeCamera | None:
     """The camera of the lines of one stream and size; None if a number is missing."""
     lines = re.findall(r"^\s*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
-    values = {name: _rs_numbers(line) for name, line in reversed(lines)}  # of several lines, the first
+    # of several lines, the first
+    values = {name: _rs_numbers(line) for name, line in reversed(lines)}
     names = ("fx", "fy", "ppx", "ppy", "width", "height")
     if not all(values.get(name) for name in names):
         return None
@@ -277,12 +320,20 @@ def _rs_camera(body: str) -> PinholeCamera | None:
     is_fisheye = "kannala" in body.lower() or "f-theta" in body.lower()
     distortion = coefficients[:4] if is_fisheye else coefficients[:5] if any(coefficients) else []
     lens = KANNALA_BRANDT if is_fisheye and len(distortion) == 4 else PINHOLE
-    return PinholeCamera(fx, fy, ppx, ppy, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens)
+    return PinholeCamera(
+        fx, fy, ppx, ppy, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens
+    )
 
 
-ZED = format_by_pattern("zed", _ZED_TITLE, _ZED_SECTION, _read_zed, "sections LEFT_CAM_HD and RIGHT_CAM_HD")
+ZED = format_by_pattern(
+    "zed", _ZED_TITLE, _ZED_SECTION, _read_zed, "sections LEFT_CAM_HD and RIGHT_CAM_HD"
+)
 OAK = format_by_pattern(
-    "oak", _OAK_TITLE, re.compile('"cameraData"'), _read_oak, "cameraData of the left and the right socket"
+    "oak",
+    _OAK_TITLE,
+    re.compile('"cameraData"'),
+    _read_oak,
+    "cameraData of the left and the right socket",
 )
 REALSENSE = format_by_pattern(
     "realsense",

@@ -4,15 +4,16 @@
            distortion_coeffs: [k1, k2, r1, r2], resolution: [width, height]}
     cam1: {..., T_cn_cnm1: 4 x 4, transforms points from cam0's frame to cam1's, metres}
 
-Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, with the intrinsics of the lens
-before fu:
+Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, with the
+intrinsics of the lens before fu:
 
     pinhole + equidistant   [fu, fv, pu, pv], [k1, k2, k3, k4]          Kannala-Brandt, OpenCV's fisheye
     omni + radtan or none   [xi, fu, fv, pu, pv], [k1, k2, r1, r2]      unified
     ds + none               [xi, alpha, fu, fv, pu, pv]                 double sphere
 
-Files for other programs, such as OpenVINS's, begin with OpenCV's `%YAML:1.0` and have T_cam_imu (camera from IMU) or
-its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki: Supported models, YAML formats.)
+Files for other programs, such as OpenVINS's, begin with OpenCV's `%YAML:1.0` and have T_cam_imu
+(camera from IMU) or its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki:
+Supported models, YAML formats.)
 """
 
 import re
@@ -32,7 +33,8 @@ from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 
-_CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)  # blocks at the top level, not blocks of scripts
+# blocks at the top level, not blocks of scripts
+_CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)
 _HINT = "give Kalibr's camchain.yaml unchanged"
 
 _Row = tuple[Number, Number, Number, Number]
@@ -60,7 +62,9 @@ class _CameraBlock(BaseModel):
 
 
 class _Model(NamedTuple):
-    """A camera model: Kalibr's names, the number of the lens's intrinsics before fu, and the name of the lens."""
+    """A camera model: Kalibr's names, the number of the lens's intrinsics before fu, and the name
+    of the lens.
+    """
 
     camera: str
     distortion: str
@@ -83,11 +87,15 @@ def _read(text: str, source: object) -> RigCalibration:
     content = parse_yaml(yaml_of_opencv(text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
-    notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
+    notes = (
+        [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
+    )
     return calibration_of_blocks(content, source, notes)
 
 
-def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: list[str]) -> RigCalibration:
+def calibration_of_blocks(
+    content: Mapping[str, Any], source: object, notes: list[str]
+) -> RigCalibration:
     """The camera of the block "cam0", and of "cam1" if there is one; the left camera first."""
     first, first_block = _camera(content["cam0"], f"{source}: cam0")
     if not isinstance(content.get("cam1"), dict):
@@ -96,7 +104,8 @@ def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: lis
     second_from_first = _second_from_first(first_block, second_block)
     if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
         raise RigError(
-            f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found no such matrix; {_HINT}."
+            f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found no such "
+            f"matrix; {_HINT}."
         )
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")
@@ -105,7 +114,9 @@ def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: lis
 
 
 def _second_from_first(first: _CameraBlock, second: _CameraBlock) -> FloatArray | None:
-    """(4, 4) transform from the first camera's frame to the second's, if needed by way of the IMU; None = unknown."""
+    """(4, 4) transform from the first camera's frame to the second's, if needed by way of the IMU;
+    None = unknown.
+    """
     if second.T_cn_cnm1 is not None:
         return np.array(second.T_cn_cnm1)
     if first.camera_from_imu is None or second.camera_from_imu is None:
@@ -119,24 +130,33 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
     model = next((model for model in _MODELS if (model.camera, model.distortion) == names), None)
     if model is None:
         raise RigError(
-            f"{name}: expected the camera_model and distortion_model pinhole with radtan, equidistant or none, omni "
-            f"with radtan, or ds, found {quoted(names[0])} with {quoted(names[1])}; calibrate with one of these."
+            f"{name}: expected the camera_model and distortion_model pinhole with radtan, "
+            f"equidistant or none, omni with radtan, or ds, found {quoted(names[0])} with "
+            f"{quoted(names[1])}; calibrate with one of these."
         )
     if len(block.intrinsics) != model.n_intrinsics + 4:
         raise RigError(
-            f"{name}: expected {model.n_intrinsics + 4} intrinsics of {model.camera}, found {len(block.intrinsics)}; "
-            f"{_HINT}."
+            f"{name}: expected {model.n_intrinsics + 4} intrinsics of {model.camera}, found "
+            f"{len(block.intrinsics)}; {_HINT}."
         )
     of_lens, matrix = block.intrinsics[: model.n_intrinsics], block.intrinsics[model.n_intrinsics :]
     if not min(matrix[:2]) > 0:
-        raise RigError(f"{name}: expected positive focal lengths in intrinsics, found {quoted(matrix[:2])}; {_HINT}.")
+        raise RigError(
+            f"{name}: expected positive focal lengths in intrinsics, found "
+            f"{quoted(matrix[:2])}; {_HINT}."
+        )
     coefficients = block.distortion_coeffs
     if model.distortion == "none":
         coefficients = [0.0] * 4 if model.lens == "omni" else []
     elif len(coefficients) != 4:
-        raise RigError(f"{name}: expected four numbers in 'distortion_coeffs', found {len(coefficients)}; {_HINT}.")
+        raise RigError(
+            f"{name}: expected four numbers in 'distortion_coeffs', found "
+            f"{len(coefficients)}; {_HINT}."
+        )
     fu, fv, pu, pv = matrix
-    return PinholeCamera(fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), model.lens), block
+    return PinholeCamera(
+        fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), model.lens
+    ), block
 
 
 KALIBR = format_by_pattern("kalibr", "Kalibr's camchain.yaml", _CAMERA, _read, "a block cam1")

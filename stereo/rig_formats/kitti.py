@@ -1,10 +1,12 @@
-"""KITTI's calib.txt: 3 x 4 projection matrices P0..P3 of rectified cameras, P = K [I | t], t from reference camera 0.
+"""KITTI's calib.txt: 3 x 4 projection matrices P0..P3 of rectified cameras, P = K [I | t], t from
+reference camera 0.
 
     P0, P1  left and right grey camera       P2, P3  left and right colour camera
     t = K^-1 P[:, 3]                         baseline = -(P3[0, 3] - P2[0, 3]) / fx
 
-The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets; some copies lack the colon, and some are two
-lines of 12 numbers without names. The raw set's calib_cam_to_cam.txt has rectified and recorded images:
+The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets; some copies lack the
+colon, and some are two lines of 12 numbers without names. The raw set's calib_cam_to_cam.txt has
+rectified and recorded images:
 
     P_rect_02, S_rect_02      projection and size of the rectified images
     K_02, D_02, S_02          camera matrix, distortion k1 k2 p1 p2 k3 and size of the images before rectification
@@ -23,16 +25,24 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
-from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, RigCalibration
+from track_range.stereo.geometry.rig_checks import (
+    BASELINE_M,
+    MAX_SIDE_PX,
+    NO_VERTICAL_PAIRS,
+    RigCalibration,
+)
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0?)?(\d{1,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
-_NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)  # beginning of a word that is a number
+# beginning of a word that is a number
+_NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 _MIN_NAMELESS = 9  # smallest number of words of a line that is meant as a projection matrix
 _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_\d{2,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
-_RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
-_MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
+# numbers in the lines of the images before rectification
+_RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}
+# largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
+_MAX_VALUE = 1e7
 _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 
 
@@ -42,94 +52,145 @@ def _has_projections(text: str) -> bool:
 
 
 def _lines(text: str, kind: str) -> list[tuple[int, str]]:
-    """Number of the camera and values of each line P or S of rectified images; the last line of a camera counts."""
+    """Number of the camera and values of each line P or S of rectified images; the last line of a
+    camera counts.
+    """
     return [(int(number), values) for name, number, values in _LINE.findall(text) if name == kind]
 
 
 def _nameless(text: str) -> list[str]:
-    """The lines of a file of numbers only, about 12 per line, without comments; empty for other files."""
+    """The lines of a file of numbers only, about 12 per line, without comments; empty for other
+    files.
+    """
     lines = [line.partition("#")[0].translate(_BRACKETS) for line in text.splitlines()]
     lines = [line for line in lines if line.strip()]
     is_matrix = [
-        len(words) >= _MIN_NAMELESS and all(map(_NUMBER.match, words)) for words in (line.split() for line in lines)
+        len(words) >= _MIN_NAMELESS and all(map(_NUMBER.match, words))
+        for words in (line.split() for line in lines)
     ]
     return lines if all(is_matrix) else []
 
 
 def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
-    """The cameras of a calib.txt: the colour pair, or the grey pair if `is_grey` or if it is the only pair."""
+    """The cameras of a calib.txt: the colour pair, or the grey pair if `is_grey` or if it is the
+    only pair.
+    """
     if lines := _nameless(text):
         return _read_nameless(lines, source)
-    matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P")}
-    size = {number: _size(values, f"{source}: S_rect_{number:02d}") for number, values in _lines(text, "S")}
+    matrix = {
+        number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P")
+    }
+    size = {
+        number: _size(values, f"{source}: S_rect_{number:02d}")
+        for number, values in _lines(text, "S")
+    }
     if not matrix:
         raise RigError(
-            f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give the complete "
-            "calib_cam_to_cam.txt."
+            f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give "
+            "the complete calib_cam_to_cam.txt."
         )
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     if max(matrix) > max(_COLOUR):  # of other data sets, such as 101 and 103 of DrivingStereo
-        numbers = sorted(matrix, key=lambda number: -matrix[number][0, 3] / matrix[number][0, 0])[:2]
+        numbers = sorted(matrix, key=lambda number: -matrix[number][0, 3] / matrix[number][0, 0])[
+            :2
+        ]
         pairs = ((numbers[0], numbers[-1]), (numbers[0], numbers[-1]))
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
-        raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
-    notes = () if (left, right) == pairs[0] else (f"{source}: the only cameras, {left} and {right}, are used.",)
-    projections = [(matrix[number], size.get(number, (0, 0))) for number in (left, right) if number in matrix]
+        raise RigError(
+            f"{source}: expected P{left} of the left camera, found only P{right}; give "
+            "the complete file."
+        )
+    notes = (
+        ()
+        if (left, right) == pairs[0]
+        else (f"{source}: the only cameras, {left} and {right}, are used.",)
+    )
+    projections = [
+        (matrix[number], size.get(number, (0, 0))) for number in (left, right) if number in matrix
+    ]
     rectified = _calibration(projections, source, notes)
     unrectified = _unrectified(text, source, (left, right), notes)
     if unrectified is None or not rectified.left.width_px:
         return rectified
     size_text = f"{rectified.left.width_px}x{rectified.left.height_px}"
-    note = f"{source}: P_rect_{left:02d} and P_rect_{right:02d}, for the rectified images of {size_text} px."
+    note = (
+        f"{source}: P_rect_{left:02d} and P_rect_{right:02d}, for the rectified images of "
+        f"{size_text} px."
+    )
     return replace(rectified, notes=(*notes, note), others=(unrectified,))
 
 
 def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
-    """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f B."""
+    """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f
+    B.
+    """
     if len(lines) > 2:
         raise RigError(
-            f"{source}: expected one or two lines of 12 numbers, the projection matrices of the left and right camera, "
-            f"found {len(lines)}; give KITTI's calib.txt with its names P0 to P3."
+            f"{source}: expected one or two lines of 12 numbers, the projection matrices of the "
+            f"left and right camera, found {len(lines)}; give KITTI's calib.txt with its names P0 "
+            "to P3."
         )
     matrices = [_matrix(line, f"{source}: line {n}") for n, line in enumerate(lines, 1)]
     if len(lines) == 1:
-        note = f"{source}: a line without a name is taken as the projection matrix P of rectified images."
+        note = (
+            f"{source}: a line without a name is taken as the projection matrix P of rectified "
+            "images."
+        )
         return _calibration([(matrices[0], (0, 0))], source, (note,))
     offsets_m = [float(matrix[0, 3] / matrix[0, 0]) for matrix in matrices]
     left, right = (0, 1) if offsets_m[0] > offsets_m[1] else (1, 0)
     note = (
-        f"{source}: two lines without names are taken as projection matrices P of rectified images; line {left + 1} is "
-        "the left camera, since P[0, 3] = -f B."
+        f"{source}: two lines without names are taken as projection matrices P of rectified "
+        f"images; line {left + 1} is the left camera, since P[0, 3] = -f B."
     )
-    calibration = _calibration([(matrices[left], (0, 0)), (matrices[right], (0, 0))], source, (note,))
+    calibration = _calibration(
+        [(matrices[left], (0, 0)), (matrices[right], (0, 0))], source, (note,)
+    )
     if offsets_m[0] == offsets_m[1]:
         raise RigError(
-            f"{source}: expected a baseline, P[0, 3] = -f B of the right camera, found {matrices[0][0, 3]:g} in both "
-            "lines; give the lines of the left and of the right camera."
+            f"{source}: expected a baseline, P[0, 3] = -f B of the right camera, found "
+            f"{matrices[0][0, 3]:g} in both lines; give the lines of the left and of the right "
+            "camera."
         )
     return calibration
 
 
 def _calibration(
-    projections: Sequence[tuple[FloatArray, tuple[int, int]]], source: object, notes: tuple[str, ...]
+    projections: Sequence[tuple[FloatArray, tuple[int, int]]],
+    source: object,
+    notes: tuple[str, ...],
 ) -> RigCalibration:
-    """The rectified left camera, and the right one if there is one, of (3, 4) projection matrices and image sizes."""
+    """The rectified left camera, and the right one if there is one, of (3, 4) projection matrices
+    and image sizes.
+    """
     left, *others = [PinholeCamera.of_matrix(matrix, size_px) for matrix, size_px in projections]
     p_left = projections[0][0]
     x_m, y_m, z_m = np.linalg.solve(p_left[:, :3], p_left[:, 3]).tolist()
     if not others:
         return RigCalibration(left, None, None, (x_m, y_m, z_m), notes)
     p_right = projections[1][0]
-    x, y = (abs(float(p_left[row, 3] / p_left[row, row] - p_right[row, 3] / p_right[row, row])) for row in (0, 1))
+    x, y = (
+        abs(float(p_left[row, 3] / p_left[row, row] - p_right[row, 3] / p_right[row, row]))
+        for row in (0, 1)
+    )
     if y > max(x, BASELINE_M[0]):
-        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
+        raise RigError(
+            f"{source}: expected cameras side by side, found one above the other; "
+            f"{NO_VERTICAL_PAIRS}."
+        )
     offset_m = (p_right[0, 3] * (p_left[0, 0] / p_right[0, 0]) - p_left[0, 3]) / left.fx_px
-    return RigCalibration(left, others[0], rigid_motion(np.eye(3), [offset_m, 0.0, 0.0]), (x_m, y_m, z_m), notes)
+    return RigCalibration(
+        left, others[0], rigid_motion(np.eye(3), [offset_m, 0.0, 0.0]), (x_m, y_m, z_m), notes
+    )
 
 
-def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
-    """The cameras of the images before rectification; None if the file lacks values of the left camera."""
+def _unrectified(
+    text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]
+) -> RigCalibration | None:
+    """The cameras of the images before rectification; None if the file lacks values of the left
+    camera.
+    """
     values: dict[str, FloatArray] = {}
     sizes: dict[str, tuple[int, int]] = {}
     for name, line in _RAW_LINE.findall(text):
@@ -139,7 +200,8 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
             values[name] = _numbers(line, _RAW_COUNTS[name[0]], f"{source}: {name}")
             if not np.abs(values[name]).max() <= _MAX_VALUE:  # also NaN
                 raise RigError(
-                    f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found other values; correct the line."
+                    f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found other values; "
+                    "correct the line."
                 )
     cameras, motions = [], []
     for number in pair:
@@ -147,14 +209,16 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
         if f"S_{number:02d}" not in sizes or not all(name in values for name in names):
             break
         k, distortion, r, t = (values[name] for name in names)
-        cameras.append(PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_{number:02d}"], distortion))
+        cameras.append(
+            PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_{number:02d}"], distortion)
+        )
         motions.append(rigid_motion(r.reshape(3, 3), t))
     if not cameras:
         return None
     left, right = pair
     note = (
-        f"{source}: using K, D, R and T of cameras {left} and {right}, because the images have KITTI's size before "
-        f"rectification, {cameras[0].width_px}x{cameras[0].height_px} px."
+        f"{source}: using K, D, R and T of cameras {left} and {right}, because the images have "
+        f"KITTI's size before rectification, {cameras[0].width_px}x{cameras[0].height_px} px."
     )
     if len(cameras) == 1:
         return RigCalibration(cameras[0], None, None, notes=(*notes, note))
@@ -168,7 +232,10 @@ def _missing(text: str, _path: object, is_grey: bool) -> str:
     numbers = {number for number, _ in _lines(text, "P")}
     left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
     if {left, right} <= numbers:
-        return f"S_0{right}, K_0{right}, D_0{right}, R_0{right} and T_0{right} of the right camera before rectification"
+        return (
+            f"S_0{right}, K_0{right}, D_0{right}, R_0{right} and T_0{right} of the right camera "
+            "before rectification"
+        )
     return f"P{right} of the right camera"
 
 
@@ -176,12 +243,18 @@ def _matrix(values: str, name: str) -> FloatArray:
     matrix = _numbers(values, 12, name).reshape(3, 4)
     if not np.isfinite(matrix).all():
         words = quoted(values.strip())
-        raise RigError(f"{name}: expected a projection matrix of 12 finite numbers, found {words}; correct the line.")
-    is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
-    if not (is_upper and np.abs(matrix).max() <= _MAX_VALUE and matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise RigError(
-            f"{name}: expected a projection matrix K [I | t], found focal lengths of {matrix[0, 0]:g} and "
-            f"{matrix[1, 1]:g} or another form; give the calibration of the rectified images."
+            f"{name}: expected a projection matrix of 12 finite numbers, found {words}; "
+            "correct the line."
+        )
+    is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
+    if not (
+        is_upper and np.abs(matrix).max() <= _MAX_VALUE and matrix[0, 0] > 0 and matrix[1, 1] > 0
+    ):
+        raise RigError(
+            f"{name}: expected a projection matrix K [I | t], found focal lengths of "
+            f"{matrix[0, 0]:g} and {matrix[1, 1]:g} or another form; give the calibration of the "
+            "rectified images."
         )
     return matrix
 
@@ -191,9 +264,13 @@ def _numbers(values: str, count: int, name: str) -> FloatArray:
         numbers = np.array([float(word) for word in values.split()])
     except ValueError as error:
         words = quoted(values.strip())
-        raise RigError(f"{name}: expected {count} numbers, found {words}; correct the line.") from error
+        raise RigError(
+            f"{name}: expected {count} numbers, found {words}; correct the line."
+        ) from error
     if len(numbers) != count:
-        raise RigError(f"{name}: expected {count} numbers, found {len(numbers)}; give the complete file.")
+        raise RigError(
+            f"{name}: expected {count} numbers, found {len(numbers)}; give the complete file."
+        )
     return numbers
 
 
@@ -204,8 +281,8 @@ def _size(values: str, name: str) -> tuple[int, int]:
         width = height = 0.0
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
         raise RigError(
-            f"{name}: expected a width and height of 1 to {MAX_SIDE_PX} px, found {quoted(values.strip())}; correct "
-            "the line."
+            f"{name}: expected a width and height of 1 to {MAX_SIDE_PX} px, found "
+            f"{quoted(values.strip())}; correct the line."
         )
     return round(width), round(height)
 

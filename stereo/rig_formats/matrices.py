@@ -4,8 +4,9 @@
     K1 D1 K2 D2 R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0)
     P1 P2, or K and B        rectified images: B = -P2[0, 3] / P2[0, 0], or bf / fx
 
-R and T are checked with the rest of the file: the right camera is to the right, R2 R R1^T = 1, |T| = |P2[0, 3]| / f.
-(OpenCV, calib3d: stereoCalibrate and stereoRectify; MathWorks: stereoParameters, cameraIntrinsicsToOpenCV.)
+R and T are checked with the rest of the file: the right camera is to the right, R2 R R1^T = 1, |T|
+= |P2[0, 3]| / f. (OpenCV, calib3d: stereoCalibrate and stereoRectify; MathWorks: stereoParameters,
+cameraIntrinsicsToOpenCV.)
 """
 
 import math
@@ -26,17 +27,36 @@ from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
-from track_range.stereo.rig_formats.values.containers import EXPECTED, K_AND_BASELINE, VIRTUAL_KITTI, plain_values
+from track_range.stereo.rig_formats.values.containers import (
+    EXPECTED,
+    K_AND_BASELINE,
+    VIRTUAL_KITTI,
+    plain_values,
+)
 from track_range.stereo.rig_formats.values.partners import is_second, other_half, partner_of
-from track_range.stereo.rig_formats.values.quantities import Quantities, Side, quantities_of, read_quantities
+from track_range.stereo.rig_formats.values.quantities import (
+    Quantities,
+    Side,
+    quantities_of,
+    read_quantities,
+)
 
 Pair = tuple[Side, Side]
 _WIDE_M = 1.0  # of usual baselines; scripts without a square size have 2 to 5 squares
 _VEHICLE = 2.6  # width of the widest vehicles, metres; no baseline is longer
-_MILLIMETRES, _CENTIMETRES = 30.0, 5.0  # |T| from which it is read as millimetres, and as centimetres
+# |T| from which it is read as millimetres, and as centimetres
+_MILLIMETRES, _CENTIMETRES = 30.0, 5.0
 _FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which the lens is a fisheye
 _TOLERANCE = 0.02  # largest relative difference of lengths, and difference of rotations, that agree
-_UNITS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "centimeter": 0.01, "m": 1.0, "meter": 1.0, "in": 0.0254}
+_UNITS = {
+    "mm": 0.001,
+    "millimeter": 0.001,
+    "cm": 0.01,
+    "centimeter": 0.01,
+    "m": 1.0,
+    "meter": 1.0,
+    "in": 0.0254,
+}
 UNIT_NAMES = {0.001: "millimetres", 0.01: "centimetres", 1.0: "metres", 0.0254: "inches"}
 _DOUBT = "in doubt"  # in the place of the reason for a unit
 
@@ -71,9 +91,13 @@ _EXTRINSIC = ("R", "T", "second_from_first", "first_from_second")
 
 
 def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibration:
-    """The cameras of a file of a kind; with the files beside it that complete a pair, if `is_pair`."""
+    """The cameras of a file of a kind; with the files beside it that complete a pair, if
+    `is_pair`.
+    """
     expected = "a calibration of OpenCV" if kind.name == "opencv" else EXPECTED
-    given, beside = _completed(quantities_of(plain_values(text, path, expected), path), path, is_pair=is_pair)
+    given, beside = _completed(
+        quantities_of(plain_values(text, path, expected), path), path, is_pair=is_pair
+    )
     if not given.has("K", "fx", "P"):
         raise RigError(_unusable(given, path))
     sides = given.sides()[:2] or [None]
@@ -97,10 +121,18 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
         length = bf / (left.fx_px if fx is None else fx)
     is_depth_camera = "DepthMapFactor" in text or (kind.name == "orb-slam" and any(left.distortion))
     if length is not None and not has_extrinsics and projections is None and not is_depth_camera:
-        right = _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye) if len(sides) == 2 else left
-        images = "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
+        right = (
+            _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye)
+            if len(sides) == 2
+            else left
+        )
+        images = (
+            "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
+        )
         notes += [f"{path}: assumed: {kind.assumption}."] if kind.assumption else []
-        return _parallel(kind, given, [left, right], -abs(float(length[0])), f"{path}: {title}", images, notes)
+        return _parallel(
+            kind, given, [left, right], -abs(float(length[0])), f"{path}: {title}", images, notes
+        )
     if not has_extrinsics and len(sides) < 2:
         return RigCalibration(left, None, None, notes=tuple(notes))
     motion = _motion(given, pair, path, notes)
@@ -130,25 +162,44 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
                 "as the left camera; if T is its position instead, swap the cameras in the file."
             )
     return RigCalibration(
-        left, right, motion, notes=tuple(notes), metres_per_unit=metres, unit_doubt=doubt if reason == _DOUBT else ""
+        left,
+        right,
+        motion,
+        notes=tuple(notes),
+        metres_per_unit=metres,
+        unit_doubt=doubt if reason == _DOUBT else "",
     )
 
 
 def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantities, list[Path]]:
-    """The quantities, completed by files in the folder of `path`: extrinsics, intrinsics, other camera."""
-    has_cameras, has_extrinsics = given.has("K", "fx"), given.has(*_EXTRINSIC, "P", "baseline", "bf")
+    """The quantities, completed by files in the folder of `path`: extrinsics, intrinsics, other
+    camera.
+    """
+    has_cameras, has_extrinsics = (
+        given.has("K", "fx"),
+        given.has(*_EXTRINSIC, "P", "baseline", "bf"),
+    )
     is_single = has_cameras and len(given.sides()) < 2
     if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
         other = other_half(path, is_intrinsic=has_cameras)
         merged = given if other is None else given | read_quantities(other)
-        if has_cameras or other is None or len(merged.sides()) == 2 or (partner := partner_of(other)) is None:
+        if (
+            has_cameras
+            or other is None
+            or len(merged.sides()) == 2
+            or (partner := partner_of(other)) is None
+        ):
             return merged, [] if other is None else [other]
         return given | _both(other, partner), [other, partner]
     if is_pair and is_single and not has_extrinsics and (partner := partner_of(path)) is not None:
         first, second = (partner, path) if is_second(path) else (path, partner)
         both = _both(first, second)
         other = other_half(path, is_intrinsic=True)
-        return (both, [partner]) if other is None else (both | read_quantities(other), [partner, other])
+        return (
+            (both, [partner])
+            if other is None
+            else (both | read_quantities(other), [partner, other])
+        )
     return given, []
 
 
@@ -169,13 +220,19 @@ def _parallel(
     metres, reason = _unit(kind, given, abs(offset))
     motion = rigid_motion(np.eye(3), [offset * metres, 0.0, 0.0])
     note = f"{note}: the baseline is {abs(offset) * metres:.5g} m, {reason}; {images}."
-    return RigCalibration(cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=metres)
+    return RigCalibration(
+        cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=metres
+    )
 
 
 def _projections(given: Quantities, pair: Pair) -> list[FloatArray] | None:
     """The (3, 4) projection matrices of both rectified cameras; None if one is missing."""
     projections = [given.of(side, "P") for side in pair]
-    return [p.reshape(3, 4) for p in projections] if all(p is not None and p.size == 12 for p in projections) else None
+    return (
+        [p.reshape(3, 4) for p in projections]
+        if all(p is not None and p.size == 12 for p in projections)
+        else None
+    )
 
 
 def _offset(first: FloatArray, second: FloatArray) -> float:
@@ -193,13 +250,20 @@ def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> Floa
         if (pair[1], "T") in given.values:  # a pose of each camera
             first, second = (_pose(given, side, path) for side in pair)
             return np.asarray(second @ inverse_motion(first))
-        projections, rotations = _projections(given, pair), [given.of(side, "rect") for side in pair]
+        projections, rotations = (
+            _projections(given, pair),
+            [given.of(side, "rect") for side in pair],
+        )
         if projections is not None and all(rotation is not None for rotation in rotations):
             r1, r2 = (rotation.reshape(3, 3) for rotation in rotations)
             notes.append(f"{path}: R and T are computed from R1, R2, P1 and P2.")
             return rigid_motion(r2.T @ r1, r2.T @ [_offset(*projections), 0.0, 0.0])
     of_second = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}
-    missing = [name for name, keys in of_second.items() if not any((pair[1], key) in given.values for key in keys)]
+    missing = [
+        name
+        for name, keys in of_second.items()
+        if not any((pair[1], key) in given.values for key in keys)
+    ]
     missing += [name for name in ("R", "T") if given.of(None, name) is None]
     if missing:
         raise _incomplete(given, missing, path)
@@ -217,21 +281,30 @@ def _incomplete(given: Quantities, missing: list[str], path: Path) -> RigError:
 
 def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
     """(4, 4) transform of R and T of a side; the identity for a camera without them."""
-    rotation, translation = given.values.get((side, "R")), given.values.get((side, "T"), np.zeros(3))
+    rotation, translation = (
+        given.values.get((side, "R")),
+        given.values.get((side, "T"), np.zeros(3)),
+    )
     if rotation is None:
         rotation = given.values.get((side, "rect"), np.eye(3))
     rotation = rotation if rotation.size != 3 else np.asarray(cv2.Rodrigues(rotation)[0])
     return rigid_motion(_shaped(rotation, (3, 3), "R", path), _shaped(translation, (3,), "T", path))
 
 
-def _contradictions(given: Quantities, pair: Pair, motion: FloatArray, path: Path, notes: list[str]) -> None:
-    """Compare R and T with the rectification in the same file; an R that is the inverse is inverted in place."""
+def _contradictions(
+    given: Quantities, pair: Pair, motion: FloatArray, path: Path, notes: list[str]
+) -> None:
+    """Compare R and T with the rectification in the same file; an R that is the inverse is inverted
+    in place.
+    """
     r: list[FloatArray | None] = [given.values.get((side, "rect")) for side in pair]
     p = given.values.get((pair[1], "P"))
     if r[0] is not None and r[1] is not None and p is not None and (None, "T") in given.values:
         r1, r2 = r[0].reshape(3, 3), r[1].reshape(3, 3)
         rotation = motion[:3, :3]
-        errors = [float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)]
+        errors = [
+            float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)
+        ]
         if errors[0] > _TOLERANCE > errors[1]:
             motion[:] = inverse_motion(motion)
             notes.append(
@@ -245,11 +318,15 @@ def _contradictions(given: Quantities, pair: Pair, motion: FloatArray, path: Pat
     if p is not None and p.size == 12 and p[3]:
         length, projected = float(np.linalg.norm(motion[:3, 3])), abs(float(p[3] / p[0]))
         if abs(projected / max(length, 1e-9) - 1) > _TOLERANCE:
-            notes.append(f"{path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used.")
+            notes.append(
+                f"{path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
+            )
 
 
 def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
-    """Metres per unit of the lengths in a file, and the reason; `length` is the baseline in that unit."""
+    """Metres per unit of the lengths in a file, and the reason; `length` is the baseline in that
+    unit.
+    """
     stated = str(given.of(None, "unit") or "").lower().rstrip("s").replace("metre", "meter")
     square, baseline = given.of(None, "square"), given.of(None, "baseline")
     if kind.metres_per_unit is not None:
@@ -258,24 +335,46 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
         return _UNITS[stated], f"in {UNIT_NAMES[_UNITS[stated]]} as the file states"
     for quantity in ("T", "baseline"):
         unit = _UNITS.get(given.names.get((None, quantity), "").lower().rpartition("_")[2], 0.0)
-        length_m = unit * (length if quantity == "T" or baseline is None else abs(float(baseline[0])))
-        units = [u for u in (unit, 1.0, 0.01, 0.001) if u and length_m and abs(length * u / length_m - 1) < _TOLERANCE]
+        length_m = unit * (
+            length if quantity == "T" or baseline is None else abs(float(baseline[0]))
+        )
+        units = [
+            u
+            for u in (unit, 1.0, 0.01, 0.001)
+            if u and length_m and abs(length * u / length_m - 1) < _TOLERANCE
+        ]
         if units:
             return units[0], f"in {UNIT_NAMES[units[0]]} by the name of {quantity}"
     if kind.name == "matlab":
         return 0.001, "assuming millimetres, MATLAB's default"
     if length <= _VEHICLE:
-        wide = "; a wide baseline: if T counts squares, multiply T by the side of a square" if length > _WIDE_M else ""
-        of_board = "that the square size was given in metres" if (None, "T") in given.values else "metres"
+        wide = (
+            "; a wide baseline: if T counts squares, multiply T by the side of a square"
+            if length > _WIDE_M
+            else ""
+        )
+        of_board = (
+            "that the square size was given in metres" if (None, "T") in given.values else "metres"
+        )
         return 1.0, f"assuming {of_board}{wide}"
     if length <= _CENTIMETRES:
         return 1.0, _DOUBT
-    unit = 0.001 if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES) else 0.01
-    also = f" (in millimetres it would be {length * 0.001:.3g} m: rig convert --unit mm)" if unit == 0.01 else ""
+    unit = (
+        0.001
+        if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES)
+        else 0.01
+    )
+    also = (
+        f" (in millimetres it would be {length * 0.001:.3g} m: rig convert --unit mm)"
+        if unit == 0.01
+        else ""
+    )
     return unit, f"since the length of T, {length:.4g}, is taken to be in {UNIT_NAMES[unit]}{also}"
 
 
-def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:
+def _camera(
+    kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool
+) -> PinholeCamera:
     name, matrix = given.names.get((side, "K"), f"M{number}"), given.of(side, "K")
     matrix = _of_scalars(given, side) if matrix is None else matrix
     if matrix is None:
@@ -284,7 +383,8 @@ def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, 
         matrix = np.array([matrix[0], 0, matrix[2], 0, matrix[1], matrix[3], 0, 0, 1])
     matrix = _shaped(matrix, (3, 3), name, path)
     is_matlab = kind.name == "matlab"
-    if matrix[2, 0] and matrix[2, 1] and not (matrix[0, 2] or matrix[1, 2]):  # MATLAB's are transposed
+    # MATLAB's are transposed
+    if matrix[2, 0] and matrix[2, 1] and not (matrix[0, 2] or matrix[1, 2]):
         matrix, is_matlab = matrix.T.copy(), True
     if is_matlab:
         matrix[:2, 2] -= 1.0  # MATLAB counts pixels from 1
@@ -295,7 +395,11 @@ def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, 
         )
     distortion = _distortion(given, side)
     if distortion is None:
-        if not kind.is_rectified and (None, "baseline") not in given.values and (None, "bf") not in given.values:
+        if (
+            not kind.is_rectified
+            and (None, "baseline") not in given.values
+            and (None, "bf") not in given.values
+        ):
             raise RigError(
                 f"{path}: expected the distortion coefficients D{number} of the camera {name}, found none; write zeros "
                 "for undistorted images."
@@ -320,16 +424,24 @@ def _of_scalars(given: Quantities, side: Side) -> FloatArray | None:
 
 
 def _distortion(given: Quantities, side: Side) -> FloatArray | None:
-    """OpenCV's coefficients of a camera, in D, as MATLAB's radial and tangential coefficients, or by their names."""
+    """OpenCV's coefficients of a camera, in D, as MATLAB's radial and tangential coefficients, or
+    by their names.
+    """
     distortion = given.of(side, "D")
     if distortion is not None:
-        return np.append(distortion, [0.0] * (4 - distortion.size)) if distortion.size < 4 else distortion
+        return (
+            np.append(distortion, [0.0] * (4 - distortion.size))
+            if distortion.size < 4
+            else distortion
+        )
     radial, tangential = given.of(side, "radial"), given.of(side, "tangential")
     if radial is not None:
         tangential = np.zeros(2) if tangential is None else tangential
         return np.array([*radial[:2], *tangential, *radial[2:]])
     names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    values = {name: float(number[0]) for name in names if (number := given.of(side, name)) is not None}
+    values = {
+        name: float(number[0]) for name in names if (number := given.of(side, name)) is not None
+    }
     if not values:
         return None
     if "k4" in values and "p1" not in values and "k5" not in values:  # Kannala-Brandt
@@ -339,18 +451,40 @@ def _distortion(given: Quantities, side: Side) -> FloatArray | None:
 
 
 def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[str]) -> bool:
-    """Whether the lens is OpenCV's fisheye model, as the file states, or by four coefficients and the field of view."""
+    """Whether the lens is OpenCV's fisheye model, as the file states, or by four coefficients and
+    the field of view.
+    """
     if (flag := given.of(None, "fisheye")) is not None:
         return bool(flag.any())
     model = str(given.of(sides[0], "model") or "").lower()
-    has_k4 = [given.of(sides[0], name) is not None for name in ("k4", "p1", "k5")] == [True, False, False]
-    if has_k4 or model == "kb" or any(word in model for word in ("kannala", "fisheye", "equidistant")):
+    has_k4 = [given.of(sides[0], name) is not None for name in ("k4", "p1", "k5")] == [
+        True,
+        False,
+        False,
+    ]
+    if (
+        has_k4
+        or model == "kb"
+        or any(word in model for word in ("kannala", "fisheye", "equidistant"))
+    ):
         return True
-    distortion, k, name = _distortion(given, sides[0]), given.of(sides[0], "K"), given.names.get((sides[0], "K"), "")
-    if distortion is None or k is None or distortion.size != 4 or not name.startswith("K") or k.size != 9:
+    distortion, k, name = (
+        _distortion(given, sides[0]),
+        given.of(sides[0], "K"),
+        given.names.get((sides[0], "K"), ""),
+    )
+    if (
+        distortion is None
+        or k is None
+        or distortion.size != 4
+        or not name.startswith("K")
+        or k.size != 9
+    ):
         return False
     is_wide = bool(2 * k[2] > _FISHEYE_RAD * k[0])
-    lens, other = ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
+    lens, other = (
+        ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
+    )
     notes.append(
         f"{path}: the four coefficients are read as {lens}, because of the field of view of "
         f"{math.degrees(2 * math.atan(k[2] / k[0])):.0f} degrees; if this is wrong, add fisheye_model: {other}."
@@ -359,7 +493,9 @@ def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[st
 
 
 def _stated_size(given: Quantities, side: Side, centre: FloatArray) -> FloatArray | None:
-    """(2,) width and height of the images, in the order that fits their principal point, (2,); None = not stated."""
+    """(2,) width and height of the images, in the order that fits their principal point, (2,); None
+    = not stated.
+    """
     sides: list[Side] = [side, None] if side is not None else [None, *given.sides()]
     width, height, size = (
         next((given.values[place, name] for place in sides if (place, name) in given.values), None)
@@ -388,7 +524,9 @@ def _size(given: Quantities, side: Side, camera: PinholeCamera, path: Path) -> t
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
     if values.size != np.prod(shape):
-        raise RigError(f"{path}: expected {np.prod(shape)} numbers in {name}, found {values.size}; calibrate again.")
+        raise RigError(
+            f"{path}: expected {np.prod(shape)} numbers in {name}, found {values.size}; calibrate again."
+        )
     return values.reshape(shape)
 
 
@@ -398,7 +536,13 @@ def camera_values(given: Quantities, number: int) -> dict[str, object]:
     if number >= len(sides := given.sides() or [None]):
         return values
     side, matrix = sides[number], given.of(sides[number], "K")
-    focal = _of_scalars(given, side) if matrix is None else matrix[[0, 4, 2, 5]] if matrix.size == 9 else matrix
+    focal = (
+        _of_scalars(given, side)
+        if matrix is None
+        else matrix[[0, 4, 2, 5]]
+        if matrix.size == 9
+        else matrix
+    )
     if focal is not None:
         values |= zip(("fx_px", "fy_px", "cx_px", "cy_px"), focal.tolist(), strict=False)
     centre = np.zeros(2) if focal is None else focal[2:4]
@@ -409,7 +553,9 @@ def camera_values(given: Quantities, number: int) -> dict[str, object]:
 
 
 def partial_motion(given: Quantities, path: Path) -> FloatArray | None:
-    """(4, 4) transform of R and T alone, metres; None if one is missing, or the unit is in doubt."""
+    """(4, 4) transform of R and T alone, metres; None if one is missing, or the unit is in
+    doubt.
+    """
     if given.of(None, "R") is None or given.of(None, "T") is None:
         return None
     motion = _pose(given, None, path)

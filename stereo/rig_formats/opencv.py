@@ -4,9 +4,10 @@
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
     cv::fisheye        one of the above with fisheye_model: 1, as calibration.cpp writes it
 
-They are read by `matrices.py`, without OpenCV: its parser overflows the stack on nested lists, writes outside its
-memory on damaged JSON, and does not return from some base64 data. A camera without distortion coefficients is refused:
-stereo_calib always writes them, and distances would be wrong if a distorted camera were treated as an ideal one.
+They are read by `matrices.py`, without OpenCV: its parser overflows the stack on nested lists,
+writes outside its memory on damaged JSON, and does not return from some base64 data. A camera
+without distortion coefficients is refused: stereo_calib always writes them, and distances would be
+wrong if a distorted camera were treated as an ideal one.
 """
 
 from dataclasses import replace
@@ -27,11 +28,15 @@ from track_range.stereo.rig_formats.rig_format import write_rig_text
 
 
 def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
-    """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
+    """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does;
+    lengths in metres.
 
-    Raises RigError if the cameras are implausible or of different image sizes, or the file cannot be written.
+    Raises RigError if the cameras are implausible or of different image sizes, or the file cannot
+    be written.
     """
-    left, right = (cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras, cameras)
+    left, right = (
+        (cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras, cameras)
+    )
     if left.lens != right.lens or left.lens not in (PINHOLE, KANNALA_BRANDT):
         raise RigError(
             f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT} for OpenCV's format, the same for both cameras, "
@@ -53,8 +58,13 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
         }  # fmt: skip
     else:
         check_camera(cameras, path)
-        matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _distortion_row(cameras)}
-    storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+        matrices = {
+            "camera_matrix": cameras.matrix,
+            "distortion_coefficients": _distortion_row(cameras),
+        }
+    storage = cv2.FileStorage(
+        path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
+    )
     storage.write("image_width", left.width_px)
     storage.write("image_height", left.height_px)
     if left.is_wide:
@@ -65,7 +75,13 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
 
 
 def _distortion_row(camera: PinholeCamera) -> FloatArray:
-    return np.array(camera.distortion)[None] if camera.is_wide else distortion_coefficients(camera)[None]
+    return (
+        np.array(camera.distortion)[None]
+        if camera.is_wide
+        else distortion_coefficients(camera)[None]
+    )
 
 
-OPENCV = replace(FORMATS["opencv"], write=lambda cameras, path, _comments: save_opencv(cameras, path))
+OPENCV = replace(
+    FORMATS["opencv"], write=lambda cameras, path, _comments: save_opencv(cameras, path)
+)

@@ -1,4 +1,6 @@
-"""Reading camera calibrations from files: a new format is a module with a RigFormat, and an entry of `RIG_FORMATS`."""
+"""Reading camera calibrations from files: a new format is a module with a RigFormat, and an entry
+of `RIG_FORMATS`.
+"""
 
 import contextlib
 import os
@@ -10,7 +12,12 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import fitted_rig, fitted_to_size
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig, shared_view_notes
+from track_range.stereo.geometry.rig_checks import (
+    RigCalibration,
+    check_camera,
+    check_rig,
+    shared_view_notes,
+)
 from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
 from track_range.stereo.rig_formats.kalibr import KALIBR
@@ -23,38 +30,49 @@ from track_range.stereo.rig_formats.ros import ROS, read_folder
 from track_range.stereo.rig_formats.values.containers import calibration_text
 from track_range.stereo.rig_formats.values.partners import files_of
 
-_NAMED = {name: rig_format for name, rig_format in FORMATS.items() if name not in ("opencv", "matrices")}
+_NAMED = {
+    name: rig_format for name, rig_format in FORMATS.items() if name not in ("opencv", "matrices")
+}
 RIG_FORMATS: tuple[RigFormat, ...] = (
     *(RIG_YAML, ZED, OAK, REALSENSE, EUROC, VINS, *_NAMED.values(), OPENCV, KALIBR, KITTI, ROS),
     FORMATS["matrices"],
 )
 """Formats in the order in which they are tried; the first that recognises a file reads it.
 
-OpenCV's precedes KITTI's, because both have lines P1 and P2. The last one reads any matrices by name.
+OpenCV's precedes KITTI's, because both have lines P1 and P2. The last one reads any matrices by
+name.
 """
-_SCALE_TOLERANCE = 0.01  # largest relative difference of the factors by which left and right images are scaled
+# largest relative difference of the factors by which left and right images are scaled
+_SCALE_TOLERANCE = 0.01
 
 
 def load_rig(
-    path: Path, *, size_px: tuple[int, int], right_size_px: tuple[int, int] | None = None, is_grey: bool = False
+    path: Path,
+    *,
+    size_px: tuple[int, int],
+    right_size_px: tuple[int, int] | None = None,
+    is_grey: bool = False,
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig of a file, for images of `size_px` = (width, height), and notes for the user.
 
-    `path` may be a folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`; `is_grey` chooses
-    the grey pair of a KITTI file. Raises RigError if the file cannot be read, is not a rig, has only one camera, is
-    implausible, or is for other images.
+    `path` may be a folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`;
+    `is_grey` chooses the grey pair of a KITTI file. Raises RigError if the file cannot be read, is
+    not a rig, has only one camera, is implausible, or is for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if (rig := calibration.checked_rig(path)) is None:
         raise RigError(
-            f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a file with both "
-            "cameras, or run on one video with --mono."
+            f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a "
+            "file with both cameras, or run on one video with --mono."
         )
     return _fitted(rig, calibration.notes, path, (size_px, right_size_px or size_px))
 
 
 def _fitted(
-    rig: StereoRig, notes: tuple[str, ...], path: Path, sizes_px: tuple[tuple[int, int], tuple[int, int]]
+    rig: StereoRig,
+    notes: tuple[str, ...],
+    path: Path,
+    sizes_px: tuple[tuple[int, int], tuple[int, int]],
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig for images of two sizes, and notes."""
     if sizes_px[0] != sizes_px[1]:
@@ -65,25 +83,37 @@ def _fitted(
 
 
 def _check_sizes(
-    cameras: tuple[PinholeCamera, PinholeCamera], sizes_px: tuple[tuple[int, int], tuple[int, int]], path: Path
+    cameras: tuple[PinholeCamera, PinholeCamera],
+    sizes_px: tuple[tuple[int, int], tuple[int, int]],
+    path: Path,
 ) -> None:
-    """Check that images of unequal sizes have the sizes of the file's cameras, or both sizes reduced by one factor."""
-    scales = [size_px[0] / max(camera.width_px, 1) for camera, size_px in zip(cameras, sizes_px, strict=True)]
+    """Check that images of unequal sizes have the sizes of the file's cameras, or both sizes
+    reduced by one factor.
+    """
+    scales = [
+        size_px[0] / max(camera.width_px, 1)
+        for camera, size_px in zip(cameras, sizes_px, strict=True)
+    ]
     if not cameras[0].width_px or abs(scales[1] / scales[0] - 1) > _SCALE_TOLERANCE:
-        expected = " and ".join(f"{camera.width_px}x{camera.height_px}" for camera in cameras) + " px"
+        expected = (
+            " and ".join(f"{camera.width_px}x{camera.height_px}" for camera in cameras) + " px"
+        )
         raise RigError(
-            f"{path}: expected left and right images of {expected if cameras[0].width_px else 'equal size'}, found "
-            f"{' and '.join(f'{width}x{height}' for width, height in sizes_px)} px; give a rig of these images."
+            f"{path}: expected left and right images of "
+            f"{expected if cameras[0].width_px else 'equal size'}, found "
+            f"{' and '.join(f'{width}x{height}' for width, height in sizes_px)} px; give a rig of "
+            "these images."
         )
 
 
 def load_camera(
     path: Path, *, size_px: tuple[int, int] | None, is_grey: bool = False
 ) -> tuple[PinholeCamera, tuple[str, ...]]:
-    """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes for the user.
+    """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes for
+    the user.
 
-    With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if the file cannot be
-    read, is not a calibration, is implausible, or is for other images.
+    With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if
+    the file cannot be read, is not a calibration, is implausible, or is for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
@@ -95,37 +125,59 @@ def load_camera(
 
 
 def load_calibration(
-    path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False, metres_per_unit: float | None = None
+    path: Path,
+    *,
+    size_px: tuple[int, int] | None = None,
+    is_grey: bool = False,
+    metres_per_unit: float | None = None,
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
-    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`.
+    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and
+    `load_camera`.
 
-    `metres_per_unit` is the unit of the lengths in the file, None = by the format, the file or their size.
+    `metres_per_unit` is the unit of the lengths in the file, None = by the format, the file or
+    their size.
     """
-    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).in_unit(metres_per_unit).of_size(size_px)
+    calibration = (
+        read_calibration(path, is_grey=is_grey, is_pair=True)
+        .in_unit(metres_per_unit)
+        .of_size(size_px)
+    )
     if (rig := calibration.checked_rig(path)) is None:
         return load_camera(path, size_px=size_px, is_grey=is_grey)
-    return (rig, calibration.notes) if size_px is None else _fitted(rig, calibration.notes, path, (size_px, size_px))
+    return (
+        (rig, calibration.notes)
+        if size_px is None
+        else _fitted(rig, calibration.notes, path, (size_px, size_px))
+    )
 
 
 def missing_camera(path: Path, *, is_grey: bool = False) -> str:
-    """The part that a file with one camera lacks for a rig, for messages; RigError if the file is not a calibration."""
+    """The part that a file with one camera lacks for a rig, for messages; RigError if the file is
+    not a calibration.
+    """
     rig_format, text = format_of(path)
     return rig_format.missing(text, path, is_grey)
 
 
-def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int] | None = None) -> FloatArray:
-    """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the left camera's frame.
+def left_from_reference_m(
+    path: Path, *, is_grey: bool, size_px: tuple[int, int] | None = None
+) -> FloatArray:
+    """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the
+    left camera's frame.
 
-    Zeros for other formats, and for KITTI's images before rectification. Labels are moved by this translation before
-    they are compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises
-    RigError if the file cannot be read or is not a calibration.
+    Zeros for other formats, and for KITTI's images before rectification. Labels are moved by this
+    translation before they are compared with measured distances. `size_px` is the (width, height)
+    of the images; None = rectified. Raises RigError if the file cannot be read or is not a
+    calibration.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
 
 
 def find_rig(left_video: Path) -> Path | None:
-    """`rig.yaml`, else `calib.txt`, in the folder of the left video, or in a folder of images or its parent."""
+    """`rig.yaml`, else `calib.txt`, in the folder of the left video, or in a folder of images or
+    its parent.
+    """
     folders = (left_video, left_video.parent) if left_video.is_dir() else (left_video.parent,)
     candidates = (folder / name for folder in folders for name in ("rig.yaml", "calib.txt"))
     return next((candidate for candidate in candidates if candidate.is_file()), None)
@@ -147,7 +199,9 @@ def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibrat
 
 
 def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
-    """The pair in a folder: two camera_info of ROS, else the first file that gives a pair; also in cam0 or left."""
+    """The pair in a folder: two camera_info of ROS, else the first file that gives a pair; also in
+    cam0 or left.
+    """
     if (rig := read_folder(folder)) is not None:
         return rig
     inside = [folder / name for name in ("mav0/cam0", "cam0", "left") if (folder / name).is_dir()]
@@ -159,11 +213,16 @@ def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
                 return calibration
             n_single += 1
     raise RigError(
-        f"{folder}: expected a folder with ROS's camera_info of two cameras in YAML, or a calibration of a pair, found "
-        f"{n_single} calibrations of single cameras; give the calibration file of the pair."
+        f"{folder}: expected a folder with ROS's camera_info of two cameras in YAML, or a "
+        f"calibration of a pair, found {n_single} calibrations of single cameras; give the "
+        "calibration file of the pair."
     )
 
 
 def rig_writers() -> dict[str, RigWriter]:
     """The writers by name of the format, rig.yaml's first."""
-    return {rig_format.name: rig_format.write for rig_format in RIG_FORMATS if rig_format.write is not None}
+    return {
+        rig_format.name: rig_format.write
+        for rig_format in RIG_FORMATS
+        if rig_format.write is not None
+    }

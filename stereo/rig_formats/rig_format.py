@@ -11,7 +11,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration
 
-RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]  # path, comment lines; raises RigError
+# path, comment lines; raises RigError
+RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,10 +22,11 @@ class RigFormat:
     name: str  # the format's name on the command line
     title: str  # the format's files, for messages, such as "KITTI's calib.txt"
     recognises: Callable[[str], bool]  # whether a file with this text is in the format
-    # the cameras of a file from its text, its path (for messages and other files) and whether the images are grey;
-    # raises RigError
+    # the cameras of a file from its text, its path (for messages and other files) and whether the
+    # images are grey; raises RigError
     read: Callable[[str, Path, bool], RigCalibration]
-    # the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments
+    # the keys that a file with one camera lacks for a stereo rig, for messages, from the same
+    # arguments
     missing: Callable[[str, Path, bool], str]
     # as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`
     read_pair: Callable[[str, Path, bool], RigCalibration] | None = None
@@ -39,7 +41,9 @@ def format_by_pattern(
     missing: str,
     read_pair: Callable[[str, Path], RigCalibration] | None = None,
 ) -> RigFormat:
-    """A format that is only read, without grey images; {suffix} in `missing` is the file's suffix."""
+    """A format that is only read, without grey images; {suffix} in `missing` is the file's
+    suffix.
+    """
     return RigFormat(
         name=name,
         title=title,
@@ -51,7 +55,9 @@ def format_by_pattern(
 
 
 def write_rig_text(path: Path, text: str) -> None:
-    """Write a text file atomically. Raises RigError if the path is a folder, or cannot be written."""
+    """Write a text file atomically. Raises RigError if the path is a folder, or cannot be
+    written.
+    """
     if os.path.isdir(path):
         raise RigError(f"{path}: expected a file to write, found a folder; give a file name.")
     with writable(path, RigError):

@@ -1,19 +1,22 @@
-"""rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
+"""rig.yaml, track-range's format for rigs and single cameras; numbers are written with full
+precision.
 
-Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or the
-distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2
-p1 p2):
+Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1,
+p2, k3, ..., or the distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4,
+double-sphere: xi alpha, omni: xi k1 k2 p1 p2):
 
-    track_range_rig: 1
-    left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
-    right: {...}
-    right_from_left: {rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
+    track_range_rig: 1 left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px:
+    1242, height_px: 375, distortion: []} right: {...} right_from_left: {rotation: [[1, 0, 0], [0,
+    1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
 
-A camera that was calibrated from the road has the uncertainty of its focal length, and its height and pitch:
+A camera that was calibrated from the road has the uncertainty of its focal length, and its height
+and pitch:
 
-    mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
+    mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg:
+    1.1, ...}
 
-A calibration with a board has the relative standard deviations of focal length and scale (focal length times baseline):
+A calibration with a board has the relative standard deviations of focal length and scale (focal
+length times baseline):
 
     accuracy: {focal_sigma: 0.0008, scale_sigma: 0.0011}
 """
@@ -29,7 +32,12 @@ from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig, rigid_motion
-from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import (
+    ImageSide,
+    RigCalibration,
+    check_camera,
+    check_rig,
+)
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 VERSION = 1  # version of the format, the value of its key `track_range_rig`
@@ -51,7 +59,9 @@ class _CameraFile(BaseModel):
 
     def camera(self) -> PinholeCamera:
         size = (self.width_px, self.height_px)
-        return PinholeCamera(self.fx_px, self.fy_px, self.cx_px, self.cy_px, *size, tuple(self.distortion), self.lens)
+        return PinholeCamera(
+            self.fx_px, self.fy_px, self.cx_px, self.cy_px, *size, tuple(self.distortion), self.lens
+        )
 
 
 class _MotionFile(BaseModel):
@@ -85,11 +95,18 @@ class _RigFile(BaseModel):
     accuracy: _AccuracyFile | None = None
 
 
-def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = (), accuracy: RigAccuracy | None = None) -> None:
-    """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an unwritable file."""
+def save_rig(
+    rig: StereoRig, path: Path, *, comments: Sequence[str] = (), accuracy: RigAccuracy | None = None
+) -> None:
+    """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an
+    unwritable file.
+    """
     check_rig(rig, path)
     accuracy = accuracy or rig.accuracy
-    rotation, translation_m = rig.right_from_left[:3, :3].tolist(), rig.right_from_left[:3, 3].tolist()
+    rotation, translation_m = (
+        rig.right_from_left[:3, :3].tolist(),
+        rig.right_from_left[:3, 3].tolist(),
+    )
     content = {
         "left": _camera_content(rig.left),
         "right": _camera_content(rig.right),
@@ -107,13 +124,18 @@ def save_camera(
     mounting: Mounting | None = None,
     accuracy: RigAccuracy | None = None,
 ) -> None:
-    """Write the calibration of one camera, for --mono, as rig.yaml, with `comments` as its first lines.
+    """Write the calibration of one camera, for --mono, as rig.yaml, with `comments` as its first
+    lines.
 
-    `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the camera is implausible, or the
-    file cannot be written.
+    `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the camera is
+    implausible, or the file cannot be written.
     """
     check_camera(camera, path)
-    known = {name: asdict(part) for name, part in (("mounting", mounting), ("accuracy", accuracy)) if part is not None}
+    known = {
+        name: asdict(part)
+        for name, part in (("mounting", mounting), ("accuracy", accuracy))
+        if part is not None
+    }
     _save({"left": _camera_content(camera), **known}, path, comments)
 
 
@@ -126,7 +148,11 @@ def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[st
 
 def _camera_content(camera: PinholeCamera) -> dict[str, Any]:
     content = asdict(camera) | {"distortion": list(camera.distortion)}
-    return content if camera.is_wide else {key: value for key, value in content.items() if key != "lens"}
+    return (
+        content
+        if camera.is_wide
+        else {key: value for key, value in content.items() if key != "lens"}
+    )
 
 
 def _save(content: Mapping[str, object], path: Path, comments: Sequence[str]) -> None:

@@ -1,12 +1,15 @@
 """ROS: camera_info of one camera per YAML document, two files or documents for a pair.
 
-    camera_calibration  image_width image_height camera_matrix distortion_model distortion_coefficients
+    camera_calibration  image_width image_height camera_matrix distortion_model
+    distortion_coefficients
                         rectification_matrix projection_matrix             matrices as {rows, cols, data}
     topic echo          width height distortion_model D K R P (d k r p)    lists; `---` after each message
 
-The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info come from the driver
-(image_raw), and D, K and R rectify them; P describes the rectified images (image_rect). Both have the same size.
-(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html, http://wiki.ros.org/camera_calibration_parsers.)
+The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info
+come from the driver (image_raw), and D, K and R rectify them; P describes the rectified images
+(image_rect). Both have the same size.
+(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html,
+http://wiki.ros.org/camera_calibration_parsers.)
 """
 
 import re
@@ -29,13 +32,16 @@ _TITLE = "ROS's camera_info"
 _EXPECTED = "a camera_info of ROS"
 # Keys at the start of a line, one of which every camera_info has.
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
-_HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)  # scripts have none
+# scripts have none
+_HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)
 _OST = re.compile(r"^# oST|^\[image\]\s*$", re.MULTILINE)  # camera_calibration's text file
 _OST_NAMES = {
     "width": "image_width", "height": "image_height", "camera matrix": "camera_matrix",
     "distortion": "distortion_coefficients", "rectification": "rectification_matrix", "projection": "projection_matrix",
 }  # fmt: skip
-_OST_VALUE = re.compile(rf"^[ \t]*({'|'.join(_OST_NAMES)})[ \t]*\n((?:[-+\d.eE \t]*\n)*)", re.MULTILINE)
+_OST_VALUE = re.compile(
+    rf"^[ \t]*({'|'.join(_OST_NAMES)})[ \t]*\n((?:[-+\d.eE \t]*\n)*)", re.MULTILINE
+)
 _OST_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?")
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
 _SUFFIXES = (".yaml", ".yml")
@@ -51,7 +57,8 @@ _Row = BeforeValidator(_data_of)
 _Matrix33 = Annotated[list[_Value], Field(min_length=9, max_length=9), _Row]
 _Matrix34 = Annotated[list[_Value], Field(min_length=12, max_length=12), _Row]
 _Coefficients = Annotated[list[_Value], Field(max_length=14), _Row]
-"""Numbers row by row; no plausible number has a magnitude above 1e7; OpenCV has at most 14 distortion coefficients."""
+"""Numbers row by row; no plausible number has a magnitude above 1e7; OpenCV has at most 14
+distortion coefficients."""
 
 
 class _Region(BaseModel):
@@ -89,7 +96,8 @@ _NAMES = {  # those of `camera_calibration` for the keys of messages in ROS 1 an
 class _Camera(NamedTuple):
     info: CameraInfo
     path: Path
-    is_raw: bool  # whether K and D describe raw images; False = the file only has P, of rectified images
+    # whether K and D describe raw images; False = the file only has P, of rectified images
+    is_raw: bool
 
     @property
     def is_rectified(self) -> bool:
@@ -103,8 +111,13 @@ def _is_camera_info(text: str) -> bool:
 
 
 def _ost_documents(text: str) -> list[dict[str, object]]:
-    """The keys and numbers of each camera of an ost.txt, under its name in brackets; [image] applies to all."""
-    parts = ["image", *re.split(r"^[ \t]*\[(.*)\][ \t]*$", text.replace("\r", "") + "\n", flags=re.MULTILINE)]
+    """The keys and numbers of each camera of an ost.txt, under its name in brackets; [image]
+    applies to all.
+    """
+    parts = [
+        "image",
+        *re.split(r"^[ \t]*\[(.*)\][ \t]*$", text.replace("\r", "") + "\n", flags=re.MULTILINE),
+    ]
     common: dict[str, object] = {}
     documents: list[dict[str, object]] = []
     for name, body in zip(parts[::2], parts[1::2], strict=True):
@@ -129,7 +142,9 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
 
 
 def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
-    """See `_read`; for a file with one camera, the other camera is read from the other side's file, if it exists."""
+    """See `_read`; for a file with one camera, the other camera is read from the other side's file,
+    if it exists.
+    """
     cameras = _cameras(text, path)
     if len(cameras) == 1 and (partner := partner_of(path)) is not None:
         cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)
@@ -137,10 +152,17 @@ def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
 
 
 def read_folder(folder: Path) -> RigCalibration | None:
-    """The two cameras of the camera_info in a folder; None if there are not two; RigError if a file cannot be read."""
+    """The two cameras of the camera_info in a folder; None if there are not two; RigError if a file
+    cannot be read.
+    """
     paths = [path for path in files_of(folder) if path.suffix in _SUFFIXES]
     texts = {path: read_text(path, RigError, _EXPECTED) for path in paths}
-    cameras = [camera for path, text in texts.items() if _is_camera_info(text) for camera in _cameras(text, path)]
+    cameras = [
+        camera
+        for path, text in texts.items()
+        if _is_camera_info(text)
+        for camera in _cameras(text, path)
+    ]
     return _pair(cameras[0], cameras[1], folder) if len(cameras) == 2 else None
 
 
@@ -152,18 +174,25 @@ def _cameras(text: str, path: Path) -> list[_Camera]:
         return _checked([_camera(document, path) for document in _ost_documents(text)[:3]], path)
     for end in [*(match.start() for match in _SEPARATOR.finditer(text)), len(text)]:
         lines_before = "\n" * text.count("\n", 0, start)  # so that errors have the line of the file
-        content = parse_yaml(lines_before + _SEPARATOR.sub("", text[start:end]), path, RigError, _EXPECTED)
+        content = parse_yaml(
+            lines_before + _SEPARATOR.sub("", text[start:end]), path, RigError, _EXPECTED
+        )
         start = end
         if content is not None:
             camera = _camera(content, path)
-            k, r, p = (tuple(part.ravel().tolist()) for part in (camera.info.k, camera.info.r, camera.info.p))
+            k, r, p = (
+                tuple(part.ravel().tolist())
+                for part in (camera.info.k, camera.info.r, camera.info.p)
+            )
             cameras.setdefault((camera.info.size_px, k, r, p), camera)
     return _checked(list(cameras.values()), path)
 
 
 def _checked(cameras: list[_Camera], path: Path) -> list[_Camera]:
     if not 1 <= len(cameras) <= 2:
-        raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one file each.")
+        raise RigError(
+            f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one file each."
+        )
     return cameras
 
 
@@ -179,23 +208,35 @@ def _camera(content: object, path: Path) -> _Camera:
         )
     k, r, p = (
         np.reshape(numbers or np.zeros(size), (3, -1))
-        for numbers, size in ((file.camera_matrix, 9), (file.rectification_matrix, 9), (file.projection_matrix, 12))
+        for numbers, size in (
+            (file.camera_matrix, 9),
+            (file.rectification_matrix, 9),
+            (file.projection_matrix, 12),
+        )
     )
     is_raw = k.any() or file.distortion_coefficients is not None
     k = k if is_raw else p[:, :3]
     p = p if p.any() else np.insert(k, 3, 0.0, axis=1)
     if min(k[0, 0], k[1, 1], p[0, 0], p[1, 1]) < 1:
-        raise RigError(f"{path}: expected a calibrated camera, found focal lengths below 1 px; calibrate it.")
+        raise RigError(
+            f"{path}: expected a calibrated camera, found focal lengths below 1 px; calibrate it."
+        )
     if is_raw and file.distortion_coefficients is None:
-        raise RigError(f"{path}: expected distortion coefficients, found none; write zeros for undistorted images.")
+        raise RigError(
+            f"{path}: expected distortion coefficients, found none; write zeros for undistorted images."
+        )
     distortion = tuple(file.distortion_coefficients or ())
     info = CameraInfo(size_px, file.distortion_model, distortion, k, r if r.any() else np.eye(3), p)
     return _Camera(info, path, bool(is_raw))
 
 
 def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
-    """The rig of two cameras in any order: the right camera has the smaller P[0, 3] / P[0, 0], -B."""
-    offset_m, other_offset_m = (float(camera.info.p[0, 3] / camera.info.p[0, 0]) for camera in (first, second))
+    """The rig of two cameras in any order: the right camera has the smaller P[0, 3] / P[0, 0],
+    -B.
+    """
+    offset_m, other_offset_m = (
+        float(camera.info.p[0, 3] / camera.info.p[0, 0]) for camera in (first, second)
+    )
     left, right = (first, second) if offset_m >= other_offset_m else (second, first)
     if left.is_raw != right.is_raw:
         raise RigError(
@@ -220,10 +261,19 @@ def _assumption(*, is_rectified: bool) -> str:
 
 def _missing(_text: str, path: Path, _is_grey: bool) -> str:
     partner = next(other_sides(path.name), None)
-    place = f"in {partner} beside it" if partner else "in a second file beside it (left.yaml, right.yaml)"
+    place = (
+        f"in {partner} beside it"
+        if partner
+        else "in a second file beside it (left.yaml, right.yaml)"
+    )
     return f"{_TITLE} of the other camera {place} or after a line --- in this file"
 
 
 ROS = RigFormat(
-    name="ros", title=_TITLE, recognises=_is_camera_info, read=_read, read_pair=_read_pair, missing=_missing
+    name="ros",
+    title=_TITLE,
+    recognises=_is_camera_info,
+    read=_read,
+    read_pair=_read_pair,
+    missing=_missing,
 )

@@ -1,4 +1,6 @@
-"""A rig.yaml with the values that could be read from a calibration, and blanks for missing values."""
+"""A rig.yaml with the values that could be read from a calibration, and blanks for missing
+values.
+"""
 
 import contextlib
 from pathlib import Path
@@ -21,13 +23,17 @@ _HINTS = {
 
 
 def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
-    """Text of a rig.yaml, with the meaning of a key where its value is missing. RigError if the file is missing.
+    """Text of a rig.yaml, with the meaning of a key where its value is missing. RigError if the
+    file is missing.
 
     `metres_per_unit` is the unit of the lengths in the file, None = by the file or their size.
     """
     try:
         calibration = read_calibration(path, is_grey=False, is_pair=True).in_unit(metres_per_unit)
-        cameras = [{} if camera is None else _values(camera) for camera in (calibration.left, calibration.right)]
+        cameras = [
+            {} if camera is None else _values(camera)
+            for camera in (calibration.left, calibration.right)
+        ]
         reason = calibration.unit_doubt
         motion = None if reason else calibration.right_from_left
     except RigError as error:
@@ -36,20 +42,36 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
         reason, cameras, motion = str(error), [{}, {}], None
         with contextlib.suppress(RigError):
             given = read_quantities(path)
-            cameras, motion = [camera_values(given, number) for number in (0, 1)], partial_motion(given, path)
-    advice = "fill in the blanks, in pixels and metres, and remove what a single camera does not have"
-    lines = [f"# from {path.name}; {advice}", *([f"# {reason}"] if reason else []), "track_range_rig: 1"]
+            cameras, motion = (
+                [camera_values(given, number) for number in (0, 1)],
+                partial_motion(given, path),
+            )
+    advice = (
+        "fill in the blanks, in pixels and metres, and remove what a single camera does not have"
+    )
+    lines = [
+        f"# from {path.name}; {advice}",
+        *([f"# {reason}"] if reason else []),
+        "track_range_rig: 1",
+    ]
     for name, values in zip(("left", "right"), cameras, strict=True):
         lines.append(f"{name}:")
         for key in (*_KEYS, "distortion"):
             value = values.get(key)
-            lines.append(f"  {key}: {value}" if value is not None else f"  {key}:  # {_HINTS.get(key, 'missing')}")
+            lines.append(
+                f"  {key}: {value}"
+                if value is not None
+                else f"  {key}:  # {_HINTS.get(key, 'missing')}"
+            )
     lines.append("right_from_left:  # x_right = rotation x_left + translation_m")
     if motion is None:
         lines += ["  rotation:  # [[1, 0, 0], [0, 1, 0], [0, 0, 1]] of parallel cameras"]
         lines += ["  translation_m:  # [-0.12, 0, 0]: a right camera 0.12 m to the right"]
     else:
-        lines += [f"  rotation: {motion[:3, :3].tolist()}", f"  translation_m: {motion[:3, 3].tolist()}"]
+        lines += [
+            f"  rotation: {motion[:3, :3].tolist()}",
+            f"  translation_m: {motion[:3, 3].tolist()}",
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -58,4 +80,6 @@ def _values(camera: PinholeCamera) -> dict[str, object]:
     if not camera.width_px:
         values |= {"width_px": None, "height_px": None}
     distortion = np.array(camera.distortion).tolist()
-    return values | {"distortion": f"{distortion}\n  lens: {camera.lens}" if camera.is_wide else distortion}
+    return values | {
+        "distortion": f"{distortion}\n  lens: {camera.lens}" if camera.is_wide else distortion
+    }

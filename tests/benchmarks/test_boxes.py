@@ -18,8 +18,14 @@ def test_true_boxes_are_those_of_the_labels():
     scene = make_scenario("city", seed=3, seconds=4.0)
     labels = label_scene(scene, [3.0], camera=RIG.left)
     boxes = true_boxes(scene, np.array([2.9, 3.0]), RIG.left)
-    at_3_s = {int(user): box for user, box, frame in zip(boxes.user, boxes.xyxy_px, boxes.frame, strict=True) if frame}
-    common = [(row, at_3_s[user]) for row, user in enumerate(labels.track_id.tolist()) if user in at_3_s]
+    at_3_s = {
+        int(user): box
+        for user, box, frame in zip(boxes.user, boxes.xyxy_px, boxes.frame, strict=True)
+        if frame
+    }
+    common = [
+        (row, at_3_s[user]) for row, user in enumerate(labels.track_id.tolist()) if user in at_3_s
+    ]
     assert len(common) > 5
     for row, box in common:
         assert box == pytest.approx(labels.xyxy_px[row], abs=1e-6)
@@ -36,7 +42,10 @@ def test_memory_has_the_correlation_of_its_equation():
 def test_drive_depends_on_the_seed_only():
     scene, times_s = make_scenario("following", seed=1, seconds=3.0), np.arange(30) / 10
     first, same, other = (list(BoxDrive(scene, times_s, RIG, seed=seed)) for seed in (1, 1, 2))
-    assert all(np.array_equal(a.detections.xyxy_px, b.detections.xyxy_px) for a, b in zip(first, same, strict=True))
+    assert all(
+        np.array_equal(a.detections.xyxy_px, b.detections.xyxy_px)
+        for a, b in zip(first, same, strict=True)
+    )
     assert any(len(a.detections) != len(b.detections) for a, b in zip(first, other, strict=True))
 
 
@@ -46,4 +55,6 @@ def test_runs_of_two_drives_follow_the_vehicle_ahead():
     *_, last = run_boxes(drives, [tracked(drive) for drive in drives])
     ahead = np.flatnonzero(last.user == 0)
     assert set((last.result.tracks.track_id[ahead] // IDS_PER_DRIVE).tolist()) == {0, 1}
-    assert last.result.ranges["fused"].distance_m[ahead] == pytest.approx(last.true_m[ahead], rel=0.1)
+    assert last.result.ranges["fused"].distance_m[ahead] == pytest.approx(
+        last.true_m[ahead], rel=0.1
+    )

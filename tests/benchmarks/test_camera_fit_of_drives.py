@@ -10,7 +10,11 @@ import pytest
 
 from benchmarks.boxes.box_drive import BoxDrive
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
+from track_range.ranging.fitting.camera.focal_evidence import (
+    default_guess,
+    focal_of_field,
+    focal_posterior,
+)
 from track_range.ranging.fitting.camera.measurements import (
     FocalGuess,
     KnownObject,
@@ -31,12 +35,17 @@ SIZES = load_curves()
 
 
 def simulated(seed, scenario="city"):
-    """Camera of random focal length, boxes of the simulated detector, and up to three known distances."""
+    """Camera of random focal length, boxes of the simulated detector, and up to three known
+    distances."""
     rng = np.random.default_rng([seed, 4])
     focal_px = focal_of_field(rng.uniform(50, 100), SIZE_PX[0])
     camera = PinholeCamera.of_focal_length(focal_px, SIZE_PX)
-    camera = replace(camera, cy_px=camera.cy_px - focal_px * math.tan(math.radians(rng.normal(0, 2))))
-    scene = replace(make_scenario(scenario, seed=seed, seconds=12.0), camera_height_m=rng.uniform(1.2, 1.8))
+    camera = replace(
+        camera, cy_px=camera.cy_px - focal_px * math.tan(math.radians(rng.normal(0, 2)))
+    )
+    scene = replace(
+        make_scenario(scenario, seed=seed, seconds=12.0), camera_height_m=rng.uniform(1.2, 1.8)
+    )
     drive = BoxDrive(scene, np.arange(0, 11.8, 0.4), StereoRig.rectified(camera, 0.5), seed=seed)
     parts = []
     for frame in drive:
@@ -47,7 +56,10 @@ def simulated(seed, scenario="city"):
     centre = (true.xyxy_px[:, 0] + true.xyxy_px[:, 2]) / 2
     is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
     usable = (
-        is_car & (true.hidden_fraction < 0.05) & (true.outside_fraction <= 0) & (np.abs(centre - CENTRE_PX[0]) < 320)
+        is_car
+        & (true.hidden_fraction < 0.05)
+        & (true.outside_fraction <= 0)
+        & (np.abs(centre - CENTRE_PX[0]) < 320)
     )
     usable &= (true.distance_m > 5) & (true.distance_m < 30)
     known = {}
@@ -55,7 +67,8 @@ def simulated(seed, scenario="city"):
         box = true.xyxy_px[row] + rng.normal(0, 1.5, 4)
         distance_m = float(true.distance_m[row] * (1 + rng.normal(0, 0.01)))
         known.setdefault(
-            int(true.user[row]), KnownObject(name="", xyxy_px=tuple(box), size_class=CAR, distance_m=distance_m)
+            int(true.user[row]),
+            KnownObject(name="", xyxy_px=tuple(box), size_class=CAR, distance_m=distance_m),
         )
     return focal_px, SceneBoxes.joined(parts), list(known.values())[:3]
 
@@ -68,10 +81,22 @@ def test_simulated_drives():
         posterior = focal_posterior([default_guess(SIZE_PX[0])], scene, SIZE_PX, SIZES)
         guess = FocalGuess(*posterior.guess, "")
         fits = [
-            fit_camera(SIZE_PX, guess, SIZES, objects=known[:n], scene=scene, scene_noise=posterior.relative_noise)
+            fit_camera(
+                SIZE_PX,
+                guess,
+                SIZES,
+                objects=known[:n],
+                scene=scene,
+                scene_noise=posterior.relative_noise,
+            )
             for n in (1, 3)
         ]
-        errors.append([abs(math.log(f / focal_px)) for f in (guess.focal_px, *(fit.camera.fx_px for fit in fits))])
+        errors.append(
+            [
+                abs(math.log(f / focal_px))
+                for f in (guess.focal_px, *(fit.camera.fx_px for fit in fits))
+            ]
+        )
         sigmas.append([guess.sigma, *(fit.focal_sigma for fit in fits)])
     none, one, three = np.median(errors, axis=0)
     assert 0.02 < none < 0.2

@@ -1,4 +1,5 @@
-"""Tests of occlusion: drawn owners, covered shares and true disparities, and the scenario `occlusion`."""
+"""Tests of occlusion: drawn owners, covered shares and true disparities, and the scenario
+`occlusion`."""
 
 from __future__ import annotations
 
@@ -34,15 +35,19 @@ def renderer():
         )
         for number, place in CARS.items()
     )
-    aside_m = CARS[1][0] * POLE_Z_M / (CARS[1][1] - SIZE_HWL_M["Car"][2] / 2)  # in front of the middle of the back
+    # in front of the middle of the back
+    aside_m = CARS[1][0] * POLE_Z_M / (CARS[1][1] - SIZE_HWL_M["Car"][2] / 2)
     size = (3.0, POLE_WIDTH_M, POLE_WIDTH_M)
     pole = Obstacle(number=0, kind="pole", size_hwl_m=size, at_xz_m=(aside_m, POLE_Z_M))
-    return Renderer(Scene(seed=1, road_users=users, ego_speed_mps=0.0, obstacles=(pole,)), RIG, noise_grey=0)
+    return Renderer(
+        Scene(seed=1, road_users=users, ego_speed_mps=0.0, obstacles=(pole,)), RIG, noise_grey=0
+    )
 
 
 @pytest.fixture(scope="module")
 def by_id(renderer):
-    """Row of each car in the covered objects, by id, and the objects with boxes of the whole car."""
+    """Row of each car in the covered objects, by id, and the objects with boxes of the whole
+    car."""
     objects = covered_objects(renderer, 0.0, modal_fraction=0.0)
     return {number: row for row, number in enumerate(objects.track_id.tolist())}, objects
 
@@ -50,8 +55,12 @@ def by_id(renderer):
 def test_depth_of_owners(renderer):
     inverse_depth, owner = renderer.drawn_owners(0.0)
     assert set(np.unique(owner)) == {0, 1, 2, 3, 4, 5}
-    assert 1 / inverse_depth[owner == 5].max() == pytest.approx(POLE_Z_M - POLE_WIDTH_M / 2, abs=0.02)
-    assert 1 / inverse_depth[owner == 1].max() == pytest.approx(CARS[1][1] - SIZE_HWL_M["Car"][2] / 2, abs=0.02)
+    assert 1 / inverse_depth[owner == 5].max() == pytest.approx(
+        POLE_Z_M - POLE_WIDTH_M / 2, abs=0.02
+    )
+    assert 1 / inverse_depth[owner == 1].max() == pytest.approx(
+        CARS[1][1] - SIZE_HWL_M["Car"][2] / 2, abs=0.02
+    )
 
 
 def test_silhouette_contains_the_visible_part(renderer):
@@ -73,7 +82,12 @@ def test_true_disparity_is_that_of_the_object(by_id):
 
 def test_kinds_and_covered_shares(by_id):
     rows, objects = by_id
-    assert [str(objects.kind[rows[number]]) for number in (1, 2, 3, 4)] == ["pole", "road user", "none", "none"]
+    assert [str(objects.kind[rows[number]]) for number in (1, 2, 3, 4)] == [
+        "pole",
+        "road user",
+        "none",
+        "none",
+    ]
     assert [int(objects.occluder_id[rows[number]]) for number in (1, 2, 3)] == [-1, 3, -1]
     pole_m = POLE_Z_M - POLE_WIDTH_M / 2
     assert FOCAL_BASELINE / objects.occluder_px[rows[1]] == pytest.approx(pole_m, rel=0.03)
@@ -104,7 +118,8 @@ def test_bodies_are_inside_their_boxes(kind):
             for face in BUILDERS[kind](np.random.default_rng(0), size)
         ]
     )
-    reach = np.array([length / 2, np.inf, width / 2]) * 1.09  # the corners of a prism are outside its sides
+    # the corners of a prism are outside its sides
+    reach = np.array([length / 2, np.inf, width / 2]) * 1.09
     assert (np.abs(corners) <= reach).all()
     assert corners[:, 1].min() == pytest.approx(-height)
     assert corners[:, 1].max() <= 1e-9
@@ -130,5 +145,7 @@ def test_scenario_has_all_occluders():
             for user in scene.road_users:
                 place = footprint(user.on_road_m(time_s), user.size_hwl_m, user.heading_rad(time_s))
                 for obstacle in scene.obstacles:
-                    other = footprint(obstacle.at_xz_m, obstacle.size_hwl_m, obstacle.rotation_y_rad)
+                    other = footprint(
+                        obstacle.at_xz_m, obstacle.size_hwl_m, obstacle.rotation_y_rad
+                    )
                     assert cv2.rotatedRectangleIntersection(place, other)[0] == cv2.INTERSECT_NONE

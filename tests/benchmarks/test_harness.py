@@ -1,4 +1,5 @@
-"""Tests of the harness of the benchmarks: options, tables and comparisons, with hand-made figures."""
+"""Tests of the harness of the benchmarks: options, tables and comparisons, with hand-made
+figures."""
 
 import importlib
 import json
@@ -32,7 +33,12 @@ def test_defaults_give_the_types_of_options():
         option("--steady", default=False, help="steady"),
     )
     def measure(options):
-        return {"frames": options.frames, "seeds": options.seeds, "out": options.out, "steady": options.steady}
+        return {
+            "frames": options.frames,
+            "seeds": options.seeds,
+            "out": options.out,
+            "steady": options.steady,
+        }
 
     assert measure() == {"frames": 3, "seeds": (1, 2), "out": None, "steady": False}
     given = measure(*"--frames 5 --seeds 7 8 9 --out place --steady".split())
@@ -73,16 +79,26 @@ def test_numbers_are_named_by_their_path_without_rounds():
 
 def write(path, name, **figures):
     path.parent.mkdir(exist_ok=True)
-    path.write_text(json.dumps({name: figures, "about": {"date": "2026-01-01", "n": 1}}), encoding="utf-8")
+    path.write_text(
+        json.dumps({name: figures, "about": {"date": "2026-01-01", "n": 1}}), encoding="utf-8"
+    )
 
 
 def test_compare_marks_ratios_outside_of_the_tolerance(tmp_path):
     write(tmp_path / "a.json", "pipeline", ms=50.0, frames=300, old=1.0, zero=0)
     write(tmp_path / "b.json", "pipeline", ms=60.0, frames=300, zero=0)
     result = compare(str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--tolerance", "0.15")
-    assert result["figures"] == {"pipeline.ms": {"A": 50.0, "B": 60.0, "B/A": pytest.approx(1.2), "outside": "*"}}
-    assert (result["figures in both"], result["outside of the tolerance"], result["only in A"]) == (3, 1, 1)
-    everything = compare(str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--tolerance", "0.25", "--all")["figures"]
+    assert result["figures"] == {
+        "pipeline.ms": {"A": 50.0, "B": 60.0, "B/A": pytest.approx(1.2), "outside": "*"}
+    }
+    assert (result["figures in both"], result["outside of the tolerance"], result["only in A"]) == (
+        3,
+        1,
+        1,
+    )
+    everything = compare(
+        str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--tolerance", "0.25", "--all"
+    )["figures"]
     assert [row["outside"] for row in everything.values()] == ["", "", ""]
 
 
@@ -103,6 +119,8 @@ def test_compare_names_a_file_without_figures(tmp_path, content):
         compare(str(path), str(path))
 
 
-@pytest.mark.parametrize("path", [path for paths in (*STEPS.values(), *WAITS.values()) for path in paths])
+@pytest.mark.parametrize(
+    "path", [path for paths in (*STEPS.values(), *WAITS.values()) for path in paths]
+)
 def test_measured_functions_exist(path):
     assert all(callable(function) for _, function in functions_at(path))

@@ -11,11 +11,17 @@ pytestmark = pytest.mark.slow
 def test_one_seed(capsys):
     figures = occlusion(*"--first-seed 2 --seeds 1 --matchers patch".split())
     assert set(figures) == {"failure_ratios", "unrelated", "sequences", "all"}
-    total, unrelated, sequences = (figures[part]["all"]["patch"] for part in ("all", "unrelated", "sequences"))
+    total, unrelated, sequences = (
+        figures[part]["all"]["patch"] for part in ("all", "unrelated", "sequences")
+    )
     assert total["n"] == unrelated["n"] + sequences["n"] > 20
     assert total["failures_pct"] < 60
-    kinds = [group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("occluder")]
-    fractions = [group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("covered")]
+    kinds = [
+        group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("occluder")
+    ]
+    fractions = [
+        group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("covered")
+    ]
     assert sum(kinds) == sum(fractions) == total["n"]
     free = figures["all"]["occluder none"]["patch"]
     assert free["failures_pct"] <= total["failures_pct"]

@@ -30,7 +30,11 @@ def test_boxes_of_nuscenes_have_the_distance_of_their_surface(shared_data):
 
 @pytest.mark.real
 def test_figures_and_picture_of_a_data_set(shared_data, tmp_path):
-    arguments = ["--data", str(shared_data), *"--sets tusimple --known nothing region --detectors".split()]
+    arguments = [
+        "--data",
+        str(shared_data),
+        *"--sets tusimple --known nothing region --detectors".split(),
+    ]
     figures = roads(*arguments)
     by_known = figures["boxes"]["tusimple"]
     assert figures["runs"] == {}
@@ -38,7 +42,9 @@ def test_figures_and_picture_of_a_data_set(shared_data, tmp_path):
         row = by_known[known]["mono, car"]
         assert (row["n"], row["objects"], row["coverage"]) == (189, 189, 1.0)
         assert row["mean_pct"] < 12
-        parts = [by_known[known][f"mono, car {band} m"]["n"] for band in ("5-20", "20-45", "45-100")]
+        parts = [
+            by_known[known][f"mono, car {band} m"]["n"] for band in ("5-20", "20-45", "45-100")
+        ]
         assert sum(parts) == 189
     draw(figures["boxes"], tmp_path / "sigma.svg")
     assert (tmp_path / "sigma.svg").stat().st_size > 1000

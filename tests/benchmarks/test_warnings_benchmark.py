@@ -25,12 +25,17 @@ NAN = float("nan")
 
 def scene(alarms, *, n_contacts=0, hours=0.5):
     rows = np.array(alarms, np.float64).reshape(-1, 5)
-    return SceneFigures("following", 0, hours, rows, n_contacts, np.zeros((0, 5)), np.zeros((12, 3)))
+    return SceneFigures(
+        "following", 0, hours, rows, n_contacts, np.zeros((0, 5)), np.zeros((12, 3))
+    )
 
 
 def test_alarms_count_once_per_drive_and_threshold():
     scenes = [
-        scene([(0, 0, -1, 3.0, NAN), (0, 1, 4, 5.0, 2.5), (0, 1, 4, 9.0, -1.5), (1, 1, 7, 5.0, NAN)], n_contacts=2),
+        scene(
+            [(0, 0, -1, 3.0, NAN), (0, 1, 4, 5.0, 2.5), (0, 1, 4, 9.0, -1.5), (1, 1, 7, 5.0, NAN)],
+            n_contacts=2,
+        ),
         scene([(0, 1, 2, 1.0, NAN)]),
     ]
     figures = alarm_figures(scenes)  # the last threshold, 1, is the default one
@@ -58,10 +63,17 @@ def test_reliability_separates_high_probabilities():
 
 def test_closing_speeds_by_class_within_10_to_40_m():
     rows = np.array(
-        [[2, 20.0, 0.5, 1.0, 1.5]] * 30 + [[4, 20.0, -1.0, 0.5, 3.2]] * 20 + [[2, 60.0, 9.0, 1.0, 1.5]] * 30
+        [[2, 20.0, 0.5, 1.0, 1.5]] * 30
+        + [[4, 20.0, -1.0, 0.5, 3.2]] * 20
+        + [[2, 60.0, 9.0, 1.0, 1.5]] * 30
     )
     figures = closing_figures(rows)
-    assert figures["car"] == {"n": 30, "median_abs_mps": 0.5, "bias_mps": 0.5, "within_1_sigma": 1.0}
+    assert figures["car"] == {
+        "n": 30,
+        "median_abs_mps": 0.5,
+        "bias_mps": 0.5,
+        "within_1_sigma": 1.0,
+    }
     assert figures["tall vehicles"]["median_abs_mps"] == 1.0
 
 
@@ -71,10 +83,15 @@ def square(case):
 
 def test_stored_results_continue(tmp_path, monkeypatch):
     path = tmp_path / "parts.jsonl"
-    assert [row["value"] for row in StoredResults(path).mapped("a", square, [1, 2], 1)] == [[1], [4]]
+    assert [row["value"] for row in StoredResults(path).mapped("a", square, [1, 2], 1)] == [
+        [1],
+        [4],
+    ]
     path.write_text(path.read_text(encoding="utf-8") + '{"version": "interr', encoding="utf-8")
     calls = []
-    results = StoredResults(path).mapped("a", lambda case: calls.append(case) or square(case), [1, 2, 3], 1)
+    results = StoredResults(path).mapped(
+        "a", lambda case: calls.append(case) or square(case), [1, 2, 3], 1
+    )
     assert [row["value"] for row in results] == [[1], [4], [9]]
     assert calls == [3]
     monkeypatch.setattr(harness, "source_version", lambda: "another")

@@ -1,4 +1,5 @@
-"""Darknet networks for tests: the structures of three published networks with any width, and random weights."""
+"""Darknet networks for tests: the structures of three published networks with any width, and random
+weights."""
 
 import numpy as np
 
@@ -7,15 +8,22 @@ ANCHORS = "12, 16, 19, 36, 40, 28, 36, 75, 76, 55, 72, 146, 142, 110, 192, 243, 
 
 
 def section(kind, **options):
-    return "\n".join([f"[{kind}]", *(f"{key.rstrip('_')}={value}" for key, value in options.items())]) + "\n\n"
+    return (
+        "\n".join([f"[{kind}]", *(f"{key.rstrip('_')}={value}" for key, value in options.items())])
+        + "\n\n"
+    )
 
 
 class CfgWriter:
-    """Writer of a cfg; `size_px` is (width, height), `width` divides the filters of all layers except the outputs."""
+    """Writer of a cfg; `size_px` is (width, height), `width` divides the filters of all layers
+    except the outputs."""
 
     def __init__(self, *, size_px, n_classes, width, anchors, net=""):
         self.n_classes, self.width, self.anchors = n_classes, width, anchors
-        self.text = f"[net]\n# Testing\nbatch=1\nwidth={size_px[0]}\nheight={size_px[1]}\nchannels=3\n{net}\n"
+        self.text = (
+            "[net]\n# "
+            f"Testing\nbatch=1\nwidth={size_px[0]}\nheight={size_px[1]}\nchannels=3\n{net}\n"
+        )
 
     def add(self, kind, **options):
         self.text += section(kind, **options)
@@ -27,7 +35,13 @@ class CfgWriter:
     def _conv(self, filters, size, stride, activation, batch_normalize):
         norm = {"batch_normalize": 1} if batch_normalize else {}
         return self.add(
-            "convolutional", **norm, filters=filters, size=size, stride=stride, pad=1, activation=activation
+            "convolutional",
+            **norm,
+            filters=filters,
+            size=size,
+            stride=stride,
+            pad=1,
+            activation=activation,
         )
 
     def route(self, *layers, **options):
@@ -39,12 +53,20 @@ class CfgWriter:
         stretch = {} if scale_x_y is None else {"scale_x_y": scale_x_y}
         n_all = (self.anchors.count(",") + 1) // 2
         return self.add(
-            "yolo", mask=mask, anchors=self.anchors, classes=self.n_classes, num=n_all, jitter=0.3, **stretch
+            "yolo",
+            mask=mask,
+            anchors=self.anchors,
+            classes=self.n_classes,
+            num=n_all,
+            jitter=0.3,
+            **stretch,
         )
 
 
 def yolov4_tiny(*, size_px=(416, 416), n_classes=80, width=1, net=""):
-    cfg = CfgWriter(size_px=size_px, n_classes=n_classes, width=width, anchors=TINY_ANCHORS, net=net)
+    cfg = CfgWriter(
+        size_px=size_px, n_classes=n_classes, width=width, anchors=TINY_ANCHORS, net=net
+    )
     cfg.conv(32, 3, 2).conv(64, 3, 2)
     for filters in (64, 128, 256):
         cfg.conv(filters, 3).route(-1, groups=2, group_id=1)
@@ -56,7 +78,9 @@ def yolov4_tiny(*, size_px=(416, 416), n_classes=80, width=1, net=""):
 
 
 def yolov3_tiny(*, size_px=(416, 416), n_classes=80, width=1, net=""):
-    cfg = CfgWriter(size_px=size_px, n_classes=n_classes, width=width, anchors=TINY_ANCHORS, net=net)
+    cfg = CfgWriter(
+        size_px=size_px, n_classes=n_classes, width=width, anchors=TINY_ANCHORS, net=net
+    )
     for filters in (16, 32, 64, 128, 256):
         cfg.conv(filters, 3).add("maxpool", size=2, stride=2)
     cfg.conv(512, 3).add("maxpool", size=2, stride=1).conv(1024, 3)
@@ -89,32 +113,52 @@ def yolov4(*, size_px=(608, 608), n_classes=80, width=1, net=""):
 def _cross_stage(cfg, filters, n_blocks):
     """Add a stage of CSPDarknet: half the size, two branches, one of them with residual blocks."""
     inner = filters // 2 if n_blocks > 1 else filters
-    cfg.conv(filters, 3, 2, "mish").conv(inner, activation="mish").route(-2).conv(inner, activation="mish")
+    cfg.conv(filters, 3, 2, "mish").conv(inner, activation="mish").route(-2).conv(
+        inner, activation="mish"
+    )
     for _ in range(n_blocks):
-        cfg.conv(filters // 2, activation="mish").conv(filters // 2 if n_blocks > 1 else filters, 3, activation="mish")
+        cfg.conv(filters // 2, activation="mish").conv(
+            filters // 2 if n_blocks > 1 else filters, 3, activation="mish"
+        )
         cfg.add("shortcut", from_=-3, activation="linear")
-    cfg.conv(inner, activation="mish").route(-1, -(3 * n_blocks + 4)).conv(filters, activation="mish")
+    cfg.conv(inner, activation="mish").route(-1, -(3 * n_blocks + 4)).conv(
+        filters, activation="mish"
+    )
 
 
 def assorted(*, size_px=(144, 108), n_classes=3):
-    """Options that the published networks do not use: odd strides, groups, padding=, activations, upsampling by 3."""
+    """Options that the published networks do not use: odd strides, groups, padding=, activations,
+    upsampling by 3."""
     cfg = CfgWriter(size_px=size_px, n_classes=n_classes, width=1, anchors=TINY_ANCHORS)
     cfg.conv(8, 3, 3, "swish").add("maxpool", size=3, stride=2)
-    cfg.add("convolutional", batch_normalize=1, filters=12, groups=4, size=3, padding=1, activation="mish")
+    cfg.add(
+        "convolutional",
+        batch_normalize=1,
+        filters=12,
+        groups=4,
+        size=3,
+        padding=1,
+        activation="mish",
+    )
     cfg.add("dropout", probability=0.5).add("maxpool", stride=2)
     cfg.add("convolutional", filters=12, size=5, pad=1, activation="logistic")
-    cfg.route(-2, groups=3, group_id=1).route(-1, -2).conv(12).add("shortcut", from_=-4, activation="leaky")
+    cfg.route(-2, groups=3, group_id=1).route(-1, -2).conv(12).add(
+        "shortcut", from_=-4, activation="leaky"
+    )
     cfg.head("0,1").route(-3).add("upsample", stride=3).conv(6, 3).head("4,5", 1.3)
     return cfg.text
 
 
 def write_weights(path, network, *, seed, version=(0, 2, 5), gain=2.0, more_variance=0.0):
-    """Write random weights of a network (`detection.darknet.network.Network`) with batch norm near its usual values.
+    """Write random weights of a network (`detection.darknet.network.Network`) with batch norm near
+    its usual values.
 
-    The format is written independently of the importer, convolution by convolution as Darknet saves them.
+    The format is written independently of the importer, convolution by convolution as Darknet saves
+    them.
 
     Args:
-        gain: variance of the weights times fan-in; 2 = He's. Residual blocks need less, because their sums grow.
+        gain: variance of the weights times fan-in; 2 = He's. Residual blocks need less, because
+            their sums grow.
         more_variance: number added to every variance of batch norm.
     """
     rng = np.random.default_rng(seed)

@@ -8,7 +8,8 @@ HORIZON_PX, CENTRE_PX, FOCAL_PX, HEIGHT_M = 170.0, 320.0, 500.0, 1.5
 
 
 def road_x_px(x_m, y_px):
-    """x of a line along the road, `x_m` to the right of the camera: cx + x_m / height * (y - horizon)."""
+    """x of a line along the road, `x_m` to the right of the camera: cx + x_m / height * (y -
+    horizon)."""
     return CENTRE_PX + x_m / HEIGHT_M * (y_px - HORIZON_PX)
 
 
@@ -30,7 +31,8 @@ def line_pixels(x_m, *, top_px=200.0, bottom_px=355.0, step_px=2.0):
 
 
 def picture(*lines_m, seed=0, dashed=(), hw=HW, noise=3.0):
-    """Asphalt with white lines of 0.15 m along the road; those in `dashed` have dashes of 4 m every 12 m."""
+    """Asphalt with white lines of 0.15 m along the road; those in `dashed` have dashes of 4 m every
+    12 m."""
     y, x = np.mgrid[: hw[0], : hw[1]].astype(np.float64)
     below = np.maximum(y - HORIZON_PX, 0.5)
     across_m = (x - CENTRE_PX) * HEIGHT_M / below

@@ -1,7 +1,8 @@
 """Networks with constant outputs that encode four known boxes in the layouts of public exporters.
 
-The image is as large as the input, so that the boxes in the image are those of the input. Cells near the centre of an
-object have its box and a score; the others have a box of two cells and a score of 0.01, as trained networks do.
+The image is as large as the input, so that the boxes in the image are those of the input. Cells
+near the centre of an object have its box and a score; the others have a box of two cells and a
+score of 0.01, as trained networks do.
 """
 
 from dataclasses import dataclass, field
@@ -39,12 +40,15 @@ def write(path, case):
         array = np.asarray(array, np.int64 if np.asarray(array).dtype.kind in "iu" else np.float32)
         nodes.append(helper.make_node("Identity", [f"{name}_value"], [name]))
         weights.append(numpy_helper.from_array(array, f"{name}_value"))
-        shape = ["n" if name in case.variable and side == len(OBJECTS) else side for side in array.shape]
+        shape = [
+            "n" if name in case.variable and side == len(OBJECTS) else side for side in array.shape
+        ]
         number = TensorProto.INT64 if array.dtype.kind in "iu" else TensorProto.FLOAT
         infos.append(helper.make_tensor_value_info(name, number, shape))
     image = helper.make_tensor_value_info("images", case.input_type, case.input_shape)
     model = helper.make_model(
-        helper.make_graph(nodes, "layout", [image], infos, weights), opset_imports=[helper.make_opsetid("", 13)]
+        helper.make_graph(nodes, "layout", [image], infos, weights),
+        opset_imports=[helper.make_opsetid("", 13)],
     )
     model.ir_version = 9
     helper.set_model_props(model, case.metadata)
@@ -84,7 +88,9 @@ class Grid:
             self.object[chosen], self.boxes[chosen] = k, box
         self.is_object = self.object >= 0
         self.score = np.where(self.is_object, SCORES[self.object], 0.01)
-        self.distance = np.concatenate([self.centre - self.boxes[:, :2], self.boxes[:, 2:] - self.centre], axis=1)
+        self.distance = np.concatenate(
+            [self.centre - self.boxes[:, :2], self.boxes[:, 2:] - self.centre], axis=1
+        )
 
     def classes(self, n=80):
         """(N, n) the score of the object's class; 0.001 for other classes."""
@@ -98,7 +104,9 @@ class Grid:
         planes = []
         for stride in self.strides:
             n, rows = self.side // stride, numbers[self.stride[:, 0] == stride]
-            planes.append(rows.reshape(self.n_anchors, n, n, -1).transpose(0, 3, 1, 2).reshape(1, -1, n, n))
+            planes.append(
+                rows.reshape(self.n_anchors, n, n, -1).transpose(0, 3, 1, 2).reshape(1, -1, n, n)
+            )
         return planes
 
 
@@ -127,7 +135,9 @@ def rows(grid, numbers, objectness=None, **more):
     classes = grid.classes()
     if objectness is not None:
         classes = (
-            np.where(grid.is_object[:, None] & (classes > 0.01), 1.0, 0.001) if objectness is grid.score else classes
+            np.where(grid.is_object[:, None] & (classes > 0.01), 1.0, 0.001)
+            if objectness is grid.score
+            else classes
         )
         numbers = np.column_stack([numbers, objectness])
     return one(np.column_stack([numbers, classes]), **more)
@@ -139,7 +149,9 @@ def split(boxes, scores, **more):
 
 def yolox_numbers(grid):
     cxcywh = centre_form(grid.boxes)
-    return np.concatenate([cxcywh[:, :2] / grid.stride - grid.xy, np.log(cxcywh[:, 2:] / grid.stride)], axis=1)
+    return np.concatenate(
+        [cxcywh[:, :2] / grid.stride - grid.xy, np.log(cxcywh[:, 2:] / grid.stride)], axis=1
+    )
 
 
 def anchor_numbers(grid, anchors, size, scale_x_y=2.0):
@@ -166,7 +178,10 @@ V4_ANCHORS = (
     ((142, 110), (192, 243), (459, 401)),
 )
 FASTEST_ANCHORS = np.array(
-    [[[12.64, 19.39], [37.88, 51.48], [55.71, 138.31]], [[126.91, 78.23], [131.57, 214.55], [279.92, 258.87]]]
+    [
+        [[12.64, 19.39], [37.88, 51.48], [55.71, 138.31]],
+        [[126.91, 78.23], [131.57, 214.55], [279.92, 258.87]],
+    ]
 )
 NAMES = {"names": str(dict(enumerate(["person", "car", "truck"])))}
 ULTRALYTICS = {"task": "detect", "stride": "32"}
@@ -182,13 +197,17 @@ def v5_rows(strides=(8, 16, 32), unit=1.0, extra=None, **more):
     case = rows(grid, centre_form(grid.boxes) / unit, grid.score, **more)
     if extra is not None:
         array = case.outputs["output0"]
-        case.outputs["output0"] = np.concatenate([array, np.full((*array.shape[:2], extra), 3.0)], axis=2)
+        case.outputs["output0"] = np.concatenate(
+            [array, np.full((*array.shape[:2], extra), 3.0)], axis=2
+        )
     return case
 
 
 def v8(strides=(8, 16, 32), unit=1.0, form=centre_form, is_rows=False, extra=0, **more):
     grid = Grid(strides)
-    array = np.column_stack([form(grid.boxes) / unit, grid.classes(), np.full((len(grid.object), extra), 3.0)])
+    array = np.column_stack(
+        [form(grid.boxes) / unit, grid.classes(), np.full((len(grid.object), extra), 3.0)]
+    )
     return one(array if is_rows else array.T, **more)
 
 
@@ -204,17 +223,23 @@ def with_masks(case):
 
 def pose():
     grid = Grid()
-    array = np.column_stack([centre_form(grid.boxes), grid.score, np.full((len(grid.object), 51), 3.0)])
+    array = np.column_stack(
+        [centre_form(grid.boxes), grid.score, np.full((len(grid.object), 51), 3.0)]
+    )
     metadata = {"task": "pose", "kpt_shape": "[17, 3]", "names": "{0: 'person'}"}
     return one(array.T, metadata=metadata, note="Keypoints")
 
 
-def boxes_scores(unit=1.0, form=corner_form, strides=(8, 16, 32), is_first=True, background="", **more):
+def boxes_scores(
+    unit=1.0, form=corner_form, strides=(8, 16, 32), is_first=True, background="", **more
+):
     grid = Grid(strides)
     scores = grid.classes()
     if background:
         column = (1 - grid.score)[:, None]
-        scores = np.concatenate([column, scores] if background == "first" else [scores, column], axis=1)
+        scores = np.concatenate(
+            [column, scores] if background == "first" else [scores, column], axis=1
+        )
     outputs = {"boxes": (form(grid.boxes) / unit)[None], "scores": scores[None]}
     return Case(outputs if is_first else dict(reversed(outputs.items())), **more)
 
@@ -240,20 +265,32 @@ def free(kind, is_logit=True):
             grid.planes(scores),
             grid.planes(
                 np.concatenate(
-                    [grid.xy * grid.stride - grid.boxes[:, :2], grid.boxes[:, 2:] - grid.xy * grid.stride], axis=1
+                    [
+                        grid.xy * grid.stride - grid.boxes[:, :2],
+                        grid.boxes[:, 2:] - grid.xy * grid.stride,
+                    ],
+                    axis=1,
                 )
             ),
             strict=True,
         )
         return Case(
-            {f"{name}{i}": p for i, pair in enumerate(pairs) for name, p in zip(("cls", "box"), pair, strict=True)}
+            {
+                f"{name}{i}": p
+                for i, pair in enumerate(pairs)
+                for name, p in zip(("cls", "box"), pair, strict=True)
+            }
         )
     if kind == "yolox":
-        numbers = np.column_stack([yolox_numbers(grid), grid.score, np.where(grid.classes() > 0.01, 1, 0.0)])
+        numbers = np.column_stack(
+            [yolox_numbers(grid), grid.score, np.where(grid.classes() > 0.01, 1, 0.0)]
+        )
         return Case({f"head{i}": p for i, p in enumerate(grid.planes(numbers))})
     box = bins(grid.distance, grid.stride, 16)
     if kind == "v8":
-        return Case({f"head{i}": p for i, p in enumerate(grid.planes(np.column_stack([box, scores])))})
+        return Case(
+            {f"head{i}": p for i, p in enumerate(grid.planes(np.column_stack([box, scores])))}
+        )
     sums = grid.classes().sum(axis=1, keepdims=True)
     parts = {"box": box, "score": scores, "sum": sums}
     return Case({f"{k}{i}": p for k, v in parts.items() for i, p in enumerate(grid.planes(v))})
@@ -275,7 +312,11 @@ def fastest():
         of_level = grid.stride[:, 0] == stride
         anchors = FASTEST_ANCHORS[level] * SIDE / 352
         offset = centre_form(grid.boxes)[:, :2] / grid.stride - grid.xy
-        best = np.abs(np.log(centre_form(grid.boxes)[:, None, 2:] / anchors)).max(axis=2).argmin(axis=1)
+        best = (
+            np.abs(np.log(centre_form(grid.boxes)[:, None, 2:] / anchors))
+            .max(axis=2)
+            .argmin(axis=1)
+        )
         ratio = centre_form(grid.boxes)[:, 2:] / anchors[grid.anchor]
         numbers = np.column_stack([(offset + 0.5) / 2, np.sqrt(ratio) / 2])
         objectness = np.where(grid.anchor == best, grid.score, 0.01)
@@ -303,20 +344,35 @@ def suppressed(unit=1.0, is_tf=False, n=20):
     if is_tf:
         box = box[:, [1, 0, 3, 2]]
         categories = np.where(label == 7, 8, label + 1) if is_tf else label
-        outputs = {"detection_boxes": box[None], "detection_classes": categories[None].astype(float)}
+        outputs = {
+            "detection_boxes": box[None],
+            "detection_classes": categories[None].astype(float),
+        }
         outputs |= {"detection_scores": score[None], "num_detections": np.array([4.0])}
         return Case(outputs, input_shape=(1, SIDE, SIDE, 3), input_type=TensorProto.UINT8)
-    return Case({"num_dets": np.array([[4]]), "boxes": box[None], "scores": score[None], "labels": label[None]})
+    return Case(
+        {
+            "num_dets": np.array([[4]]),
+            "boxes": box[None],
+            "scores": score[None],
+            "labels": label[None],
+        }
+    )
 
 
 def torchvision():
     categories = np.where(LABELS == 7, 8, LABELS + 1)
-    return Case({"boxes": OBJECTS, "labels": categories, "scores": SCORES}, variable=("boxes", "labels", "scores"))
+    return Case(
+        {"boxes": OBJECTS, "labels": categories, "scores": SCORES},
+        variable=("boxes", "labels", "scores"),
+    )
 
 
 def mmdet(is_variable=False):
     dets = np.column_stack([OBJECTS, SCORES])[None]
-    return Case({"dets": dets, "labels": LABELS[None]}, variable=("dets", "labels") if is_variable else ())
+    return Case(
+        {"dets": dets, "labels": LABELS[None]}, variable=("dets", "labels") if is_variable else ()
+    )
 
 
 def v6(strides=(8, 16, 32)):
@@ -339,7 +395,11 @@ CASES = {  # by title: layout, case
         "yolov5",
         lambda: one(
             np.column_stack(
-                [centre_form((g := Grid(n_anchors=3)).boxes), g.score, np.where(three(g) > 0.01, 1, 0.001)]
+                [
+                    centre_form((g := Grid(n_anchors=3)).boxes),
+                    g.score,
+                    np.where(three(g) > 0.01, 1, 0.001),
+                ]
             ),
             metadata=NAMES,
         ),
@@ -375,26 +435,47 @@ CASES = {  # by title: layout, case
         "darknet-heads",
         lambda: raw_heads(V4_ANCHORS, "exp", metadata={"scale_x_y": "[2.0]"}),
     ),
-    "YOLOv5 or YOLOv7 raw heads (5 axes)": ("yolov5-heads", lambda: raw_heads(V5_ANCHORS, "square", is_separate=True)),
+    "YOLOv5 or YOLOv7 raw heads (5 axes)": (
+        "yolov5-heads",
+        lambda: raw_heads(V5_ANCHORS, "square", is_separate=True),
+    ),
     "YOLOv5 raw heads (4 axes), --layout": (
         "yolov5-heads",
         lambda: raw_heads(V5_ANCHORS, "square", options={"layout": "yolov5-heads"}),
     ),
     "Yolo-FastestV2": ("yolo-fastestv2", fastest),
     "RTMDet without NMS": ("rtmdet-heads", lambda: free("rtmdet")),
-    "RTMDet without NMS, sigmoid inside": ("rtmdet-heads-activated", lambda: free("rtmdet", is_logit=False)),
+    "RTMDet without NMS, sigmoid inside": (
+        "rtmdet-heads-activated",
+        lambda: free("rtmdet", is_logit=False),
+    ),
     "YOLOv8 raw heads": ("yolov8-heads", lambda: free("v8")),
-    "YOLOv8 of RKNN (box, score, sum)": ("yolov8-pairs-activated", lambda: free("rknn", is_logit=False)),
+    "YOLOv8 of RKNN (box, score, sum)": (
+        "yolov8-pairs-activated",
+        lambda: free("rknn", is_logit=False),
+    ),
     "YOLOX heads of RKNN": ("yolox-heads-activated", lambda: free("yolox")),
     "YOLOv10, YOLO26": ("yolov10", lambda: labelled("x", "s", "l", n=300)),
-    "rows [N, 6] without batch axis": ("yolov10", lambda: labelled("x", "s", "l", is_batched=False, is_variable=True)),
-    "rows [1, N, 6], fractions": ("yolov10-fractions", lambda: labelled("x", "s", "l", n=300, unit=SIDE)),
+    "rows [N, 6] without batch axis": (
+        "yolov10",
+        lambda: labelled("x", "s", "l", is_batched=False, is_variable=True),
+    ),
+    "rows [1, N, 6], fractions": (
+        "yolov10-fractions",
+        lambda: labelled("x", "s", "l", n=300, unit=SIDE),
+    ),
     "YOLO26-seg": (
         "yolov10",
         lambda: with_masks(labelled("x", "s", "l", n=300, extra=32, metadata={"task": "segment"})),
     ),
-    "PaddleDetection's rows": ("paddle-rows", lambda: labelled("l", "s", "x", is_batched=False, is_variable=True)),
-    "YOLOv7 --end2end": ("yolov7-end2end", lambda: labelled("b", "x", "l", "s", is_batched=False, is_variable=True)),
+    "PaddleDetection's rows": (
+        "paddle-rows",
+        lambda: labelled("l", "s", "x", is_batched=False, is_variable=True),
+    ),
+    "YOLOv7 --end2end": (
+        "yolov7-end2end",
+        lambda: labelled("b", "x", "l", "s", is_batched=False, is_variable=True),
+    ),
     "YOLO-NAS, flat format": (
         "yolo-nas-flat",
         lambda: labelled("b", "x", "s", "l", is_batched=False, is_variable=True),

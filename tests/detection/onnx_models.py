@@ -1,4 +1,5 @@
-"""Small ONNX networks for tests: networks with constant outputs, and a detector of a bright rectangle."""
+"""Small ONNX networks for tests: networks with constant outputs, and a detector of a bright
+rectangle."""
 
 import numpy as np
 import onnx
@@ -25,11 +26,13 @@ def write_model(path, *outputs, metadata=None, input_shape=(1, 3, 64, 64), is_ha
 
 
 def write_outputs(path, outputs, *, inputs=None, metadata=None):
-    """Write a network with constant `outputs`, arrays by name: integers as int64, other numbers as float32.
+    """Write a network with constant `outputs`, arrays by name: integers as int64, other numbers as
+    float32.
 
     Args:
         outputs: array of each output, in the network's order.
-        inputs: shape of each input by name, with texts for variable sizes; [N, 2] is int64, others are float32.
+        inputs: shape of each input by name, with texts for variable sizes; [N, 2] is int64, others
+            are float32.
     """
     inputs = inputs or {"images": (1, 3, 64, 64)}
     values = {
@@ -38,13 +41,19 @@ def write_outputs(path, outputs, *, inputs=None, metadata=None):
     }
     nodes = [helper.make_node("Identity", [f"{name}_value"], [name]) for name in values]
     weights = [numpy_helper.from_array(array, f"{name}_value") for name, array in values.items()]
-    return _save(path, helper.make_graph(nodes, "constant", _infos(inputs), _output_infos(values), weights), metadata)
+    return _save(
+        path,
+        helper.make_graph(nodes, "constant", _infos(inputs), _output_infos(values), weights),
+        metadata,
+    )
 
 
 def write_dfine(path, logits, boxes, *, inputs, n_selected):
-    """Write a network with constant logits (N, C) and boxes (N, 4) and the postprocessing that D-FINE's exporter adds.
+    """Write a network with constant logits (N, C) and boxes (N, 4) and the postprocessing that
+    D-FINE's exporter adds.
 
-    DFINEPostProcessor.forward: boxes scaled to orig_target_sizes, the `n_selected` best pairs of query and class.
+    DFINEPostProcessor.forward: boxes scaled to orig_target_sizes, the `n_selected` best pairs of
+    query and class.
     """
     n_classes = logits.shape[1]
     constants = {
@@ -84,7 +93,11 @@ def write_dfine(path, logits, boxes, *, inputs, n_selected):
         "boxes": np.zeros((1, n_selected, 4)),
         "scores": np.zeros((1, n_selected)),
     }
-    return _save(path, helper.make_graph(nodes, "d-fine", _infos(inputs), _output_infos(outputs), weights), None)
+    return _save(
+        path,
+        helper.make_graph(nodes, "d-fine", _infos(inputs), _output_infos(outputs), weights),
+        None,
+    )
 
 
 def _infos(inputs):
@@ -105,10 +118,11 @@ def _output_infos(values):
 
 
 def write_rectangle_finder(path, *, side_px, grey, metadata=None):
-    """Write a YOLOv5-like network of one class: its first row is the box of what is brighter than `grey` (0..1).
+    """Write a YOLOv5-like network of one class: its first row is the box of what is brighter than
+    `grey` (0..1).
 
-    The brightness above the padding's grey is the fraction of a pixel that the rectangle covers, so that its sums are
-    width and height, and its centroid is the centre.
+    The brightness above the padding's grey is the fraction of a pixel that the rectangle covers, so
+    that its sums are width and height, and its centroid is the centre.
     """
     n_rows = 3 * sum((side_px // stride) ** 2 for stride in (8, 16, 32))
     centres = np.arange(side_px, dtype=np.float32) + 0.5
@@ -134,11 +148,15 @@ def write_rectangle_finder(path, *, side_px, grey, metadata=None):
         nodes += [
             helper.make_node("ReduceSum", [profile, "all_axes"], [f"size_{axis}"], keepdims=1),
             helper.make_node("Mul", [profile, axis], [f"weighted_{axis}"]),
-            helper.make_node("ReduceSum", [f"weighted_{axis}", "all_axes"], [f"moment_{axis}"], keepdims=1),
+            helper.make_node(
+                "ReduceSum", [f"weighted_{axis}", "all_axes"], [f"moment_{axis}"], keepdims=1
+            ),
             helper.make_node("Div", [f"moment_{axis}", f"size_{axis}"], [f"centre_{axis}"]),
         ]
     nodes += [
-        helper.make_node("Concat", ["centre_x", "centre_y", "size_x", "size_y", "score"], ["box"], axis=3),
+        helper.make_node(
+            "Concat", ["centre_x", "centre_y", "size_x", "size_y", "score"], ["box"], axis=3
+        ),
         helper.make_node("Reshape", ["box", "row_shape"], ["row"]),
         helper.make_node("Concat", ["row", "empty_rows"], ["output0"], axis=1),
     ]

@@ -2,8 +2,8 @@
 
     python opencv4_forward.py FOLDER        FOLDER/*.cfg with .weights and .blob.npy -> *.opencv.npz
 
-It runs in a separate environment with OpenCV 4. Each file has the inputs (`raw_0`, `raw_1`, ...) and the outputs
-(`decoded_0`, ...) of the [yolo] layers.
+It runs in a separate environment with OpenCV 4. Each file has the inputs (`raw_0`, `raw_1`, ...)
+and the outputs (`decoded_0`, ...) of the [yolo] layers.
 """
 
 import sys

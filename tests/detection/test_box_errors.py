@@ -30,9 +30,9 @@ def test_values_are_read_from_the_model_or_the_file_beside_it(tmp_path):
     (tmp_path / "m.yaml").write_text(f"box_errors: {values}\n")
     expected = {"car": BoxError(-0.03, 0.04, 0.01, 0.05), "person": BoxError(0.0, 0.1, 0.0, 0.1)}
     assert detector(tmp_path).box_errors == expected
-    assert detector(tmp_path, metadata={"box_errors": '{"bus": [0, 0.02, 0, 0.02]}'}).box_errors == {
-        "bus": BoxError(0.0, 0.02, 0.0, 0.02)
-    }
+    assert detector(
+        tmp_path, metadata={"box_errors": '{"bus": [0, 0.02, 0, 0.02]}'}
+    ).box_errors == {"bus": BoxError(0.0, 0.02, 0.0, 0.02)}
 
 
 def test_networks_trained_with_coco_are_recognised_by_their_family(tmp_path):

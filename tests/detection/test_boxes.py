@@ -1,13 +1,20 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from track_range.detection.boxes import are_valid_boxes, area_px2, fraction_inside, iou, nms, xyxy_from_cxcywh
+from track_range.detection.boxes import (
+    are_valid_boxes,
+    area_px2,
+    fraction_inside,
+    iou,
+    nms,
+    xyxy_from_cxcywh,
+)
 
 MAX_IOU = 0.4987  # not a ratio that hypothesis draws, so that float32 and float64 agree
 EDGE = st.floats(-50, 50, allow_nan=False)
-BOXES = st.lists(st.tuples(EDGE, EDGE, st.floats(0.5, 40), st.floats(0.5, 40)), min_size=1, max_size=12).map(
-    lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows])
-)
+BOXES = st.lists(
+    st.tuples(EDGE, EDGE, st.floats(0.5, 40), st.floats(0.5, 40)), min_size=1, max_size=12
+).map(lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows]))
 
 
 def test_iou_by_hand():
@@ -54,11 +61,15 @@ def greedy(boxes, score, class_id):
 
 def test_layout_and_validity():
     np.testing.assert_allclose(xyxy_from_cxcywh(np.array([[5.0, 6.0, 4.0, 2.0]])), [[3, 5, 7, 7]])
-    boxes = np.array([[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]])
+    boxes = np.array(
+        [[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]]
+    )
     assert are_valid_boxes(boxes).tolist() == [True, False, False, False, False]
     assert area_px2(boxes[:3]).tolist() == [1.0, 0.0, 0.0]
 
 
 def test_corners_from_centres_for_any_leading_shape():
     cxcywh = np.array([[[10.0, 20.0, 4.0, 6.0]], [[0.0, 1.0, 2.0, 8.0]]])
-    np.testing.assert_array_equal(xyxy_from_cxcywh(cxcywh), [[[8.0, 17.0, 12.0, 23.0]], [[-1.0, -3.0, 1.0, 5.0]]])
+    np.testing.assert_array_equal(
+        xyxy_from_cxcywh(cxcywh), [[[8.0, 17.0, 12.0, 23.0]], [[-1.0, -3.0, 1.0, 5.0]]]
+    )

@@ -59,30 +59,60 @@ def test_coco_maps_onto_all_road_classes():
 
 def test_stop_signs_are_not_all_traffic_signs():
     assert not fully_known(["Stop Sign", "van", "person_sitting", "cyclist"]).any()
-    assert np.flatnonzero(fully_known(["stop sign", "traffic sign", "pedestrian", "zebra"])).tolist() == [0, 7]
+    assert np.flatnonzero(
+        fully_known(["stop sign", "traffic sign", "pedestrian", "zebra"])
+    ).tolist() == [0, 7]
 
 
 @pytest.mark.parametrize(
     ("names", "road_class"),
     [
-        ("Person people rider Pedestrian TYPE_PEDESTRIAN human.pedestrian.adult Man person_sitting", "person"),
+        (
+            "Person people rider Pedestrian TYPE_PEDESTRIAN human.pedestrian.adult Man "
+            "person_sitting",
+            "person",
+        ),
         ("Bicycle bike Cyclist TYPE_CYCLIST vehicle.bicycle object--vehicle--bicycle", "bicycle"),
-        ("Car vehicle Van TYPE_VEHICLE Taxi vehicle.car vehicle.emergency.police other-vehicle suv", "car"),
+        (
+            "Car vehicle Van TYPE_VEHICLE Taxi vehicle.car vehicle.emergency.police other-vehicle "
+            "suv",
+            "car",
+        ),
         ("motor motorbike Motorcycle object--vehicle--motorcycle motor_bike", "motorcycle"),
         ("Bus vehicle.bus.rigid", "bus"),
-        ("Lorry truck trailer caravan construction_vehicle vehicle.construction Heavy_Truck", "truck"),
+        (
+            "Lorry truck trailer caravan construction_vehicle vehicle.construction Heavy_Truck",
+            "truck",
+        ),
         ("traffic_light traffic-light TrafficLight", "traffic light"),
         ("sign Traffic_Sign Stop_sign TYPE_SIGN", "traffic sign"),
     ],
 )
 def test_names_of_other_data_sets(names, road_class):
-    """BDD100K, Cityscapes, KITTI, VisDrone, UA-DETRAC, Open Images, nuScenes, Waymo and Mapillary."""
+    """BDD100K, Cityscapes, KITTI, VisDrone, UA-DETRAC, Open Images, nuScenes, Waymo and
+    Mapillary."""
     assert {ROAD_CLASSES[i] for i in map_to_road_classes(names.split())} == {road_class}
 
 
 def test_names_that_are_no_road_class():
-    names = ("Tram", "Misc", "DontCare", "others", "ignored region", "traffic_cone", "movable_object.barrier", "train")
-    names += ("static_object.bicycle_rack", "tricycle", "awning-tricycle", "TYPE_UNKNOWN", "", "license plate")
+    names = (
+        "Tram",
+        "Misc",
+        "DontCare",
+        "others",
+        "ignored region",
+        "traffic_cone",
+        "movable_object.barrier",
+        "train",
+    )
+    names += (
+        "static_object.bicycle_rack",
+        "tricycle",
+        "awning-tricycle",
+        "TYPE_UNKNOWN",
+        "",
+        "license plate",
+    )
     assert (map_to_road_classes(names) == -1).all()
     assert not fully_known(["rider", "Construction_Vehicle", "taxi"]).any()
     assert np.flatnonzero(fully_known(["Vehicle", "lorry"])).tolist() == [2, 5]

@@ -22,7 +22,8 @@ def run(path, blob):
     return OnnxSession(path, Runtime(device="cpu", n_threads=1)).run(np.float32(blob))
 
 
-# --- by hand ----------------------------------------------------------------------------------------------------------
+# --- by hand
+# ----------------------------------------------------------------------------------------------------------
 
 YOLO = section("yolo", mask="0", anchors="2,3, 4,5", classes=1, num=2)
 LAST = section("convolutional", filters=6, activation="linear") + YOLO
@@ -41,7 +42,9 @@ def file_bytes(*arrays, version=(0, 2, 5), count_type="<u8"):
 def imported(tmp_path, text, content):
     (tmp_path / "net.cfg").write_text(text)
     (tmp_path / "net.weights").write_bytes(content)
-    return import_darknet(tmp_path / "net.cfg", tmp_path / "net.weights", tmp_path / "net.onnx", names=["car"])
+    return import_darknet(
+        tmp_path / "net.cfg", tmp_path / "net.weights", tmp_path / "net.onnx", names=["car"]
+    )
 
 
 ONE = section("convolutional", batch_normalize=1, filters=1, activation="{}") + LAST
@@ -62,9 +65,14 @@ LAST_VALUES = (np.zeros(6), np.arange(1, 7))  # biases, then six weights for one
     ],
 )
 def test_batch_norm_and_activations_by_hand(tmp_path, activation, expected):
-    # (0.2 x 5 + 0.3 x 10 + 0.5 x 4 - 2) / 2 x 3 - 7 = -1; Darknet adds 0.00001 to the variance, here up to 4
+    # (0.2 x 5 + 0.3 x 10 + 0.5 x 4 - 2) / 2 x 3 - 7 = -1; Darknet adds 0.00001 to the variance,
+    # here up to 4
     norm = ([-7], [3], [2], [4 - DARKNET_EPSILON], [5, 10, 4])
-    imported(tmp_path, small(TWO_HEADS.replace("{}", activation)), file_bytes(*norm, *LAST_VALUES, *LAST_VALUES))
+    imported(
+        tmp_path,
+        small(TWO_HEADS.replace("{}", activation)),
+        file_bytes(*norm, *LAST_VALUES, *LAST_VALUES),
+    )
     blob = np.broadcast_to(np.reshape([0.2, 0.3, 0.5], (1, 3, 1, 1)), (1, 3, 2, 4))
     for output in run(tmp_path / "net.onnx", blob):
         np.testing.assert_allclose(output[0, :, 1, 3], expected * np.arange(1, 7), atol=2e-6)
@@ -96,10 +104,16 @@ def test_pools_upsampling_routes_and_shortcuts_by_hand(tmp_path):
     select_2[:, 0], select_2[0] = 1, [0, 1]
     select_8 = np.zeros((6, 8))
     select_8[0, 0], select_8[1, 2] = 1, 1
-    imported(tmp_path, text, file_bytes(np.zeros(6), twice, np.zeros(6), select_2, np.zeros(6), select_8))
-    red, blue = np.array([[1, 2, 3, 4], [8, 7, 6, 5]]), np.array([[-1, -2, -3, -4], [-8, -7, -6, -5]])
+    imported(
+        tmp_path, text, file_bytes(np.zeros(6), twice, np.zeros(6), select_2, np.zeros(6), select_8)
+    )
+    red, blue = (
+        np.array([[1, 2, 3, 4], [8, 7, 6, 5]]),
+        np.array([[-1, -2, -3, -4], [-8, -7, -6, -5]]),
+    )
     first, second = run(tmp_path / "net.onnx", np.stack([red, 0 * red, blue])[None])
-    # the window of a pool with stride 1 extends by one to the right and below; padding is never the maximum
+    # the window of a pool with stride 1 extends by one to the right and below; padding is never the
+    # maximum
     pooled_red, pooled_blue = [[8, 7, 6, 5], [8, 7, 6, 5]], [[-1, -2, -3, -4], [-7, -6, -5, -5]]
     np.testing.assert_array_equal(first[0, 0], pooled_red + red)  # channel 3 of the sum: red again
     np.testing.assert_array_equal(first[0, 1], pooled_blue + blue)  # channel 2 of the sum
@@ -137,7 +151,8 @@ def test_short_header_of_old_files(tmp_path):
     np.testing.assert_array_equal(outputs[0], outputs[2])
 
 
-# --- metadata ---------------------------------------------------------------------------------------------------------
+# --- metadata
+# ---------------------------------------------------------------------------------------------------------
 
 
 def random_import(tmp_path, text):
@@ -146,13 +161,22 @@ def random_import(tmp_path, text):
     write_weights(tmp_path / "net.weights", network, seed=0)
     n_classes = network.heads[0][1].n_classes
     return import_darknet(
-        tmp_path / "net.cfg", tmp_path / "net.weights", tmp_path / "net.onnx", names=ROAD_CLASSES[:n_classes]
+        tmp_path / "net.cfg",
+        tmp_path / "net.weights",
+        tmp_path / "net.onnx",
+        names=ROAD_CLASSES[:n_classes],
     )
 
 
 def test_metadata_of_imported_file(tmp_path):
-    model_summary = random_import(tmp_path, darknet_networks.yolov4_tiny(size_px=(96, 64), n_classes=2, width=16))
-    assert (model_summary.family, model_summary.input_hw, model_summary.n_layers) == ("yolov4-tiny", (64, 96), 38)
+    model_summary = random_import(
+        tmp_path, darknet_networks.yolov4_tiny(size_px=(96, 64), n_classes=2, width=16)
+    )
+    assert (model_summary.family, model_summary.input_hw, model_summary.n_layers) == (
+        "yolov4-tiny",
+        (64, 96),
+        38,
+    )
     assert model_summary.n_parameters == (len((tmp_path / "net.weights").read_bytes()) - 20) / 4
     model = onnx.load(tmp_path / "net.onnx")
     assert (model.ir_version, model.opset_import[0].version) == (8, 13)
@@ -171,7 +195,9 @@ def test_metadata_of_imported_file(tmp_path):
     detector = YoloDetector(tmp_path / "net.onnx")
     assert (detector.model.family, detector.model.names) == ("yolov4-tiny", ("person", "bicycle"))
     assert detector.model.attributes["scale_x_y"].value == (1.05, 1.05)
-    detections = detector.detect(np.random.default_rng(0).integers(0, 255, (100, 200, 3)).astype(np.uint8))
+    detections = detector.detect(
+        np.random.default_rng(0).integers(0, 255, (100, 200, 3)).astype(np.uint8)
+    )
     assert len(detections) > 0  # random weights give detections everywhere
     assert set(detections.class_id) <= {0, 1}
 
@@ -218,7 +244,8 @@ def test_size_of_published_weights(tmp_path, name):
     assert 20 + 4 * read_network(tmp_path / "net.cfg").n_values == published
 
 
-# --- errors -----------------------------------------------------------------------------------------------------------
+# --- errors
+# -----------------------------------------------------------------------------------------------------------
 
 GOOD = small(TWO_HEADS.replace("{}", "relu"))
 VALUES = ([1], [1], [0], [1], [1, 2, 3], *LAST_VALUES, *LAST_VALUES)  # 31 of them
@@ -244,7 +271,11 @@ def test_mismatched_weights_leave_no_file(tmp_path, content, message):
     with pytest.raises(ModelError, match=rf"net\.weights: .*{message}"):
         imported(tmp_path, GOOD, content)
     assert (tmp_path / "net.onnx").read_bytes() == b"an older one"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["net.cfg", "net.onnx", "net.weights"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "net.cfg",
+        "net.onnx",
+        "net.weights",
+    ]
 
 
 def test_import_with_missing_files(tmp_path):

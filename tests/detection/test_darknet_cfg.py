@@ -35,11 +35,14 @@ def shape_of(layer_section, *, width=32, height=16):
 
 
 def test_cfg_whitespace_comments_and_aliases():
-    variant = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace("[convolutional]", " [conv] ")
+    variant = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace(
+        "[convolutional]", " [conv] "
+    )
     variant = variant.replace("filters=6", "  filters = 6  # one anchor").replace("0\n", "0 ,\n", 1)
     assert network(variant) == network(GOOD)
     assert network(b"\xef\xbb\xbf" + variant.replace("\n", "\r\n").encode()) == network(GOOD)
-    assert network(b"# \xb5\xc4\n" + GOOD.encode()) == network(GOOD)  # a comment in another encoding
+    # a comment in another encoding
+    assert network(b"# \xb5\xc4\n" + GOOD.encode()) == network(GOOD)
 
 
 def test_first_of_duplicate_options_is_used():
@@ -59,7 +62,9 @@ def test_defaults_equal_darknet():
         activation="logistic",
     )
     assert (read.input_shape, read.letter_box) == ((3, 16, 32), None)
-    without_mask = network(GOOD.replace("mask=0", "").replace("num=2", "num=1").replace(", 4,5", ""))
+    without_mask = network(
+        GOOD.replace("mask=0", "").replace("num=2", "num=1").replace(", 4,5", "")
+    )
     assert without_mask.heads[0][1].anchors_px == ((2, 3),)
     assert without_mask.heads[0][1].scale_x_y == 1
     assert len(network(GOOD.replace("classes=1", "").replace("filters=6", "filters=25")).heads) == 2
@@ -89,17 +94,35 @@ def test_shapes_of_the_published_networks():
 )  # fmt: skip
 def test_number_of_pooling_windows(width, height, size, stride, padding):
     def count(side, both_pads):
-        return sum(1 for start in range(side + both_pads) if start * stride + size <= side + both_pads)
+        return sum(
+            1 for start in range(side + both_pads) if start * stride + size <= side + both_pads
+        )
 
-    conv = section("convolutional", filters=4, size=size, stride=stride, padding=padding, activation="linear")
-    assert shape_of(conv, width=width, height=height) == (4, count(height, 2 * padding), count(width, 2 * padding))
+    conv = section(
+        "convolutional", filters=4, size=size, stride=stride, padding=padding, activation="linear"
+    )
+    assert shape_of(conv, width=width, height=height) == (
+        4,
+        count(height, 2 * padding),
+        count(width, 2 * padding),
+    )
     pool = section("maxpool", size=size, stride=stride)
-    assert shape_of(pool, width=width, height=height) == (3, count(height, size - 1), count(width, size - 1))
+    assert shape_of(pool, width=width, height=height) == (
+        3,
+        count(height, size - 1),
+        count(width, size - 1),
+    )
 
 
 def test_pad_takes_precedence_over_padding():
-    assert shape_of(section("convolutional", filters=2, size=5, pad=1, padding=0, activation="linear")) == (2, 16, 32)
-    assert shape_of(section("convolutional", filters=2, size=4, pad=1, activation="linear")) == (2, 17, 33)
+    assert shape_of(
+        section("convolutional", filters=2, size=5, pad=1, padding=0, activation="linear")
+    ) == (2, 16, 32)
+    assert shape_of(section("convolutional", filters=2, size=4, pad=1, activation="linear")) == (
+        2,
+        17,
+        33,
+    )
     assert shape_of(section("upsample", stride=3)) == (3, 48, 96)
 
 
@@ -144,7 +167,10 @@ ERRORS = {
         "size: 16x8x6 and 32x16x6",
     ),
     "share": (NET + CONV + section("route", layers=-1, groups=4), "groups=4, group_id=0"),
-    "share id": (NET + CONV + section("route", layers=-1, groups=2, group_id=2), "groups=2, group_id=2"),
+    "share id": (
+        NET + CONV + section("route", layers=-1, groups=2, group_id=2),
+        "groups=2, group_id=2",
+    ),
     "no from": (NET + CONV + "[shortcut]", "'from=...'"),
     "shapes": (
         NET + CONV + section("convolutional", filters=5) + section("shortcut", from_=-2),
@@ -163,17 +189,29 @@ ERRORS = {
     "worded anchors": (GOOD.replace("4,5", "4,x"), "numbers.*'anchors=2,3,4,x'"),
     "endless anchors": (GOOD.replace("4,5", "4,inf"), "finite.*'anchors=2,3,4,inf'"),
     "mask": (GOOD.replace("mask=0", "mask=2"), "mask"),
-    "repeated mask": (GOOD.replace("mask=0", "mask=0,0").replace("filters=6", "filters=12"), "line 8, .*mask.*0, 0"),
+    "repeated mask": (
+        GOOD.replace("mask=0", "mask=0,0").replace("filters=6", "filters=12"),
+        "line 8, .*mask.*0, 0",
+    ),
     "unused anchors": (GOOD.replace("anchors=", "anchors=1,1, "), "line 8, .*num=3"),
     "width": (
-        NET.replace("32", "33") + section("convolutional", filters=3, size=3, pad=1, stride=2) + HEAD + TAIL,
+        NET.replace("32", "33")
+        + section("convolutional", filters=3, size=3, pad=1, stride=2)
+        + HEAD
+        + TAIL,
         r"\[yolo\]: .*33x16",
     ),
     "stride": (
-        NET.replace("32", "64") + section("convolutional", filters=3, size=3, pad=1, stride=31) + HEAD + TAIL,
+        NET.replace("32", "64")
+        + section("convolutional", filters=3, size=3, pad=1, stride=31)
+        + HEAD
+        + TAIL,
         r"\[yolo\]: .*64x16",
     ),
-    "no upsample": (darknet_networks.yolov3_tiny().replace("[upsample]", "[maxpool]"), r"line \d+, \[route\]: .*size"),
+    "no upsample": (
+        darknet_networks.yolov3_tiny().replace("[upsample]", "[maxpool]"),
+        r"line \d+, \[route\]: .*size",
+    ),
     "scale": (GOOD.replace("num=2", "num=2\nscale_x_y=3"), "scale_x_y"),
     "filters": (GOOD.replace("filters=6", "filters=7"), "filters=6.*7 channels"),
     "no conv": (NET + CONV + section("maxpool") + YOLO, r"\[convolutional\]"),

@@ -1,4 +1,5 @@
-"""Comparison of imported Darknet networks with OpenCV 4's reader of Darknet files, with random weights."""
+"""Comparison of imported Darknet networks with OpenCV 4's reader of Darknet files, with random
+weights."""
 
 import os
 import subprocess
@@ -19,7 +20,8 @@ PROJECT = Path(__file__).resolve().parents[2]
 OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5
 
 NETWORKS = {
-    # text of the cfg and gain of the weights, lower for residual blocks so that their sums stay in range
+    # text of the cfg and gain of the weights, lower for residual blocks so that their sums stay in
+    # range
     "yolov4-tiny": (darknet_networks.yolov4_tiny(size_px=(416, 320)), 2.0),
     "yolov3-tiny": (darknet_networks.yolov3_tiny(size_px=(320, 416)), 2.0),
     "yolov4": (darknet_networks.yolov4(size_px=(256, 192), width=8), 1.4),
@@ -31,11 +33,17 @@ NETWORKS = {
 def compared(tmp_path_factory):
     """Network, our outputs and OpenCV's outputs by name, for one random image and random weights.
 
-    OpenCV adds 1e-6 to a variance, Darknet 1e-5; the difference is added to the variances for OpenCV.
+    OpenCV adds 1e-6 to a variance, Darknet 1e-5; the difference is added to the variances for
+    OpenCV.
     """
-    python = Path(os.environ.get("TRACK_RANGE_OPENCV4", PROJECT / ".venv" / "opencv4" / "bin" / "python"))
+    python = Path(
+        os.environ.get("TRACK_RANGE_OPENCV4", PROJECT / ".venv" / "opencv4" / "bin" / "python")
+    )
     if not python.is_file():
-        pytest.skip(f"OpenCV 4 not available: no {python} (`make setup` installs it; or set TRACK_RANGE_OPENCV4)")
+        pytest.skip(
+            f"OpenCV 4 not available: no {python} (`make setup` installs it; or set "
+            "TRACK_RANGE_OPENCV4)"
+        )
     folder = tmp_path_factory.mktemp("darknet")
     outputs = {}
     for seed, (name, (text, gain)) in enumerate(NETWORKS.items()):
@@ -45,12 +53,19 @@ def compared(tmp_path_factory):
         write_weights(weights, network, seed=seed, gain=gain)
         names = [f"class {i}" for i in range(network.heads[0][1].n_classes)]
         import_darknet(cfg, weights, folder / f"{name}.onnx", names=names)
-        write_weights(weights, network, seed=seed, gain=gain, more_variance=DARKNET_EPSILON - OPENCV_EPSILON)
+        write_weights(
+            weights, network, seed=seed, gain=gain, more_variance=DARKNET_EPSILON - OPENCV_EPSILON
+        )
         blob = np.random.default_rng(seed).random((1, *network.input_shape), np.float32)
         np.save(folder / f"{name}.blob.npy", blob)
-        outputs[name] = network, OnnxSession(folder / f"{name}.onnx", Runtime(device="cpu", n_threads=1)).run(blob)
+        outputs[name] = (
+            network,
+            OnnxSession(folder / f"{name}.onnx", Runtime(device="cpu", n_threads=1)).run(blob),
+        )
     subprocess.run([python, Path(__file__).with_name("opencv4_forward.py"), folder], check=True)
-    return {name: (*outputs[name], dict(np.load(folder / f"{name}.opencv.npz"))) for name in NETWORKS}
+    return {
+        name: (*outputs[name], dict(np.load(folder / f"{name}.opencv.npz"))) for name in NETWORKS
+    }
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -59,7 +74,8 @@ def test_outputs_equal_opencv(compared, name):
     assert len(outputs) == len(network.heads) == len(opencv) / 2
     for i, output in enumerate(outputs):
         expected = opencv[f"raw_{i}"]
-        assert expected.std(axis=(2, 3)).mean() > 0.02  # outputs vary over the image, so the input has an effect
+        # outputs vary over the image, so the input has an effect
+        assert expected.std(axis=(2, 3)).mean() > 0.02
         np.testing.assert_allclose(output, expected, rtol=0, atol=5e-5 * expected.std())
 
 
@@ -77,16 +93,25 @@ def test_decoded_boxes_equal_opencv(compared, name):
 
 
 def decoded(raw, head, input_hw):
-    """Boxes (N, 4) cx cy w h as fractions of the image, objectness (N,), scores (N, C), by cell and anchor."""
+    """Boxes (N, 4) cx cy w h as fractions of the image, objectness (N,), scores (N, C), by cell and
+    anchor."""
     n_rows, n_columns = raw.shape[1:]
-    cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns).transpose(2, 3, 0, 1).astype(float)
+    cells = (
+        raw.reshape(len(head.anchors_px), -1, n_rows, n_columns).transpose(2, 3, 0, 1).astype(float)
+    )
     row, column = np.mgrid[:n_rows, :n_columns][..., None]
     stretched = head.scale_x_y * sigmoid(cells[..., :2]) - (head.scale_x_y - 1) / 2
     x, y = (stretched[..., 0] + column) / n_columns, (stretched[..., 1] + row) / n_rows
-    width, height = np.moveaxis(np.array(head.anchors_px) / input_hw[::-1] * np.exp(cells[..., 2:4]), -1, 0)
+    width, height = np.moveaxis(
+        np.array(head.anchors_px) / input_hw[::-1] * np.exp(cells[..., 2:4]), -1, 0
+    )
     objectness = sigmoid(cells[..., 4])
     scores = objectness[..., None] * sigmoid(cells[..., 5:])
-    return np.stack([x, y, width, height], -1).reshape(-1, 4), objectness.ravel(), scores.reshape(-1, scores.shape[-1])
+    return (
+        np.stack([x, y, width, height], -1).reshape(-1, 4),
+        objectness.ravel(),
+        scores.reshape(-1, scores.shape[-1]),
+    )
 
 
 def sigmoid(x):

@@ -48,7 +48,11 @@ class Handler(BaseHTTPRequestHandler):
         if server.status is not None:
             self.send_error(server.status)
             return
-        start = int(byte_range.removeprefix("bytes=").removesuffix("-")) if byte_range and server.resumes else 0
+        start = (
+            int(byte_range.removeprefix("bytes=").removesuffix("-"))
+            if byte_range and server.resumes
+            else 0
+        )
         if start >= len(BODY):
             self.send_error(416)
             return
@@ -120,7 +124,9 @@ def test_size_of_a_variable_input_is_stored(server, tmp_path):
 
 def test_wrong_checksum_removes_the_file(server, tmp_path):
     checksum = "sha1:" + "0" * 40
-    with pytest.raises(DownloadError, match=rf"model\.onnx: expected checksum {checksum}, got sha1:{SHA1}"):
+    with pytest.raises(
+        DownloadError, match=rf"model\.onnx: expected checksum {checksum}, got sha1:{SHA1}"
+    ):
         fetch(file_of(server, checksum), tmp_path / "model.onnx")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "model.onnx").write_bytes(b"an older release")  # replaced by the right one

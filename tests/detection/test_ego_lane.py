@@ -15,8 +15,14 @@ ROWS = np.array([220.0, 300.0, 350.0])
 def markings(*lines_m, numbered=False, sigma=0.0, seed=0, **more):
     pixels = [line_pixels(x_m, **more) for x_m in lines_m]
     xy = np.concatenate(pixels)
-    xy = xy + np.stack([np.random.default_rng(seed).normal(0, sigma, len(xy)), np.zeros(len(xy))], axis=1)
-    number = np.repeat(np.arange(len(pixels)), [len(part) for part in pixels]) if numbered else np.full(len(xy), -1)
+    xy = xy + np.stack(
+        [np.random.default_rng(seed).normal(0, sigma, len(xy)), np.zeros(len(xy))], axis=1
+    )
+    number = (
+        np.repeat(np.arange(len(pixels)), [len(part) for part in pixels])
+        if numbered
+        else np.full(len(xy), -1)
+    )
     return Markings(xy, number.astype(np.int64), 1.0)
 
 
@@ -51,10 +57,14 @@ def test_bend_moves_both_lines_alike():
     straight = markings(-1.75, 1.75)
     bend_px = 0.004 * (straight.xy_px[:, 1] - 355) ** 2
     lines = EgoLane().update(
-        Markings(straight.xy_px + np.stack([bend_px, 0 * bend_px], axis=1), straight.line, 1.0), 0.0, HW
+        Markings(straight.xy_px + np.stack([bend_px, 0 * bend_px], axis=1), straight.line, 1.0),
+        0.0,
+        HW,
     )
     y = np.array([230.0, 340.0])
-    assert lines.right.x_px(y) == pytest.approx(road_x_px(1.75, y) + 0.004 * (y - 355) ** 2, abs=2.0)
+    assert lines.right.x_px(y) == pytest.approx(
+        road_x_px(1.75, y) + 0.004 * (y - 355) ** 2, abs=2.0
+    )
     assert lines.right.x_px(y) - lines.left.x_px(y) == pytest.approx(width_px(y), rel=0.03)
 
 
@@ -68,7 +78,9 @@ def test_outliers_do_not_move_the_lines():
 
 def test_markings_everywhere_are_not_a_lane():
     rng = np.random.default_rng(4)
-    lines = EgoLane().update(Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW)
+    lines = EgoLane().update(
+        Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW
+    )
     assert lines.left is None
     assert lines.right is None
 
@@ -77,7 +89,8 @@ def test_single_line_continues_but_starts_no_lane():
     lane = EgoLane()
     assert lane.update(markings(1.75), 0.0, HW).right is None
     tracked(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
-    lines = lane.update(markings(1.95), 0.4, HW)  # the camera moved 0.2 m to the left, the left line is not visible
+    # the camera moved 0.2 m to the left, the left line is not visible
+    lines = lane.update(markings(1.95), 0.4, HW)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.95, ROWS), abs=3.0)
     assert lines.left is not None  # still reported, with a larger sigma than the visible line
     assert (lines.left.sigma_px(ROWS) > lines.right.sigma_px(ROWS)).all()
@@ -87,7 +100,10 @@ def test_lost_line_expires_after_half_a_second():
     for step_s in (0.04, 0.2):
         lane = EgoLane()
         tracked(lane, [0.0, step_s], markings(-1.75, 1.75))
-        gone = [lane.update(markings(1.75), step_s + t, HW).left is None for t in np.arange(step_s, 1.0, step_s)]
+        gone = [
+            lane.update(markings(1.75), step_s + t, HW).left is None
+            for t in np.arange(step_s, 1.0, step_s)
+        ]
         times_s = np.arange(step_s, 1.0, step_s)
         assert gone == (times_s > 0.5 + 1e-9).tolist()
 
@@ -113,8 +129,12 @@ def test_gap_in_time_resets_the_lane():
 
 def test_crossing_lines_are_not_a_lane():
     y = np.arange(200.0, 355.0, 2.0)
-    crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
-    lines = EgoLane().update(Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW)
+    crossing = np.concatenate(
+        [np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)]
+    )
+    lines = EgoLane().update(
+        Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW
+    )
     assert lines.left is None
     assert lines.right is None
 
@@ -123,7 +143,9 @@ def test_lines_that_cross_later_end_the_lane():
     lane = EgoLane()
     tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     y = np.arange(200.0, 355.0, 2.0)
-    crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
+    crossing = np.concatenate(
+        [np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)]
+    )
     swapped = Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0)
     for time_s in (0.2, 0.4, 0.7):
         lines = lane.update(swapped, time_s, HW)
@@ -140,7 +162,9 @@ def test_noise_is_smoothed_over_time():
             (alone, EgoLane().update(seen, 0.0, HW)),
             (over_time, lane.update(seen, i / 25, HW)),
         ):
-            collected.append(lines.right.x_px(ROWS) - lines.left.x_px(ROWS) if lines.left else np.full(3, np.nan))
+            collected.append(
+                lines.right.x_px(ROWS) - lines.left.x_px(ROWS) if lines.left else np.full(3, np.nan)
+            )
     assert np.nanstd(over_time[5:], axis=0).max() < 0.75 * np.nanstd(alone[5:], axis=0).max()
 
 
@@ -156,20 +180,29 @@ def test_lane_change_is_followed():
 
 
 def test_wrong_lane_is_corrected_soon():
-    """The dashes at the left become visible late; until then only the line beyond them is visible."""
+    """The dashes at the left become visible late; until then only the line beyond them is
+    visible."""
     lane = EgoLane()
     without, complete = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
     times_s = np.arange(0, 0.5, 0.1)
-    assert tracked(lane, times_s, without).left.x_px(ROWS) == pytest.approx(road_x_px(-5.25, ROWS), abs=2)
-    assert tracked(lane, times_s + 0.5, complete).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
+    assert tracked(lane, times_s, without).left.x_px(ROWS) == pytest.approx(
+        road_x_px(-5.25, ROWS), abs=2
+    )
+    assert tracked(lane, times_s + 0.5, complete).left.x_px(ROWS) == pytest.approx(
+        road_x_px(-1.75, ROWS), abs=2
+    )
 
 
 def test_line_of_the_neighbour_does_not_replace_a_hidden_one():
-    """The dashes at the right are hidden for 2 s; the lane is not taken for one of twice its width."""
+    """The dashes at the right are hidden for 2 s; the lane is not taken for one of twice its
+    width."""
     lane = EgoLane()
     tracked(lane, np.arange(0, 3, 0.1), markings(-1.75, 1.75, 5.25))
     hidden = [lane.update(markings(-1.75, 5.25), time_s, HW) for time_s in np.arange(3, 5, 0.1)]
-    assert all(lines.right is None or lines.right.x_px(ROWS)[1] < road_x_px(2.5, ROWS[1]) for lines in hidden)
+    assert all(
+        lines.right is None or lines.right.x_px(ROWS)[1] < road_x_px(2.5, ROWS[1])
+        for lines in hidden
+    )
     assert hidden[-1].right is None
     lines = lane.update(markings(-1.75, 1.75, 5.25), 5.0, HW)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
@@ -197,7 +230,9 @@ def test_proposals_bridge_dashes():
     slope = 1.75 / 1.5
     near = np.abs(lines.slope - slope) < 0.1
     assert near.any()
-    assert lines.support[near].max() == pytest.approx(np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1)
+    assert lines.support[near].max() == pytest.approx(
+        np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1
+    )
 
 
 @pytest.mark.parametrize(("horizon_px", "is_lane"), [(170.0, True), (235.0, True), (285.0, False)])
@@ -223,7 +258,10 @@ def test_lane_state_by_hand():
     assert left.coefficients == pytest.approx([490.0, -1.0, 0.0], abs=1e-9)
     rows = state.rows(ROWS, -1.0)
     assert left.sigma_px(ROWS) == pytest.approx(np.sqrt(np.diag(rows @ state.covariance @ rows.T)))
-    assert (state.after(1.0).line(-1.0, y_top_px=0.0, y_bottom_px=1.0).sigma_px(ROWS) > left.sigma_px(ROWS)).all()
+    assert (
+        state.after(1.0).line(-1.0, y_top_px=0.0, y_bottom_px=1.0).sigma_px(ROWS)
+        > left.sigma_px(ROWS)
+    ).all()
 
 
 def test_runs():

@@ -1,7 +1,9 @@
-"""Networks without non-maximum suppression, in the layouts of their official exporters, against reference arithmetic.
+"""Networks without non-maximum suppression, in the layouts of their official exporters, against
+reference arithmetic.
 
-The references follow the original implementations step by step, without code of track-range: YOLOv10 and YOLO26 (rows
-as they are), D-FINE (DFINEPostProcessor), RF-DETR (PostProcess), DETR (PostProcess).
+The references follow the original implementations step by step, without code of track-range:
+YOLOv10 and YOLO26 (rows as they are), D-FINE (DFINEPostProcessor), RF-DETR (PostProcess), DETR
+(PostProcess).
 """
 
 import json
@@ -46,7 +48,12 @@ def random_queries(n_queries, n_logits, *, seed, inside=0.2):
 def corners(box, width, height):
     """box_cxcywh_to_xyxy() of DETR's box_ops.py, times the image's size."""
     cx, cy, w, h = box
-    return [(cx - w / 2) * width, (cy - h / 2) * height, (cx + w / 2) * width, (cy + h / 2) * height]
+    return [
+        (cx - w / 2) * width,
+        (cy - h / 2) * height,
+        (cx + w / 2) * width,
+        (cy + h / 2) * height,
+    ]
 
 
 def rows_of(detections):
@@ -57,7 +64,9 @@ def rows_of(detections):
 
 def assert_equal_rows(detections, expected, *, atol=1e-3):
     expected = np.array(expected)
-    np.testing.assert_allclose(rows_of(detections), expected[np.lexsort(expected.T[::-1])], atol=atol)
+    np.testing.assert_allclose(
+        rows_of(detections), expected[np.lexsort(expected.T[::-1])], atol=atol
+    )
 
 
 def labelled_rows(*boxes, n=300):
@@ -67,12 +76,26 @@ def labelled_rows(*boxes, n=300):
 
 
 def test_end_to_end_rows_are_not_suppressed(tmp_path):
-    boxes = [(10, 20, 30, 40, 0.9, 0), (11, 20, 31, 40, 0.8, 0), (40, 25, 60, 45, 0.7, 1), (5, 5, 9, 9, 0.05, 0)]
-    model = write_outputs(tmp_path / "yolo26n.onnx", {"output0": labelled_rows(*boxes)}, metadata=ULTRALYTICS)
+    boxes = [
+        (10, 20, 30, 40, 0.9, 0),
+        (11, 20, 31, 40, 0.8, 0),
+        (40, 25, 60, 45, 0.7, 1),
+        (5, 5, 9, 9, 0.05, 0),
+    ]
+    model = write_outputs(
+        tmp_path / "yolo26n.onnx", {"output0": labelled_rows(*boxes)}, metadata=ULTRALYTICS
+    )
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
     # 160 x 48 fits as 64 x 19 under 22 rows of padding
     expected = [
-        [x1 * 2.5, (y1 - 22) * 48 / 19, x2 * 2.5, (y2 - 22) * 48 / 19, score, ROAD_CLASSES.index(name)]
+        [
+            x1 * 2.5,
+            (y1 - 22) * 48 / 19,
+            x2 * 2.5,
+            (y2 - 22) * 48 / 19,
+            score,
+            ROAD_CLASSES.index(name),
+        ]
         for x1, y1, x2, y2, score, name in [(*row[:5], ("car", "bus")[row[5]]) for row in boxes[:3]]
     ]
     np.testing.assert_allclose(
@@ -84,7 +107,9 @@ def test_end_to_end_rows_are_not_suppressed(tmp_path):
 
 
 def test_one_box_with_two_similar_classes_is_one_object(tmp_path):
-    rows = labelled_rows((10, 20, 30, 40, 0.6, CAR), (10, 20, 30, 40, 0.4, TRUCK), (10, 20, 30, 40, 0.3, PERSON))
+    rows = labelled_rows(
+        (10, 20, 30, 40, 0.6, CAR), (10, 20, 30, 40, 0.4, TRUCK), (10, 20, 30, 40, 0.3, PERSON)
+    )
     detector = YoloDetector(write_outputs(tmp_path / "m.onnx", {"output0": rows}))
     detections = detector.detect(IMAGE)
     assert [ROAD_CLASSES[c] for c in detections.class_id] == ["car", "person"]
@@ -110,16 +135,25 @@ def test_rows_that_are_no_labels_are_counted(tmp_path):
 
 def test_end_to_end_mark_in_metadata(tmp_path):
     rows = labelled_rows((10, 20, 30, 40, 0.9, 0), n=2000)
-    detector = YoloDetector(write_outputs(tmp_path / "m.onnx", {"output0": rows}, metadata=ULTRALYTICS))
+    detector = YoloDetector(
+        write_outputs(tmp_path / "m.onnx", {"output0": rows}, metadata=ULTRALYTICS)
+    )
     assert len(detector.detect(IMAGE)) == 1
 
 
 def dfine_reference(logits, boxes, image_wh, n_selected):
-    """DFINEPostProcessor.forward, scores of at least 0.1: (left, top, right, bottom, score, label)."""
-    pairs = [(sigmoid(value), query, label) for query, row in enumerate(logits) for label, value in enumerate(row)]
+    """DFINEPostProcessor.forward, scores of at least 0.1: (left, top, right, bottom, score,
+    label)."""
+    pairs = [
+        (sigmoid(value), query, label)
+        for query, row in enumerate(logits)
+        for label, value in enumerate(row)
+    ]
     pairs.sort(reverse=True)
     return [
-        [*corners(boxes[query], *image_wh), score, label] for score, query, label in pairs[:n_selected] if score >= 0.1
+        [*corners(boxes[query], *image_wh), score, label]
+        for score, query, label in pairs[:n_selected]
+        if score >= 0.1
     ]
 
 
@@ -138,9 +172,15 @@ def test_dfine_network_with_its_postprocessing(tmp_path):
 
 def test_labels_boxes_and_scores_in_any_order(tmp_path):
     boxes = np.array([[[8, 16, 24, 32], [40, 16, 56, 32]]])
-    outputs = {"a": np.array([[0.9, 0.3]]), "b": boxes.astype(float), "c": np.array([[CAR, PERSON]])}
+    outputs = {
+        "a": np.array([[0.9, 0.3]]),
+        "b": boxes.astype(float),
+        "c": np.array([[CAR, PERSON]]),
+    }
     detector = YoloDetector(write_outputs(tmp_path / "m.onnx", outputs, inputs=SIZES_INPUTS))
-    assert_equal_rows(detector.detect(IMAGE), [[20, 12, 60, 24, 0.9, 2], [100, 12, 140, 24, 0.3, 0]])
+    assert_equal_rows(
+        detector.detect(IMAGE), [[20, 12, 60, 24, 0.9, 2], [100, 12, 140, 24, 0.3, 0]]
+    )
 
 
 def best_of_queries(scores, boxes, image_wh, class_id_of):
@@ -168,7 +208,9 @@ def test_rf_detr_with_misleading_names(tmp_path):
     model = write_outputs(tmp_path / "rf-detr-nano.onnx", outputs, inputs={"input": (1, 3, 64, 64)})
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
     scores = [[sigmoid(value) for value in row] for row in logits]
-    expected = best_of_queries(scores, boxes, (160, 48), [road_id(name) for name in COCO_CATEGORIES])
+    expected = best_of_queries(
+        scores, boxes, (160, 48), [road_id(name) for name in COCO_CATEGORIES]
+    )
     assert len(expected) >= 30
     assert_equal_rows(detector.detect(IMAGE), expected)
     assert (detector.model.family, detector.model.names) == ("RF-DETR", COCO_CATEGORIES)
@@ -190,11 +232,15 @@ def test_rf_detr_of_three_classes_and_no_object(tmp_path, order):
         "class_id_to_name": {"0": "car", "1": "person", "2": "bus"},
     }
     model = write_outputs(
-        tmp_path / "m.onnx", {name: arrays[name] for name in order}, metadata={"rfdetr_inference": json.dumps(document)}
+        tmp_path / "m.onnx",
+        {name: arrays[name] for name in order},
+        metadata={"rfdetr_inference": json.dumps(document)},
     )
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
     scores = [[sigmoid(value) for value in row] for row in logits]
-    assert_equal_rows(detector.detect(IMAGE), best_of_queries(scores, boxes, (160, 48), [2, 0, 4, None]))
+    assert_equal_rows(
+        detector.detect(IMAGE), best_of_queries(scores, boxes, (160, 48), [2, 0, 4, None])
+    )
     assert detector.model.names == ("car", "person", "bus", "N/A")
     assert detector.model.input_format.mean == (0.5, 0.5, 0.5)
     assert detector.model.attributes["std"].source == "from the model's metadata"
@@ -203,7 +249,9 @@ def test_rf_detr_of_three_classes_and_no_object(tmp_path, order):
 def test_names_without_the_no_object_logit(tmp_path):
     logits, boxes = random_queries(30, 3, seed=4)
     model = write_outputs(tmp_path / "m.onnx", {"dets": boxes[None], "labels": logits[None]})
-    detector = YoloDetector(model, YoloSettings(min_score=0.1), options=ModelOptions(names=("car", "person")))
+    detector = YoloDetector(
+        model, YoloSettings(min_score=0.1), options=ModelOptions(names=("car", "person"))
+    )
     scores = [[sigmoid(value) for value in row[:2]] for row in logits]
     assert_equal_rows(detector.detect(IMAGE), best_of_queries(scores, boxes, (160, 48), [2, 0]))
 
@@ -227,10 +275,14 @@ def test_detr_softmax(tmp_path):
     logits, boxes = random_queries(40, 92, seed=6)
     logits[:15, COCO_CAR], logits[15:, 91] = 6.0, 9.0  # the others are "no object"
     outputs = {"logits": logits[None], "pred_boxes": boxes[None]}
-    detector = YoloDetector(write_outputs(tmp_path / "m.onnx", outputs), YoloSettings(min_score=0.1))
+    detector = YoloDetector(
+        write_outputs(tmp_path / "m.onnx", outputs), YoloSettings(min_score=0.1)
+    )
     powers = [[math.exp(value) for value in row] for row in logits]
     scores = [[value / sum(row) for value in row[:-1]] for row in powers]
-    expected = best_of_queries(scores, boxes, (160, 48), [road_id(name) for name in COCO_CATEGORIES])
+    expected = best_of_queries(
+        scores, boxes, (160, 48), [road_id(name) for name in COCO_CATEGORIES]
+    )
     assert len(expected) == 15
     assert_equal_rows(detector.detect(IMAGE), expected)
     assert (detector.model.family, len(detector.model.names)) == ("DETR", 91)
@@ -239,7 +291,9 @@ def test_detr_softmax(tmp_path):
 def test_softmax_in_the_sidecar(tmp_path):
     logits, boxes = random_queries(30, 3, seed=7)
     model = write_outputs(tmp_path / "m.onnx", {"logits": logits[None], "pred_boxes": boxes[None]})
-    (tmp_path / "m.yaml").write_text("scores: softmax\nnames: [car, person]\nmean: [0.5, 0.5, 0.5]\nstd: [2, 2, 2]\n")
+    (tmp_path / "m.yaml").write_text(
+        "scores: softmax\nnames: [car, person]\nmean: [0.5, 0.5, 0.5]\nstd: [2, 2, 2]\n"
+    )
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
     powers = [[math.exp(value) for value in row] for row in logits]
     scores = [[value / sum(row) for value in row[:-1]] for row in powers]
@@ -249,7 +303,10 @@ def test_softmax_in_the_sidecar(tmp_path):
 
 def test_rt_detr_from_ultralytics(tmp_path):
     logits, boxes = random_queries(300, 3, seed=8)
-    pairs = sorted(((sigmoid(v), q, c) for q, row in enumerate(logits) for c, v in enumerate(row)), reverse=True)[:300]
+    pairs = sorted(
+        ((sigmoid(v), q, c) for q, row in enumerate(logits) for c, v in enumerate(row)),
+        reverse=True,
+    )[:300]
     rows = np.array([[*boxes[query], score, label] for score, query, label in pairs])
     metadata = {
         "task": "detect",
@@ -258,11 +315,14 @@ def test_rt_detr_from_ultralytics(tmp_path):
         "names": "{0: 'car', 1: 'person', 2: 'x'}",
     }
     detector = YoloDetector(
-        write_outputs(tmp_path / "m.onnx", {"output0": rows[None]}, metadata=metadata), YoloSettings(min_score=0.1)
+        write_outputs(tmp_path / "m.onnx", {"output0": rows[None]}, metadata=metadata),
+        YoloSettings(min_score=0.1),
     )
     # RTDETRPredictor.postprocess: xywh2xyxy, times the image's size
     expected = [
-        [*corners(row[:4], 160, 48), row[4], (2, 0)[int(row[5])]] for row in rows if row[4] >= 0.1 and row[5] < 2
+        [*corners(row[:4], 160, 48), row[4], (2, 0)[int(row[5])]]
+        for row in rows
+        if row[4] >= 0.1 and row[5] < 2
     ]
     assert len(expected) >= 50
     assert_equal_rows(detector.detect(IMAGE), expected)
@@ -275,15 +335,21 @@ def test_rt_detr_from_older_versions_of_ultralytics(tmp_path, names):
     logits, boxes = random_queries(300, n_classes, seed=8)
     scores = 1 / (1 + np.exp(-logits))
     metadata = {"task": "detect", "description": "Ultralytics rt-detr-l model", "names": names}
-    model = write_outputs(tmp_path / "m.onnx", {"output0": np.hstack([boxes, scores])[None]}, metadata=metadata)
+    model = write_outputs(
+        tmp_path / "m.onnx", {"output0": np.hstack([boxes, scores])[None]}, metadata=metadata
+    )
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
-    assert_equal_rows(detector.detect(IMAGE), best_of_queries(scores.tolist(), boxes, (160, 48), [2, 0, 4]))
+    assert_equal_rows(
+        detector.detect(IMAGE), best_of_queries(scores.tolist(), boxes, (160, 48), [2, 0, 4])
+    )
 
 
 def test_variable_input_is_square(tmp_path):
     logits, boxes = random_queries(30, 80, seed=9)
     inputs = {"pixel_values": ("batch", 3, "height", "width")}
-    model = write_outputs(tmp_path / "m.onnx", {"logits": logits[None], "pred_boxes": boxes[None]}, inputs=inputs)
+    model = write_outputs(
+        tmp_path / "m.onnx", {"logits": logits[None], "pred_boxes": boxes[None]}, inputs=inputs
+    )
     (tmp_path / "m.yaml").write_text("size: 384\n")
     detector = YoloDetector(model)
     detector.detect(IMAGE)
@@ -305,7 +371,11 @@ IMAGE_INPUT = {"image": (1, 3, 64, 64)}
         (ROWS, {"pixel_values": (1, 3, 64, 64), "pixel_mask": (1, 64)}, "without other inputs"),
         ({"logits": np.zeros((1, 30, 80))}, IMAGE_INPUT, "RF-DETR"),
         ({"boxes": np.zeros((1, 30, 4)), "logits": np.zeros((1, 31, 80))}, IMAGE_INPUT, "RF-DETR"),
-        ({"dets": np.zeros((1, 30, 4)), "labels": np.zeros((1, 30, 17))}, IMAGE_INPUT, "17 classes"),
+        (
+            {"dets": np.zeros((1, 30, 4)), "labels": np.zeros((1, 30, 17))},
+            IMAGE_INPUT,
+            "17 classes",
+        ),
         ({"a": np.zeros((1, 30, 4)), "b": np.zeros((1, 30, 4))}, IMAGE_INPUT, "4 classes"),
     ],
 )
@@ -316,7 +386,9 @@ def test_near_misses(tmp_path, outputs, inputs, word):
     assert len(str(caught.value).replace(str(tmp_path), "")) <= 300
 
 
-@pytest.mark.parametrize("text", ["mean: [1, 2]", "std: [0, 1, 1]", "std: red", "scores: tanh", "mean: [a, b, c]"])
+@pytest.mark.parametrize(
+    "text", ["mean: [1, 2]", "std: [0, 1, 1]", "std: red", "scores: tanh", "mean: [a, b, c]"]
+)
 def test_invalid_attributes(tmp_path, text):
     model = write_outputs(tmp_path / "m.onnx", {"output0": labelled_rows()})
     (tmp_path / "m.yaml").write_text(text)

@@ -18,7 +18,9 @@ def test_letterbox_words(text, expected):
     assert placement_and_grey(text) == expected
 
 
-@pytest.mark.parametrize("text", ["", "middle", "centred-256", "centred-1.5", "centred114", None, 114])
+@pytest.mark.parametrize(
+    "text", ["", "middle", "centred-256", "centred-1.5", "centred114", None, 114]
+)
 def test_invalid_letterboxes(text):
     with pytest.raises(ValueError, match="letterbox"):
         placement_and_grey(text)
@@ -50,4 +52,6 @@ def test_mean_and_std_by_hand(dtype):
     input_format.write(image, letterbox, blob, scaled=np.empty((2, 4, 3), np.uint8))
     np.testing.assert_allclose(blob[0, :, 1, 0], [0.0, 1.0, 2.0], atol=2e-3)
     np.testing.assert_allclose(blob[0, :, 0], np.full((3, 4), [[-0.8], [-1.0], [-2.0]]), atol=2e-3)
-    np.testing.assert_allclose(blob[0, :, 2, 1:], np.full((3, 3), [[-0.8], [-1.0], [-2.0]]), atol=2e-3)
+    np.testing.assert_allclose(
+        blob[0, :, 2, 1:], np.full((3, 3), [[-0.8], [-1.0], [-2.0]]), atol=2e-3
+    )

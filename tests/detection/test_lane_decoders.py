@@ -1,4 +1,5 @@
-"""Decoders of lane networks on tensors made from known lines, by the rules of the networks' labels."""
+"""Decoders of lane networks on tensors made from known lines, by the rules of the networks'
+labels."""
 
 import numpy as np
 import pytest
@@ -11,11 +12,17 @@ from track_range.detection.lanes.nets import (
     row_anchor_points,
 )
 
-LINES = (lambda y: 700 - 1.5 * y, lambda y: 500 - 0.6 * y, lambda y: 330 + 0.5 * y, lambda y: 300 + 1.5 * y)
+LINES = (
+    lambda y: 700 - 1.5 * y,
+    lambda y: 500 - 0.6 * y,
+    lambda y: 330 + 0.5 * y,
+    lambda y: 300 + 1.5 * y,
+)
 
 
 def row_anchor_tensor(n_cells, anchors, lines=LINES, *, width=800):
-    """One-hot cells int(x / cell width) as in the published labels; the last cell if a line is outside."""
+    """One-hot cells int(x / cell width) as in the published labels; the last cell if a line is
+    outside."""
     scores = np.zeros((n_cells + 1, len(anchors), 4), np.float32)
     cell_px = (width - 1) / (n_cells - 1)
     for line, x_of in enumerate(lines):
@@ -71,7 +78,9 @@ def test_middles_of_the_runs_of_a_mask():
     assert line.tolist() == [-1, -1, -1]
 
 
-@pytest.mark.parametrize(("road", "paint"), [(0.1, 0.9), (-4.0, 3.0)], ids=["probabilities", "logits"])
+@pytest.mark.parametrize(
+    ("road", "paint"), [(0.1, 0.9), (-4.0, 3.0)], ids=["probabilities", "logits"]
+)
 def test_mask_with_one_channel(road, paint):
     scores = np.full((1, 64, 128), road, np.float32)
     scores[0, 8, 40:43] = paint
@@ -93,7 +102,9 @@ def test_curves_by_hand():
 
 
 def test_curve_points_outside_are_dropped():
-    curves = np.array([[0.2, 1.0, 0.0, 0.4, 0.1, 0.5, 0.0, 0.0], [0.2, 1.0, 0, 0, 0, 5.0, 0, 0]], np.float32)
+    curves = np.array(
+        [[0.2, 1.0, 0.0, 0.4, 0.1, 0.5, 0.0, 0.0], [0.2, 1.0, 0, 0, 0, 5.0, 0, 0]], np.float32
+    )
     xy, line = curve_points(np.array([[0, 9], [0, 9]], np.float32), curves, (100, 100))
     assert set(line.tolist()) == {0}
     assert xy[:, 1].min() > 39.5  # nothing above the pole at 0.4
@@ -102,7 +113,9 @@ def test_curve_points_outside_are_dropped():
 
 def test_no_markings():
     assert mask_points(np.zeros((2, 64, 64), np.float32))[0].shape == (0, 2)
-    assert curve_points(np.array([[9.0, 0.0]], np.float32), np.zeros((1, 8), np.float32), (9, 9))[0].shape == (0, 2)
+    assert curve_points(np.array([[9.0, 0.0]], np.float32), np.zeros((1, 8), np.float32), (9, 9))[
+        0
+    ].shape == (0, 2)
     no_lines = np.zeros((101, 56, 4), np.float32)
     no_lines[-1] = 9.0
     assert row_anchor_points(no_lines, (288, 800))[0].shape == (0, 2)

@@ -35,14 +35,19 @@ def test_segmentation_network(tmp_path):
 
 def test_line_mask_of_two_is_mapped_back(tmp_path):
     drivable = mask_of(-3.0, 0.5)
-    model = write_model(tmp_path / "m.onnx", drivable, mask_of(-1.75, 1.75), input_shape=(1, 3, *HW))
+    model = write_model(
+        tmp_path / "m.onnx", drivable, mask_of(-1.75, 1.75), input_shape=(1, 3, *HW)
+    )
     lines = NetLaneFinder(model).find(np.zeros((720, 1280, 3), np.uint8), 0.0)
     # Pixel centres at integers: x of the large image + 0.5 is twice that of the small one + 0.5.
-    assert lines.left.x_px(2 * ROWS + 0.5) == pytest.approx(2 * road_x_px(-1.75, ROWS) + 0.5, abs=3.0)
+    assert lines.left.x_px(2 * ROWS + 0.5) == pytest.approx(
+        2 * road_x_px(-1.75, ROWS) + 0.5, abs=3.0
+    )
 
 
 def test_curve_network(tmp_path):
-    """Lines that meet at the horizon of the training images, x = 0.5 -+ 1.1 (y - 0.35), so that one view suffices."""
+    """Lines that meet at the horizon of the training images, x = 0.5 -+ 1.1 (y - 0.35), so that one
+    view suffices."""
     curves = np.zeros((1, 7, 8))
     for row, slope in enumerate((-3.3, -1.1, 1.1)):
         curves[0, row] = [0.4, 1.0, 0.0, 0.0, 0.0, 0.5, slope, slope * 0.35]
@@ -65,9 +70,12 @@ def test_row_anchor_network(tmp_path, n_cells, n_rows):
             x = (road_x_px(x_m, y_px) + 0.5) * 800 / HW[1] - 0.5
             is_seen = y_px > 190 and 0 <= x < 800
             scores[0, int(x // cell_px) if is_seen else n_cells, row, line] = 40.0
-    lines = NetLaneFinder(write_model(tmp_path / "m.onnx", scores, input_shape=(1, 3, 288, 800))).find(IMAGE, 0.0)
+    lines = NetLaneFinder(
+        write_model(tmp_path / "m.onnx", scores, input_shape=(1, 3, 288, 800))
+    ).find(IMAGE, 0.0)
     y = np.array([240.0, 300.0, 350.0])
-    assert lines.left.x_px(y) == pytest.approx(road_x_px(-1.75, y), abs=5.0)  # a cell of 100 is 6.5 px wide here
+    # a cell of 100 is 6.5 px wide here
+    assert lines.left.x_px(y) == pytest.approx(road_x_px(-1.75, y), abs=5.0)
     assert lines.right.x_px(y) - lines.left.x_px(y) == pytest.approx(width_px(y), rel=0.04)
 
 
@@ -78,7 +86,10 @@ def test_network_of_variable_size(tmp_path):
 
 @pytest.mark.parametrize(
     ("output", "shown"),
-    [(np.zeros((1, 25200, 85)), r"\[1, 25200, 85\]"), (np.zeros((1, 201, 17, 4)), r"\[1, 201, 17, 4\]")],
+    [
+        (np.zeros((1, 25200, 85)), r"\[1, 25200, 85\]"),
+        (np.zeros((1, 201, 17, 4)), r"\[1, 201, 17, 4\]"),
+    ],
 )
 def test_networks_of_other_shapes(tmp_path, output, shown):
     with pytest.raises(ModelError, match=rf"m\.onnx: .*output0 {shown}"):
@@ -87,7 +98,9 @@ def test_networks_of_other_shapes(tmp_path, output, shown):
 
 def test_inputs_that_are_not_images(tmp_path):
     with pytest.raises(ModelError, match=r"m\.onnx: .*got \[1, 1, 64, 64\]"):
-        NetLaneFinder(write_model(tmp_path / "m.onnx", np.zeros((1, 2, 64, 64)), input_shape=(1, 1, 64, 64)))
+        NetLaneFinder(
+            write_model(tmp_path / "m.onnx", np.zeros((1, 2, 64, 64)), input_shape=(1, 1, 64, 64))
+        )
     with pytest.raises(ModelError, match=r"none\.onnx: no such"):
         open_lane_finder(str(tmp_path / "none.onnx"))
 
@@ -100,7 +113,9 @@ def test_unreadable_image_files(tmp_path):
 
 
 def test_network_without_detections(tmp_path):
-    finder = NetLaneFinder(write_model(tmp_path / "m.onnx", np.zeros((1, 2, *HW)), input_shape=(1, 3, *HW)))
+    finder = NetLaneFinder(
+        write_model(tmp_path / "m.onnx", np.zeros((1, 2, *HW)), input_shape=(1, 3, *HW))
+    )
     lines = finder.find(IMAGE, 0.0)
     assert lines.left is None
     assert lines.right is None
@@ -121,11 +136,17 @@ def test_edges_find_painted_lines():
 
 @pytest.mark.parametrize("factor", [0.5, 1.5, 2.0, 3.0])
 def test_edges_are_independent_of_image_size(factor):
-    image = cv2.resize(picture(-1.75, 1.75), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    image = cv2.resize(
+        picture(-1.75, 1.75), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA
+    )
     lines = EdgeLaneFinder().find(image, 0.0)
     y = (ROWS + 0.5) * factor - 0.5
-    assert (lines.left.x_px(y) + 0.5) / factor - 0.5 == pytest.approx(road_x_px(-1.75, ROWS), abs=3.0)
-    assert (lines.right.x_px(y) - lines.left.x_px(y)) / factor == pytest.approx(width_px(ROWS), rel=0.03)
+    assert (lines.left.x_px(y) + 0.5) / factor - 0.5 == pytest.approx(
+        road_x_px(-1.75, ROWS), abs=3.0
+    )
+    assert (lines.right.x_px(y) - lines.left.x_px(y)) / factor == pytest.approx(
+        width_px(ROWS), rel=0.03
+    )
 
 
 def test_edges_find_yellow_on_pale_concrete():
@@ -137,7 +158,9 @@ def test_edges_find_yellow_on_pale_concrete():
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.04)
 
 
-TINY = [np.zeros((*hw, 3), np.uint8) for hw in ((8, 8), (1, 1), (3, 3), (1, 2000), (2, 2000), (720, 40))]
+TINY = [
+    np.zeros((*hw, 3), np.uint8) for hw in ((8, 8), (1, 1), (3, 3), (1, 2000), (2, 2000), (720, 40))
+]
 
 
 @pytest.mark.parametrize("image", [IMAGE, np.full((*HW, 3), 255, np.uint8), *TINY])
@@ -159,15 +182,22 @@ NAMES = ("twinlitenet_360x640", "lstr_tusimple_360x640")
 
 
 def real_finders(shared_data):
-    return [NetLaneFinder(shared_data / "models" / f"{name}.onnx", Runtime(n_threads=1)) for name in NAMES]
+    return [
+        NetLaneFinder(shared_data / "models" / f"{name}.onnx", Runtime(n_threads=1))
+        for name in NAMES
+    ]
 
 
 def widths_apart(one, other):
-    """Largest distance of corresponding lines in 9 common rows, in lane widths, from near to far."""
+    """Largest distance of corresponding lines in 9 common rows, in lane widths, from near to
+    far."""
     four = (one.left, one.right, other.left, other.right)
     y = np.linspace(min(line.y_bottom_px for line in four), max(line.y_top_px for line in four), 9)
     width = one.right.x_px(y) - one.left.x_px(y)
-    apart = [np.abs(getattr(one, side).x_px(y) - getattr(other, side).x_px(y)) / width for side in ("left", "right")]
+    apart = [
+        np.abs(getattr(one, side).x_px(y) - getattr(other, side).x_px(y)) / width
+        for side in ("left", "right")
+    ]
     return np.maximum(*apart)
 
 
@@ -178,7 +208,8 @@ def test_networks_agree_on_straight_road(shared_data, name):
     lines.append(EdgeLaneFinder().find(image, 0.0))
     assert widths_apart(lines[0], lines[1]).max() < 0.05
     assert widths_apart(lines[0], lines[2]).max() < 0.05
-    assert lines[0].vanishing_point_px()[1] == pytest.approx(420, abs=8)  # of 720 rows, measured by hand
+    # of 720 rows, measured by hand
+    assert lines[0].vanishing_point_px()[1] == pytest.approx(420, abs=8)
 
 
 def test_networks_agree_on_country_road(shared_data):

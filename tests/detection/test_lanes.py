@@ -5,7 +5,9 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines, points
 
 
 def line(*coefficients, covariance=None, rows=(200.0, 350.0)):
-    return LaneLine(np.array(coefficients), np.zeros((3, 3)) if covariance is None else covariance, *rows)
+    return LaneLine(
+        np.array(coefficients), np.zeros((3, 3)) if covariance is None else covariance, *rows
+    )
 
 
 def test_line_by_hand():
@@ -30,7 +32,9 @@ def test_lines_meet_at_the_vanishing_point():
 
 def test_parallel_curves_meet():
     left, right = line(490.0, -1.0, 0.002), line(150.0, 1.0, 0.002)
-    assert LaneLines(left, right).vanishing_point_px() == pytest.approx((320 + 0.002 * 170**2, 170.0))
+    assert LaneLines(left, right).vanishing_point_px() == pytest.approx(
+        (320 + 0.002 * 170**2, 170.0)
+    )
     assert LaneLines(left, line(150.0, 1.0, 0.003)).vanishing_point_px() is None
 
 

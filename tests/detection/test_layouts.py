@@ -1,4 +1,5 @@
-"""Each public layout gives exactly the boxes that its network encodes; garbage and ambiguous outputs are refused."""
+"""Each public layout gives exactly the boxes that its network encodes; garbage and ambiguous
+outputs are refused."""
 
 import re
 
@@ -53,7 +54,9 @@ def test_nothing_on_the_first_images(tmp_path):
         assert len(detector.detect(IMAGE)) == 0
     assert not any("detected nothing" in note for note in detector.notes)
     detector.detect(IMAGE)
-    assert any("detected nothing of any class on the first 10 images" in note for note in detector.notes)
+    assert any(
+        "detected nothing of any class on the first 10 images" in note for note in detector.notes
+    )
     assert detector.model.name == "yolov8"
     detector.restart()
     detector.detect(IMAGE)
@@ -81,7 +84,8 @@ def test_garbage_is_refused(tmp_path):
 
 def test_a_wrong_layout_is_refused(tmp_path):
     detector = YoloDetector(
-        write(tmp_path / "m.onnx", layout_networks.boxes_scores()), options=ModelOptions(layout="yolov4-boxes")
+        write(tmp_path / "m.onnx", layout_networks.boxes_scores()),
+        options=ModelOptions(layout="yolov4-boxes"),
     )
     with pytest.raises(ModelError, match=r"read as yolov4-boxes .*beyond the image"):
         detector.detect(IMAGE)
@@ -107,13 +111,17 @@ def test_ambiguous_heads_are_refused(tmp_path):
     assert {reading.name for reading in detector.readings} == {"darknet-heads", "yolov5-heads"}
     for _ in range(9):
         assert len(detector.detect(IMAGE)) >= 4
-    with pytest.raises(ModelError, match=r"as (darknet|yolov5)-heads or (darknet|yolov5)-heads, .*--layout"):
+    with pytest.raises(
+        ModelError, match=r"as (darknet|yolov5)-heads or (darknet|yolov5)-heads, .*--layout"
+    ):
         detector.detect(IMAGE)
 
 
 def test_unknown_layouts(tmp_path):
     path = write(tmp_path / "m.onnx", layout_networks.v8())
-    with pytest.raises(ModelError, match=r"unknown layout 'yolov9' \(--layout\); the layouts are detr, .*yolov8"):
+    with pytest.raises(
+        ModelError, match=r"unknown layout 'yolov9' \(--layout\); the layouts are detr, .*yolov8"
+    ):
         YoloDetector(path, options=ModelOptions(layout="yolov9"))
     with pytest.raises(ModelError, match=r"expected outputs of the layout yolov7-end2end"):
         YoloDetector(path, options=ModelOptions(layout="yolov7-end2end"))
@@ -160,13 +168,19 @@ def test_info_with_an_image(tmp_path, cli, monkeypatch):
 )
 def test_files_of_other_kinds(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(ModelError, match=re.escape(name) + ": expected an ONNX network, found .*" + re.escape(words)):
+    with pytest.raises(
+        ModelError,
+        match=re.escape(name) + ": expected an ONNX network, found .*" + re.escape(words),
+    ):
         YoloDetector(tmp_path / name)
 
 
 def test_operators_of_tensorrt(tmp_path):
     node = helper.make_node("EfficientNMS_TRT", ["images"], ["output0"], domain="TRT")
-    values = [helper.make_tensor_value_info(n, onnx.TensorProto.FLOAT, (1, 3, 64, 64)) for n in ("images", "output0")]
+    values = [
+        helper.make_tensor_value_info(n, onnx.TensorProto.FLOAT, (1, 3, 64, 64))
+        for n in ("images", "output0")
+    ]
     model = helper.make_model(
         helper.make_graph([node], "g", values[:1], values[1:]),
         opset_imports=[helper.make_opsetid("", 13), helper.make_opsetid("TRT", 1)],
@@ -192,7 +206,10 @@ def test_real_networks_are_neither_refused_nor_ambiguous(shared_data):
 def test_another_number_of_boxes_in_each_image(tmp_path):
     """A suppression returns any number of rows: 1 to 4 here, by the brightness of the image."""
     case = layout_networks.labelled("b", "x", "l", "s", is_batched=False)
-    constants = {"rows": case.outputs["output0"].astype(np.float32), "levels": np.float32([-1, 0.2, 0.4, 0.6])}
+    constants = {
+        "rows": case.outputs["output0"].astype(np.float32),
+        "levels": np.float32([-1, 0.2, 0.4, 0.6]),
+    }
     nodes = [
         helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
         helper.make_node("Greater", ["mean", "levels"], ["is_kept"]),
@@ -202,7 +219,10 @@ def test_another_number_of_boxes_in_each_image(tmp_path):
     output = helper.make_tensor_value_info("output0", onnx.TensorProto.FLOAT, ("n", 7))
     weights = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
     graph = helper.make_graph(nodes, "variable", [image], [output], weights)
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=9), tmp_path / "m.onnx")
+    onnx.save(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=9),
+        tmp_path / "m.onnx",
+    )
     detector = YoloDetector(tmp_path / "m.onnx")
     for grey, n in ((0, 1), (255, 4), (128, 3), (64, 2), (0, 1), (255, 4)):
         detections = detector.detect(np.full((SIDE, SIDE, 3), grey, np.uint8))

@@ -9,8 +9,13 @@ SIDE = st.integers(1, 3000)
 
 
 def to_input(letterbox, xyxy_px):
-    """(N, 4) boxes in the network's corner coordinates from image pixels: x_net = (x + 0.5) * scale + pad."""
-    (image_h, image_w), (height, width), (pad_y, pad_x) = letterbox.image_hw, letterbox.resized_hw, letterbox.pad_yx
+    """(N, 4) boxes in the network's corner coordinates from image pixels: x_net = (x + 0.5) * scale
+    + pad."""
+    (image_h, image_w), (height, width), (pad_y, pad_x) = (
+        letterbox.image_hw,
+        letterbox.resized_hw,
+        letterbox.pad_yx,
+    )
     scale = np.array([width / image_w, height / image_h] * 2)
     return (xyxy_px + 0.5) * scale + np.array([pad_x, pad_y] * 2)
 
@@ -33,18 +38,22 @@ def test_whole_image_fills_resized_part(height, width):
     assert (y2 - y1, x2 - x1) == pytest.approx(letterbox.resized_hw)
 
 
-@pytest.mark.parametrize(("size_hw", "box"), [((375, 1242), (311, 83, 702, 241)), ((720, 1280), (400, 300, 900, 500))])
+@pytest.mark.parametrize(
+    ("size_hw", "box"), [((375, 1242), (311, 83, 702, 241)), ((720, 1280), (400, 300, 900, 500))]
+)
 def test_rectangle_edges_within_tenth_of_pixel(size_hw, box):
     x1, y1, x2, y2 = box  # pixels x1 .. x2 - 1 are white, so the edges are at x1 - 0.5 and x2 - 0.5
     image = np.zeros((*size_hw, 3), np.uint8)
     image[y1:y2, x1:x2] = 255
-    image = cv2.GaussianBlur(image, (0, 0), 3)  # so that sampling every other pixel does not alias the edge
+    # so that sampling every other pixel does not alias the edge
+    image = cv2.GaussianBlur(image, (0, 0), 3)
     letterbox = Letterbox.of_placement("centred", size_hw, (640, 640))
     canvas = np.zeros((640, 640, 3), np.uint8)
     canvas[letterbox.inside] = letterbox.scaled(image)
     white = canvas[..., 0].astype(float) / 255
     row, column = white[:, white.sum(0).argmax()], white[white.sum(1).argmax()]
-    x1, x2, y1, y2 = (edge for line in (column, row) for edge in edges(line))  # in corner coordinates
+    # in corner coordinates
+    x1, x2, y1, y2 = (edge for line in (column, row) for edge in edges(line))
     back = letterbox.to_image(np.array([[x1, y1, x2, y2]]))[0]
     np.testing.assert_allclose(back, np.array(box) - 0.5, atol=0.1)
 
@@ -64,7 +73,9 @@ def test_same_size_is_not_copied_and_padding_is_split():
 
 def test_boxes_are_clipped_to_the_outer_border():
     letterbox = Letterbox.of_placement("centred", (100, 200), (640, 640))
-    clipped = letterbox.to_image_clipped(to_input(letterbox, np.array([[-30.0, 10.0, 500.0, 120.0]])))
+    clipped = letterbox.to_image_clipped(
+        to_input(letterbox, np.array([[-30.0, 10.0, 500.0, 120.0]]))
+    )
     np.testing.assert_allclose(clipped, [[-0.5, 10.0, 199.5, 99.5]])
 
 
@@ -85,7 +96,8 @@ def test_input_of_an_area_has_the_aspect_ratio_and_about_the_area():
 
 
 def test_resize_maps_areas_onto_areas():
-    # The equations require that OpenCV's linear resize has no half-pixel shift: a ramp must stay the same ramp.
+    # The equations require that OpenCV's linear resize has no half-pixel shift: a ramp must stay
+    # the same ramp.
     ramp = np.tile(np.arange(200, dtype=np.float32), (4, 1))
     small = cv2.resize(ramp, (100, 4), interpolation=cv2.INTER_LINEAR)
     np.testing.assert_allclose(small[0], (np.arange(100) + 0.5) * 2 - 0.5)

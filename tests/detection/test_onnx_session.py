@@ -30,7 +30,8 @@ def test_bound_network_reads_its_buffer(tmp_path):
 
 
 class DeviceBinding:
-    """An IOBinding that copies inputs when they are bound, as onnxruntime does for a network on a GPU."""
+    """An IOBinding that copies inputs when they are bound, as onnxruntime does for a network on a
+    GPU."""
 
     def __init__(self, binding):
         self.binding, self.copies, self.n_bound = binding, {}, 0
@@ -81,7 +82,9 @@ def test_inputs_on_the_cpu_are_bound_once(tmp_path, monkeypatch):
 def test_boxes_are_scaled_to_the_input(tmp_path):
     inputs = {"images": ("N", 3, 32, 96), "orig_target_sizes": ("N", 2)}
     logits, boxes = np.array([[3.0, -3.0]]), np.array([[0.5, 0.5, 0.5, 1.0]])
-    session = OnnxSession(write_dfine(tmp_path / "m.onnx", logits, boxes, inputs=inputs, n_selected=1))
+    session = OnnxSession(
+        write_dfine(tmp_path / "m.onnx", logits, boxes, inputs=inputs, n_selected=1)
+    )
     network = session.bound((32, 96))
     for outputs in (network.run(), session.run(np.zeros((1, 3, 32, 96), np.float32))):
         np.testing.assert_allclose(outputs[1], [[[24, 0, 72, 32]]])
@@ -113,7 +116,10 @@ class CpuSession(ort.InferenceSession):
     def __init__(self, path, options, providers=None, **given):
         self.requested.append((options, providers))
         if providers and providers[0][0] in self.failing:
-            place = "/onnxruntime_src/core/cuda_call.cc:123 void onnxruntime::Call(int, const T&) [with T = char] "
+            place = (
+                "/onnxruntime_src/core/cuda_call.cc:123 void onnxruntime::Call(int, const T&) "
+                "[with T = char] "
+            )
             raise RuntimeError(f"{place}CUDA failure 100: no CUDA-capable device is detected\nmore")
         super().__init__(path, options, providers=["CPUExecutionProvider"], **given)
 
@@ -136,7 +142,8 @@ NAMES = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProv
         (NAMES[2:], "auto", NAMES[2:], None),
         (NAMES, "auto", NAMES[1:], None),
         (NAMES, "cpu", NAMES[2:], None),
-        (NAMES, "cuda", NAMES[1:], "libraries cannot be loaded; install onnxruntime-gpu"),  # the session is on the CPU
+        # the session is on the CPU
+        (NAMES, "cuda", NAMES[1:], "libraries cannot be loaded; install onnxruntime-gpu"),
         (NAMES, "tensorrt", NAMES, "libraries cannot be loaded"),
         (NAMES[1:], "tensorrt", NAMES[1:], "TensorRT"),
         (NAMES[2:], "cuda", NAMES[2:], "install onnxruntime-gpu"),
@@ -145,7 +152,9 @@ NAMES = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProv
         (NAMES[2:], "directml", NAMES[2:], "install onnxruntime-directml in place of onnxruntime"),
     ],
 )
-def test_only_available_providers_are_requested(tmp_path, monkeypatch, cpu_session, available, device, expected, words):
+def test_only_available_providers_are_requested(
+    tmp_path, monkeypatch, cpu_session, available, device, expected, words
+):
     path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)))
     monkeypatch.setattr(ort, "get_available_providers", lambda: available)
     session = OnnxSession(path, Runtime(device=device))
@@ -197,7 +206,9 @@ def test_a_device_that_fails_in_its_first_run(tmp_path, monkeypatch, is_bound):
     blob[:, :, 20:40, 10:30] = 1
     (rows,) = session.bound((96, 96)).run(blob) if is_bound else session.run(blob)
     np.testing.assert_allclose(rows[0, 0, :4], [20, 30, 20, 20], rtol=1e-5)
-    assert session.notes == ("--device cuda failed in its first run (no kernel image is available); using the CPU.",)
+    assert session.notes == (
+        "--device cuda failed in its first run (no kernel image is available); using the CPU.",
+    )
     assert session.device == "cpu"
     session.device, Failing.n_runs = "cuda", 0
     with pytest.raises(ModelError, match="no kernel image"):  # only the first run may fail
@@ -209,9 +220,13 @@ def test_a_provider_of_a_separate_package(tmp_path, monkeypatch):
     module, registered = types.ModuleType("ep"), []
     module.get_ep_name, module.get_library_path = lambda: "CPUExecutionProvider", lambda: "libep.so"
     accelerator = devices.Accelerator("CPUExecutionProvider", "ep-package", "ep")
-    monkeypatch.setattr(providers, "ACCELERATORS", {**devices.ACCELERATORS, "openvino": accelerator})
+    monkeypatch.setattr(
+        providers, "ACCELERATORS", {**devices.ACCELERATORS, "openvino": accelerator}
+    )
     monkeypatch.setattr(ort, "get_available_providers", list)
-    monkeypatch.setattr(ort, "register_execution_provider_library", lambda *given: registered.append(given))
+    monkeypatch.setattr(
+        ort, "register_execution_provider_library", lambda *given: registered.append(given)
+    )
     path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=0.0)
     providers._is_registered.cache_clear()
     assert providers.why_missing("openvino") == "install ep-package"
@@ -233,7 +248,10 @@ def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
         helper.make_tensor("s", TensorProto.FLOAT, [2], [0.25, 0.5]),
         helper.make_tensor("z", TensorProto.INT8, [2], [0, 1]),
     ]
-    one = [helper.make_tensor("a", TensorProto.FLOAT, [], [0.5]), helper.make_tensor("b", TensorProto.INT8, [], [0])]
+    one = [
+        helper.make_tensor("a", TensorProto.FLOAT, [], [0.5]),
+        helper.make_tensor("b", TensorProto.INT8, [], [0]),
+    ]
     weight = helper.make_tensor("w", TensorProto.INT8, [2, 1, 1, 1], [2, -2])
     nodes = [
         helper.make_node("QuantizeLinear", ["images", "a", "b"], ["q"]),
@@ -251,16 +269,21 @@ def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
     values = np.array([0.1, 0.3, 1.0, 3.0], np.float32)
     for device, expected in (("cpu", [0.0, 0.5, 1.0, 3.0]), ("cuda", values)):
         (outputs,) = OnnxSession(path, Runtime(device=device)).run(np.tile(values, (1, 3, 1, 1)))
-        np.testing.assert_allclose(outputs[0, :, 0], np.outer([0.5, -1.5], expected), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(
+            outputs[0, :, 0], np.outer([0.5, -1.5], expected), rtol=1e-5, atol=1e-6
+        )
     assert float_network(write_model(tmp_path / "float.onnx", np.zeros((1, 2, 3)))) is None
-    weights = helper.make_tensor("w", TensorProto.FLOAT, [2, 1, 1, 1], [0.3, -0.7])  # rounded in the network
+    # rounded in the network
+    weights = helper.make_tensor("w", TensorProto.FLOAT, [2, 1, 1, 1], [0.3, -0.7])
     nodes[2:3] = [
         helper.make_node("QuantizeLinear", ["w", "a", "b"], ["r"]),
         helper.make_node("DequantizeLinear", ["r", "a", "b"], ["v"]),
     ]
     graph = helper.make_graph(nodes, "g", [image], [out], [*half, *one, weights])
     path.write_bytes(
-        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8).SerializeToString()
+        helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8
+        ).SerializeToString()
     )
     assert float_network(path) is None
 
@@ -268,11 +291,13 @@ def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
 def test_sessions_of_the_cpu_do_not_import_onnx(tmp_path):
     """The import of onnx takes 0.4 s of each start."""
     code = (
-        "import sys; from pathlib import Path; from track_range.detection.models.onnx_session import OnnxSession\n"
-        "OnnxSession(Path(sys.argv[1])); print('onnx' in sys.modules)"
+        "import sys; from pathlib import Path; from track_range.detection.models.onnx_session "
+        "import OnnxSession\nOnnxSession(Path(sys.argv[1])); print('onnx' in sys.modules)"
     )
     path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)))
-    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, path], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "False"
 
 
@@ -302,7 +327,9 @@ def test_implausible_inputs(tmp_path, shape, word):
 
 
 def test_input_of_integers(tmp_path):
-    image, out = (helper.make_tensor_value_info(name, TensorProto.INT32, (1, 3, 8, 8)) for name in ("a", "b"))
+    image, out = (
+        helper.make_tensor_value_info(name, TensorProto.INT32, (1, 3, 8, 8)) for name in ("a", "b")
+    )
     graph = helper.make_graph([helper.make_node("Identity", ["a"], ["b"])], "g", [image], [out])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
@@ -311,12 +338,16 @@ def test_input_of_integers(tmp_path):
 
 
 def with_external_weights(path, location):
-    tensor = TensorProto(name="c", data_type=TensorProto.FLOAT, dims=[1, 2, 3], data_location=TensorProto.EXTERNAL)
+    tensor = TensorProto(
+        name="c", data_type=TensorProto.FLOAT, dims=[1, 2, 3], data_location=TensorProto.EXTERNAL
+    )
     for key, value in (("location", location), ("offset", "0"), ("length", "24")):
         tensor.external_data.add(key=key, value=value)
     image = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, 8, 8))
     out = helper.make_tensor_value_info("out", TensorProto.FLOAT, (1, 2, 3))
-    graph = helper.make_graph([helper.make_node("Identity", ["c"], ["out"])], "g", [image], [out], [tensor])
+    graph = helper.make_graph(
+        [helper.make_node("Identity", ["c"], ["out"])], "g", [image], [out], [tensor]
+    )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     path.write_bytes(model.SerializeToString())
 
@@ -332,7 +363,14 @@ def test_external_weights_are_read_from_the_folder_only(tmp_path):
     with_external_weights(path, "weights.bin")
     (values,) = OnnxSession(path, Runtime(device="cpu")).run(np.zeros((1, 3, 8, 8), np.float32))
     assert values.ravel().tolist() == [0, 1, 2, 3, 4, 5]
-    for location in ("../secret.bin", str(tmp_path / "secret.bin"), "link.bin", "pipe.bin", "none.bin", "/dev/zero"):
+    for location in (
+        "../secret.bin",
+        str(tmp_path / "secret.bin"),
+        "link.bin",
+        "pipe.bin",
+        "none.bin",
+        "/dev/zero",
+    ):
         with_external_weights(path, location)
         with pytest.raises(ModelError, match=r"folder|pipe|no such file"):
             OnnxSession(path)

@@ -43,14 +43,17 @@ def silu(node_input, name):
 
 
 def convolution(source, name, *, stride=1):
-    return helper.make_node("Conv", [source, f"w_{name}"], [name], pads=[1, 1, 1, 1], strides=[stride, stride])
+    return helper.make_node(
+        "Conv", [source, f"w_{name}"], [name], pads=[1, 1, 1, 1], strides=[stride, stride]
+    )
 
 
 def yolo_network(path, *, quiet_gain=1.0):
-    """Write a network of three convolutions with SiLU and a head; its output has pixels (x 640) and scores (0..1).
+    """Write a network of three convolutions with SiLU and a head; its output has pixels (x 640) and
+    scores (0..1).
 
-    `quiet_gain` scales all but two output channels of the first convolution down and the weights of the second one up
-    by the same factor, like batch norms that are folded into depthwise networks.
+    `quiet_gain` scales all but two output channels of the first convolution down and the weights of
+    the second one up by the same factor, like batch norms that are folded into depthwise networks.
     """
     rng = np.random.default_rng(1)
     gain = np.full(16, quiet_gain, np.float32)
@@ -63,7 +66,10 @@ def yolo_network(path, *, quiet_gain=1.0):
         weight(rng, "w_c", 32, 32, 3, 3),
         weight(rng, "w_head", 6, 32, 3, 3),
         numpy_helper.from_array(np.float32(640), "pixels"),
-        *(numpy_helper.from_array(np.array(v, np.int64), f"at_{v[0]}") for v in ([0], [1], [4], [6])),
+        *(
+            numpy_helper.from_array(np.array(v, np.int64), f"at_{v[0]}")
+            for v in ([0], [1], [4], [6])
+        ),
     ]
     nodes = [convolution("images", "a", stride=2), *silu("a", "a_act")]
     nodes += [convolution("a_act", "b", stride=2), *silu("b", "b_act")]
@@ -88,7 +94,8 @@ def blobs(n, size=SIZE_PX, seed=3):
 def mean_errors(path, other, inputs):
     """Mean absolute difference of two networks' outputs: (pixels, scores)."""
     one, two = (
-        np.stack([OnnxSession(p, Runtime(device="cpu")).run(blob)[0] for blob in inputs]) for p in (path, other)
+        np.stack([OnnxSession(p, Runtime(device="cpu")).run(blob)[0] for blob in inputs])
+        for p in (path, other)
     )
     difference = np.abs(one - two).mean(axis=(0, 1, 3, 4))
     return difference[:4].mean(), difference[4:].mean()
@@ -156,7 +163,9 @@ def test_heads_stay_in_float(int8):
     layers = [node for node in graph.node if node.op_type == "Conv"]
     assert [node.input[1] in bytes_in for node in layers] == [True, True, True, False]
     tail = [producer[name] for name in ("boxes", "scores", "corners_px", "corners", "unit", "head")]
-    assert [name for node in tail for name in node.input if name in bytes_in and node.op_type != "Conv"] == []
+    assert [
+        name for node in tail for name in node.input if name in bytes_in and node.op_type != "Conv"
+    ] == []
 
 
 def test_noisy_tensor_stays_in_float(tmp_path, monkeypatch):
@@ -168,11 +177,14 @@ def test_noisy_tensor_stays_in_float(tmp_path, monkeypatch):
     inputs = blobs(4, seed=9)
     error_px, large_error_px = (mean_errors(path, copy, inputs)[0] for copy in (out, inaccurate))
     assert 0.01 < error_px < large_error_px / 3
-    assert operators(out).count("DequantizeLinear") < operators(inaccurate).count("DequantizeLinear")
+    assert operators(out).count("DequantizeLinear") < operators(inaccurate).count(
+        "DequantizeLinear"
+    )
 
 
 def mean_shift(path, other, tensor, folder):
-    """Mean absolute difference of the mean of a tensor (N, C, H, W), by channel, between two networks."""
+    """Mean absolute difference of the mean of a tensor (N, C, H, W), by channel, between two
+    networks."""
     means = []
     for file in (path, other):
         model = onnx.load(file)
@@ -188,7 +200,9 @@ def test_mean_output_is_that_of_the_original(network, int8, tmp_path, monkeypatc
     monkeypatch.setattr(quantize, "_correct_biases", lambda *_: None)
     uncorrected = tmp_path / "uncorrected.onnx"
     quantize_int8(network, uncorrected, blobs=iter(blobs(12)))
-    assert mean_shift(network, int8, "head", tmp_path) < 0.1 * mean_shift(network, uncorrected, "head", tmp_path)
+    assert mean_shift(network, int8, "head", tmp_path) < 0.1 * mean_shift(
+        network, uncorrected, "head", tmp_path
+    )
 
 
 def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
@@ -211,12 +225,15 @@ def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
 
 def test_progress_counts_the_convolutions(network, tmp_path):
     calls = []
-    quantize_int8(network, tmp_path / "out.onnx", blobs=blobs(2), progress=lambda *call: calls.append(call))
+    quantize_int8(
+        network, tmp_path / "out.onnx", blobs=blobs(2), progress=lambda *call: calls.append(call)
+    )
     assert calls == [(i, len(calls)) for i in range(operators(network).count("Conv"))]
 
 
 def test_noise_ratio_by_hand():
-    ramp = np.linspace(0, 255, 256, dtype=np.float32).reshape(1, 1, 16, 16)  # scale 1, noise 1/12, variance 5461.25
+    # scale 1, noise 1/12, variance 5461.25
+    ramp = np.linspace(0, 255, 256, dtype=np.float32).reshape(1, 1, 16, 16)
     assert quantize._noise_ratio(ramp) == pytest.approx(1 / 12 / 5461.25, rel=1e-6)
     flat = np.concatenate([ramp, np.zeros_like(ramp)], axis=1)  # the second channel is all noise
     assert quantize._noise_ratio(flat) == pytest.approx((1 + 1 / 12 / 5461.25) / 2, rel=1e-6)
@@ -238,18 +255,31 @@ def test_weighted_mean_of_yolov8_stays_in_float(tmp_path):
     out = tmp_path / "out.onnx"
     quantize_int8(path, out, blobs=blobs(4))
     graph = onnx.load(out).graph
-    bytes_in = {name for node in graph.node if node.op_type == "DequantizeLinear" for name in node.output}
-    assert [n.input[1] in bytes_in for n in graph.node if n.op_type == "Conv"] == [True, False, False]
+    bytes_in = {
+        name for node in graph.node if node.op_type == "DequantizeLinear" for name in node.output
+    }
+    assert [n.input[1] in bytes_in for n in graph.node if n.op_type == "Conv"] == [
+        True,
+        False,
+        False,
+    ]
 
 
 def test_shape_computations_are_not_quantised(tmp_path):
     rng = np.random.default_rng(4)
     weights = [
-        *(weight(rng, f"w_{name}", 8, depth, 3, 3) for name, depth in (("a", 3), ("b", 8), ("boxes", 8))),
+        *(
+            weight(rng, f"w_{name}", 8, depth, 3, 3)
+            for name, depth in (("a", 3), ("b", 8), ("boxes", 8))
+        ),
         numpy_helper.from_array(np.array([1, 1, 2, 2], np.float32), "twice"),
         numpy_helper.from_array(np.array([], np.float32), "none"),
     ]
-    nodes = [convolution("images", "a", stride=2), *silu("a", "a_act"), helper.make_node("Shape", ["a_act"], ["shape"])]
+    nodes = [
+        convolution("images", "a", stride=2),
+        *silu("a", "a_act"),
+        helper.make_node("Shape", ["a_act"], ["shape"]),
+    ]
     nodes += [
         helper.make_node("Cast", ["shape"], ["shape_f"], to=TensorProto.FLOAT),
         helper.make_node("Mul", ["shape_f", "twice"], ["sizes_f"]),
@@ -269,7 +299,9 @@ def test_shape_computations_are_not_quantised(tmp_path):
     out = tmp_path / "out.onnx"
     quantize_int8(path, out, blobs=blobs(4, size=64))
     for size in (64, 200, 296):  # quantised with a step of 64 / 255, the other sizes would be wrong
-        assert OnnxSession(out, Runtime(device="cpu")).run(np.zeros((1, 3, size, size), np.float32))[0].shape[2:] == (
+        assert OnnxSession(out, Runtime(device="cpu")).run(
+            np.zeros((1, 3, size, size), np.float32)
+        )[0].shape[2:] == (
             size,
             size,
         )
@@ -300,7 +332,11 @@ def both(path, out):
 
 @pytest.mark.parametrize(
     ("source", "message"),
-    [("int8", "int8.onnx: .*quantised"), ("fp16", "fp16.onnx: .*16-bit"), ("missing", "missing.onnx: no such")],
+    [
+        ("int8", "int8.onnx: .*quantised"),
+        ("fp16", "fp16.onnx: .*16-bit"),
+        ("missing", "missing.onnx: no such"),
+    ],
 )
 def test_only_float_networks_are_quantised(request, network, tmp_path, source, message):
     path = tmp_path / "missing.onnx" if source == "missing" else request.getfixturevalue(source)
@@ -350,7 +386,9 @@ def test_no_folder_to_write_into(network, tmp_path):
 def test_weights_listed_as_inputs(network, tmp_path):
     model = onnx.load(network)
     image = model.graph.input.pop()
-    weights = [helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer]
+    weights = [
+        helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer
+    ]
     model.graph.input.extend([*weights, image])
     model.ir_version = 3
     path, out = tmp_path / "old.onnx", tmp_path / "out.onnx"
@@ -362,7 +400,9 @@ def test_weights_listed_as_inputs(network, tmp_path):
 def test_network_with_target_sizes(network, tmp_path):
     # As in D-FINE's export: boxes in fractions of the image, times the input `orig_target_sizes`.
     model = onnx.load(network)
-    model.graph.input.append(helper.make_tensor_value_info("orig_target_sizes", TensorProto.INT64, [1, 2]))
+    model.graph.input.append(
+        helper.make_tensor_value_info("orig_target_sizes", TensorProto.INT64, [1, 2])
+    )
     model.graph.node.extend(
         [
             helper.make_node("Cast", ["orig_target_sizes"], ["sizes"], to=TensorProto.FLOAT),
@@ -383,7 +423,10 @@ def test_network_with_target_sizes(network, tmp_path):
 
 def test_converter_failure_message():
     message = r"net\.onnx: cannot be converted .*No model"
-    with pytest.raises(ModelError, match=message), silent_conversion(Path("net.onnx"), "converted to FP16"):
+    with (
+        pytest.raises(ModelError, match=message),
+        silent_conversion(Path("net.onnx"), "converted to FP16"),
+    ):
         raise RuntimeError("No model\nsecond line")
 
 
@@ -391,7 +434,10 @@ def test_int8_yolov5n_agrees_with_float(shared_data, tmp_path):
     path, out = shared_data / "models" / "yolov5n_coco_dyn.onnx", tmp_path / "out.onnx"
     inputs = blobs(6, size=192)
     quantize_int8(path, out, blobs=inputs)
-    one, two = (OnnxSession(p, Runtime(device="cpu")).run(blobs(1, size=224, seed=8)[0])[0] for p in (path, out))
+    one, two = (
+        OnnxSession(p, Runtime(device="cpu")).run(blobs(1, size=224, seed=8)[0])[0]
+        for p in (path, out)
+    )
     assert 0.3 < out.stat().st_size / path.stat().st_size < 0.4
     assert one.shape == two.shape
     assert 0.05 < np.abs(one - two)[..., :4].mean() < 4  # pixels of 224
@@ -400,6 +446,9 @@ def test_int8_yolov5n_agrees_with_float(shared_data, tmp_path):
 
 def test_unwritable_output(tmp_path):
     (tmp_path / "out").mkdir()
-    with pytest.raises(ModelError, match="out: cannot be written"), atomic_output(tmp_path / "out") as folder:
+    with (
+        pytest.raises(ModelError, match="out: cannot be written"),
+        atomic_output(tmp_path / "out") as folder,
+    ):
         (folder / "out").write_text("a file cannot replace a folder")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

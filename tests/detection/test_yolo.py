@@ -28,9 +28,13 @@ def rows_with(*boxes, n_classes=80):
 
 
 def test_boxes_scores_and_classes_by_hand(tmp_path):
-    model = write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.5}), (8, 30, 4, 4, 0.9, {0: 1.0})))
+    model = write_model(
+        tmp_path / "m.onnx",
+        rows_with((32, 32, 16, 8, 0.8, {CAR: 0.5}), (8, 30, 4, 4, 0.9, {0: 1.0})),
+    )
     detections = YoloDetector(model).detect(np.zeros((128, 256, 3), np.uint8))
-    # 256 x 128 fits as 64 x 32 (scale 1/4) under 16 rows of padding: corner 24 -> 96, minus half a pixel
+    # 256 x 128 fits as 64 x 32 (scale 1/4) under 16 rows of padding: corner 24 -> 96, minus half a
+    # pixel
     assert [ROAD_CLASSES[c] for c in detections.class_id] == ["person", "car"]
     np.testing.assert_allclose(detections.score, [0.9, 0.4], atol=1e-6)
     np.testing.assert_allclose(detections.xyxy_px[1], [95.5, 47.5, 159.5, 79.5])
@@ -58,13 +62,21 @@ def test_boxes_that_are_dropped(tmp_path):
 def test_selected_classes(tmp_path):
     rows = rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9}), (12, 32, 8, 8, 0.9, {0: 1.0}))
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows), YoloSettings(class_id=(0,)))
-    assert [ROAD_CLASSES[c] for c in detector.detect(np.zeros((64, 64, 3), np.uint8)).class_id] == ["person"]
+    assert [ROAD_CLASSES[c] for c in detector.detect(np.zeros((64, 64, 3), np.uint8)).class_id] == [
+        "person"
+    ]
 
 
 def test_threshold_per_class(tmp_path):
-    rows = rows_with((32, 32, 16, 8, 1.0, {CAR: 0.4}), (12, 32, 8, 8, 1.0, {0: 0.4}), (50, 32, 8, 8, 1.0, {0: 0.6}))
+    rows = rows_with(
+        (32, 32, 16, 8, 1.0, {CAR: 0.4}),
+        (12, 32, 8, 8, 1.0, {0: 0.4}),
+        (50, 32, 8, 8, 1.0, {0: 0.6}),
+    )
     settings = YoloSettings(min_score=0.3, class_min_score=((0, 0.5),))
-    detections = YoloDetector(write_model(tmp_path / "m.onnx", rows), settings).detect(np.zeros((64, 64, 3), np.uint8))
+    detections = YoloDetector(write_model(tmp_path / "m.onnx", rows), settings).detect(
+        np.zeros((64, 64, 3), np.uint8)
+    )
     assert [ROAD_CLASSES[c] for c in detections.class_id] == ["person", "car"]
 
 
@@ -84,8 +96,12 @@ def test_images_of_wrong_format(tmp_path, image):
 
 
 def test_smallest_and_very_large_images(tmp_path):
-    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9}))))
-    assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [[-0.125, -0.0625, 0.125, 0.0625]]
+    detector = YoloDetector(
+        write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9})))
+    )
+    assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [
+        [-0.125, -0.0625, 0.125, 0.0625]
+    ]
     (huge,) = detector.detect(np.zeros((6000, 8000, 3), np.uint8)).xyxy_px
     np.testing.assert_allclose(huge, [2999.5, 2499.5, 4999.5, 3499.5])
 
@@ -99,12 +115,15 @@ def rectangle(x1, y1, x2, y2, *, image_hw=(96, 96)):
 
 def test_prepared_images(tmp_path):
     metadata = {"names": "{0: 'car'}"}
-    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata=metadata)
+    path = write_rectangle_finder(
+        tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata=metadata
+    )
     images = [rectangle(8 * k, 8, 8 * k + 24, 40) for k in range(6)]
     images += [rectangle(16, 8, 64, 40, image_hw=(64, 128)), images[1]]
     detector, other = YoloDetector(path), YoloDetector(path)
     expected = [other.detect(image) for image in images]
-    prepared = [detector.prepared(image) for image in images]  # all of them before the first detection
+    # all of them before the first detection
+    prepared = [detector.prepared(image) for image in images]
     for detect, detections in zip(prepared, expected, strict=True):
         np.testing.assert_array_equal(detect().xyxy_px, detections.xyxy_px)
     np.testing.assert_array_equal(detector.detect(images[2]).xyxy_px, expected[2].xyxy_px)
@@ -112,7 +131,9 @@ def test_prepared_images(tmp_path):
 
 
 def finder(tmp_path):
-    return write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata={"names": "{0: 'car'}"})
+    return write_rectangle_finder(
+        tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata={"names": "{0: 'car'}"}
+    )
 
 
 @pytest.mark.parametrize("other_hw", [(64, 128), (96, 96), (128, 64)])
@@ -126,8 +147,14 @@ def test_images_prepared_between_fill_and_infer(other_hw, tmp_path):
     np.testing.assert_array_equal(boxes.xyxy_px, YoloDetector(path).detect(image).xyxy_px)
     np.testing.assert_array_equal(detect_other().xyxy_px, YoloDetector(path).detect(other).xyxy_px)
     for filled in (image, other, image):  # the padding is that of the image
-        np.testing.assert_array_equal(detector.input_blob(filled), YoloDetector(path).input_blob(filled))
-    assert detector.prepared(image)().score.tolist() == detector.candidates(np.zeros(8)).score.tolist() == [1.0]
+        np.testing.assert_array_equal(
+            detector.input_blob(filled), YoloDetector(path).input_blob(filled)
+        )
+    assert (
+        detector.prepared(image)().score.tolist()
+        == detector.candidates(np.zeros(8)).score.tolist()
+        == [1.0]
+    )
 
 
 def test_an_invalid_image_does_not_release_the_input_twice(tmp_path):
@@ -144,10 +171,13 @@ def test_an_invalid_image_does_not_release_the_input_twice(tmp_path):
 
 
 def test_images_prepared_in_another_thread(tmp_path):
-    """As in runs: one thread prepares, the other one detects, and may fill the input with other images meanwhile."""
+    """As in runs: one thread prepares, the other one detects, and may fill the input with other
+    images meanwhile."""
     path = finder(tmp_path)
     sizes_hw = [(96, 96)] * 4 + [(64, 128), (128, 64)]
-    images = [rectangle(k, 8, 24 + k % 7, 40, image_hw=sizes_hw[k % len(sizes_hw)]) for k in range(16)]
+    images = [
+        rectangle(k, 8, 24 + k % 7, 40, image_hw=sizes_hw[k % len(sizes_hw)]) for k in range(16)
+    ]
     other = YoloDetector(path)
     expected = [other.detect(image).xyxy_px for image in images]
     detector = YoloDetector(path, runtime=Runtime(n_threads=1))
@@ -155,7 +185,9 @@ def test_images_prepared_in_another_thread(tmp_path):
     for k, detect in enumerate(prepared):
         detector.fill(images[k % 5])
         np.testing.assert_array_equal(detect().xyxy_px, expected[k % 16])
-        np.testing.assert_array_equal(detector.candidates(np.zeros(8)).xyxy_px[:1], expected[k % 16])
+        np.testing.assert_array_equal(
+            detector.candidates(np.zeros(8)).xyxy_px[:1], expected[k % 16]
+        )
         np.testing.assert_array_equal(detector.decode(detector.infer()).xyxy_px, expected[k % 5])
 
 
@@ -190,7 +222,8 @@ def test_networks_of_other_tasks(tmp_path):
 def test_no_selected_class(tmp_path):
     with pytest.raises(ModelError, match=r"m\.onnx: none of its classes"):
         YoloDetector(
-            write_model(tmp_path / "m.onnx", rows_with(n_classes=2)), options=ModelOptions(names=("cat", "dog"))
+            write_model(tmp_path / "m.onnx", rows_with(n_classes=2)),
+            options=ModelOptions(names=("cat", "dog")),
         )
 
 
@@ -211,7 +244,9 @@ def test_unreadable_models(tmp_path):
 
 
 def test_unavailable_device_falls_back_with_note(tmp_path):
-    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()), runtime=Runtime(device="tensorrt"))
+    detector = YoloDetector(
+        write_model(tmp_path / "m.onnx", rows_with()), runtime=Runtime(device="tensorrt")
+    )
     if detector.session.device == "tensorrt":
         pytest.skip("TensorRT is available")
     assert sum("--device tensorrt" in note for note in detector.notes) == 1

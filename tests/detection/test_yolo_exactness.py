@@ -1,8 +1,10 @@
-"""Exact boxes: drawn rectangles are located to a tenth of a pixel, and outputs equal the reference arithmetic.
+"""Exact boxes: drawn rectangles are located to a tenth of a pixel, and outputs equal the reference
+arithmetic.
 
-The references below follow the original implementations step by step, without code of track-range: YOLOv5 (letterbox,
-non_max_suppression), YOLOX (preproc, demo_postprocess), YOLOv4-tiny (letterbox_image, DecodeBox), NanoDet (GFLHead) and
-PicoDet (PicoHead). Of NanoDet, the resizing is YOLOv5's: its own warp shifts the image by a fraction of a pixel.
+The references below follow the original implementations step by step, without code of track-range:
+YOLOv5 (letterbox, non_max_suppression), YOLOX (preproc, demo_postprocess), YOLOv4-tiny
+(letterbox_image, DecodeBox), NanoDet (GFLHead) and PicoDet (PicoHead). Of NanoDet, the resizing is
+YOLOv5's: its own warp shifts the image by a fraction of a pixel.
 """
 
 import math
@@ -28,19 +30,26 @@ MIN_SCORE = 0.1
 def test_rectangle_within_tenth_of_pixel(tmp_path, letterbox, size_hw):
     grey = {"centred-0": 0, "stretch": 0}.get(letterbox, 114)
     metadata = {"letterbox": letterbox, "names": "['car']"}
-    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=metadata)
+    path = write_rectangle_finder(
+        tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=metadata
+    )
     detector = YoloDetector(path, runtime=Runtime(n_threads=1))
     rng = np.random.default_rng(0)
     for _ in range(20):
         box = drawn_box(rng, size_hw)
-        np.testing.assert_allclose(detector.detect(picture(size_hw, box, grey)).xyxy_px[0], box - 0.5, atol=0.1)
+        np.testing.assert_allclose(
+            detector.detect(picture(size_hw, box, grey)).xyxy_px[0], box - 0.5, atol=0.1
+        )
 
 
 @pytest.mark.parametrize("size_hw", [(375, 1242), (720, 1280), (1080, 1920)])
 def test_no_half_pixel_shift_on_downscaling(tmp_path, size_hw):
-    # Downscaling locates a sharp edge only to within the sampling step; a systematic shift would show in the mean.
+    # Downscaling locates a sharp edge only to within the sampling step; a systematic shift would
+    # show in the mean.
     metadata = {"letterbox": "centred-114", "names": "['car']"}
-    detector = YoloDetector(write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=114 / 255, metadata=metadata))
+    detector = YoloDetector(
+        write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=114 / 255, metadata=metadata)
+    )
     rng = np.random.default_rng(1)
     boxes = [drawn_box(rng, size_hw) for _ in range(60)]
     errors = [detector.detect(picture(size_hw, box, 114)).xyxy_px[0] - (box - 0.5) for box in boxes]
@@ -52,8 +61,12 @@ def test_no_half_pixel_shift_on_downscaling(tmp_path, size_hw):
 
 def drawn_box(rng, size_hw):
     """Whole-pixel edges x1, y1, x2, y2: columns x1 .. x2 - 1 are bright."""
-    (y1, y2), (x1, x2) = (np.sort(rng.choice(np.arange(2, side - 2), 2, replace=False)) for side in size_hw)
-    return np.array([x1, y1, max(x2, x1 + 12), max(y2, y1 + 12)], float).clip(0, [*size_hw[::-1], *size_hw[::-1]])
+    (y1, y2), (x1, x2) = (
+        np.sort(rng.choice(np.arange(2, side - 2), 2, replace=False)) for side in size_hw
+    )
+    return np.array([x1, y1, max(x2, x1 + 12), max(y2, y1 + 12)], float).clip(
+        0, [*size_hw[::-1], *size_hw[::-1]]
+    )
 
 
 def picture(size_hw, box, grey):
@@ -64,19 +77,26 @@ def picture(size_hw, box, grey):
 
 
 def yolov5_letterbox(image, new_hw, colour):
-    """letterbox() of YOLOv5's utils/augmentations.py with auto=False: the image, gain and padding (w, h)."""
+    """letterbox() of YOLOv5's utils/augmentations.py with auto=False: the image, gain and padding
+    (w, h)."""
     ratio = min(new_hw[0] / image.shape[0], new_hw[1] / image.shape[1])
     unpadded = round(image.shape[1] * ratio), round(image.shape[0] * ratio)
     dw, dh = (new_hw[1] - unpadded[0]) / 2, (new_hw[0] - unpadded[1]) / 2
     image = cv2.resize(image, unpadded, interpolation=cv2.INTER_LINEAR)
     top, bottom, left, right = round(dh - 0.1), round(dh + 0.1), round(dw - 0.1), round(dw + 0.1)
-    padded = cv2.copyMakeBorder(image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=(colour,) * 3)
+    padded = cv2.copyMakeBorder(
+        image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=(colour,) * 3
+    )
     return padded, ratio, (dw, dh)
 
 
 def yolov5_blob(image, hw):
     padded, ratio, pad = yolov5_letterbox(image, hw, 114)
-    return np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255, ratio, pad
+    return (
+        np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255,
+        ratio,
+        pad,
+    )
 
 
 def yolox_blob(image, hw):
@@ -84,13 +104,19 @@ def yolox_blob(image, hw):
     padded = np.full((*hw, 3), 114, np.uint8)
     ratio = min(hw[0] / image.shape[0], hw[1] / image.shape[1])
     resized_wh = int(image.shape[1] * ratio), int(image.shape[0] * ratio)
-    padded[: resized_wh[1], : resized_wh[0]] = cv2.resize(image, resized_wh, interpolation=cv2.INTER_LINEAR)
+    padded[: resized_wh[1], : resized_wh[0]] = cv2.resize(
+        image, resized_wh, interpolation=cv2.INTER_LINEAR
+    )
     return np.ascontiguousarray(padded.transpose(2, 0, 1), np.float32)[None], ratio, (0, 0)
 
 
 def yolov4_tiny_blob(image, hw):
     padded, ratio, pad = yolov5_letterbox(image, hw, 128)
-    return np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255, ratio, pad
+    return (
+        np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255,
+        ratio,
+        pad,
+    )
 
 
 def nanodet_blob(image, hw):
@@ -100,7 +126,8 @@ def nanodet_blob(image, hw):
 
 
 def picodet_blob(image, hw):
-    """Decode, Resize (keep_ratio False) and NormalizeImage of PaddleDetection's operators.py, resizing bilinearly."""
+    """Decode, Resize (keep_ratio False) and NormalizeImage of PaddleDetection's operators.py,
+    resizing bilinearly."""
     resized = cv2.resize(image, hw[::-1], interpolation=cv2.INTER_LINEAR)[..., ::-1]
     normalised = (resized / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     ratio = np.array([hw[1] / image.shape[1], hw[0] / image.shape[0]] * 2)
@@ -125,9 +152,21 @@ def yolox_rows(outputs, hw):
         for j in range(hw[0] // stride):
             for i in range(hw[1] // stride):
                 x, y, w, h, objectness, *classes = next(rows)
-                cx, cy, w, h = (x + i) * stride, (y + j) * stride, math.exp(w) * stride, math.exp(h) * stride
+                cx, cy, w, h = (
+                    (x + i) * stride,
+                    (y + j) * stride,
+                    math.exp(w) * stride,
+                    math.exp(h) * stride,
+                )
                 best = int(np.argmax(classes))
-                yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, objectness * classes[best], best
+                yield (
+                    cx - w / 2,
+                    cy - h / 2,
+                    cx + w / 2,
+                    cy + h / 2,
+                    objectness * classes[best],
+                    best,
+                )
 
 
 def yolov4_tiny_rows(outputs, hw):
@@ -143,11 +182,19 @@ def yolov4_tiny_rows(outputs, hw):
             cx, cy = (sigmoid(tx) + i) * hw[1] / n_columns, (sigmoid(ty) + j) * hw[0] / n_rows
             w, h = math.exp(tw) * anchors[mask[a]][0], math.exp(th) * anchors[mask[a]][1]
             best = int(np.argmax(classes))
-            yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, sigmoid(to) * sigmoid(classes[best]), best
+            yield (
+                cx - w / 2,
+                cy - h / 2,
+                cx + w / 2,
+                cy + h / 2,
+                sigmoid(to) * sigmoid(classes[best]),
+                best,
+            )
 
 
 def distribution_rows(outputs, hw):
-    """get_bboxes of GFLHead and PicoHead: centre of the cell at one half, Integral, distance2bbox, clipped."""
+    """get_bboxes of GFLHead and PicoHead: centre of the cell at one half, Integral, distance2bbox,
+    clipped."""
     n_levels = len(outputs) // 2  # scores of all strides, then distributions of all strides
     for level, stride in enumerate((8, 16, 32, 64)[:n_levels]):
         scores, bins = outputs[level][0], outputs[n_levels + level][0]
@@ -158,7 +205,9 @@ def distribution_rows(outputs, hw):
             sides = []
             for t in bins[cell].reshape(4, 8).tolist():
                 powers = [math.exp(value) for value in t]
-                sides.append(stride * sum(k * power for k, power in enumerate(powers)) / sum(powers))
+                sides.append(
+                    stride * sum(k * power for k, power in enumerate(powers)) / sum(powers)
+                )
             best = int(np.argmax(scores[cell]))
             box = x - sides[0], y - sides[1], x + sides[2], y + sides[3]
             yield *np.clip(box, 0, [hw[1], hw[0]] * 2), float(scores[cell, best]), best
@@ -178,7 +227,9 @@ IMAGES = ["highway 1280x720", "kitti 1242x375"]
 @pytest.fixture(scope="module")
 def images(shared_data):
     files = {"highway": "dashcam/highway_two_cars.mp4", "kitti": "kitti_stereo/0005/left.mp4"}
-    return {name: cv2.VideoCapture(str(shared_data / file)).read()[1] for name, file in files.items()}
+    return {
+        name: cv2.VideoCapture(str(shared_data / file)).read()[1] for name, file in files.items()
+    }
 
 
 @pytest.mark.parametrize("name", IMAGES)
@@ -194,13 +245,17 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     outputs = session.run(None, {session.get_inputs()[0].name: blob})
     road = map_to_road_classes(detector.model.names)
-    expected = np.array([row for row in rows_of(outputs, hw) if row[4] >= MIN_SCORE and road[row[5]] >= 0])
+    expected = np.array(
+        [row for row in rows_of(outputs, hw) if row[4] >= MIN_SCORE and road[row[5]] >= 0]
+    )
     assert len(expected) >= 5
 
     candidates = detector.model.decoder(detector.infer(), detector._min_score)
     n = len(candidates.score)
     assert n == len(expected)
-    candidate_rows = np.column_stack([candidates.xyxy_net, candidates.score, candidates.class_index])
+    candidate_rows = np.column_stack(
+        [candidates.xyxy_net, candidates.score, candidates.class_index]
+    )
     order = [int(np.abs(candidate_rows[:, :5] - row[:5]).max(axis=1).argmin()) for row in expected]
     assert sorted(order) == list(range(n))
     np.testing.assert_allclose(candidate_rows[order, :4], expected[:, :4], atol=1e-3)
@@ -208,8 +263,9 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
 
     class_id = road[expected[:, 5].astype(int)]
     kept = expected[nms(expected[:, :4], expected[:, 4], SAME_OBJECT_GROUP[class_id], max_iou=0.5)]
-    # If the exact resized size is a whole number of pixels, the references' inverse is exact except for the half pixel
-    # between corners and centres; otherwise (KITTI) it is wrong by up to 0.7 network pixels at the far edge.
+    # If the exact resized size is a whole number of pixels, the references' inverse is exact except
+    # for the half pixel between corners and centres; otherwise (KITTI) it is wrong by up to 0.7
+    # network pixels at the far edge.
     is_stretched = np.ndim(ratio) == 1
     exact = is_stretched or all((side * ratio) % 1 == 0 for side in image.shape[:2])
     back = ((kept[:, :4] - [*pad, *pad]) / ratio).clip(0, [*image.shape[1::-1]] * 2) - 0.5
@@ -231,5 +287,7 @@ def test_inputs_equal_references(size_hw):
         letterbox = Letterbox.of_placement(input_format.placement, size_hw, (416, 416))
         blob = np.empty((1, 3, 416, 416), np.float32)
         input_format.fill_padding(blob)
-        input_format.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
+        input_format.write(
+            image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8)
+        )
         np.testing.assert_allclose(blob, blob_of(image, (416, 416))[0], rtol=1e-6)

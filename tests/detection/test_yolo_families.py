@@ -1,4 +1,5 @@
-"""Identification of network families by their outputs, hand-worked boxes of every layout, and model options."""
+"""Identification of network families by their outputs, hand-worked boxes of every layout, and model
+options."""
 
 import numpy as np
 import pytest
@@ -27,13 +28,16 @@ def heads(*shapes, n_columns, n_anchors=3):
 
 
 def family_of(tmp_path, *outputs, **options):
-    detector = YoloDetector(write_model(tmp_path / "m.onnx", *outputs), options=ModelOptions(**options))
+    detector = YoloDetector(
+        write_model(tmp_path / "m.onnx", *outputs), options=ModelOptions(**options)
+    )
     return detector.model.family
 
 
 def test_all_layouts_are_identified(tmp_path):
     assert family_of(tmp_path, np.zeros((1, 3 * CELLS, 85))) == "YOLOv5"
-    assert family_of(tmp_path, np.zeros((1, 3 * (CELLS + 1), 85))) == "YOLOv5"  # one grid more, of stride 64
+    # one grid more, of stride 64
+    assert family_of(tmp_path, np.zeros((1, 3 * (CELLS + 1), 85))) == "YOLOv5"
     assert family_of(tmp_path, np.zeros((1, 3 * 20, 85))) == "YOLOv4-tiny"
     assert family_of(tmp_path, np.zeros((1, CELLS, 85))) == "YOLOX"
     assert family_of(tmp_path, np.zeros((1, 24, CELLS))) == "YOLOv8/YOLO11"
@@ -42,7 +46,8 @@ def test_all_layouts_are_identified(tmp_path):
     assert family_of(tmp_path, np.zeros((1, 60, 1, 4)), np.zeros((1, 60, 80))) == "YOLOv4-tiny"
     assert family_of(tmp_path, np.zeros((1, 252, 80)), np.zeros((1, 252, 4))) == "YOLOv4"
     grids = [np.zeros((1, 3, side, side, 85)) for side in (8, 4, 2)]
-    assert family_of(tmp_path, np.zeros((1, 3 * CELLS, 85)), *grids) == "YOLOv5"  # older exports include the raw grids
+    # older exports include the raw grids
+    assert family_of(tmp_path, np.zeros((1, 3 * CELLS, 85)), *grids) == "YOLOv5"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +109,8 @@ def test_raw_heads_by_hand_in_either_order(tmp_path, is_fine_first):
     model = write_model(tmp_path / "m.onnx", *((fine, coarse) if is_fine_first else (coarse, fine)))
     detector = YoloDetector(model)
     detections = detector.detect(BLACK)
-    # stride 16, anchor 37 x 58 of the masks 1,2,3: centre (3.25, 2.5) * 16 = (52, 40), size 18.5 x 58
+    # stride 16, anchor 37 x 58 of the masks 1,2,3: centre (3.25, 2.5) * 16 = (52, 40), size 18.5 x
+    # 58
     np.testing.assert_allclose(detections.xyxy_px, [[42.25, 10.5, 60.75, 63.5]], atol=1e-4)
     assert [ROAD_CLASSES[c] for c in detections.class_id] == ["car"]
     np.testing.assert_allclose(detections.score, [0.72], atol=1e-6)
@@ -112,8 +118,12 @@ def test_raw_heads_by_hand_in_either_order(tmp_path, is_fine_first):
     assert detector.model.input_format.letterbox == "centred-128"
     assert detector.model.attributes["anchors"].source == "default of YOLOv4-tiny"
 
-    detector = YoloDetector(model, options=ModelOptions(anchors="8,8 8,8 8,8 / 8,8 8,8 8,8", letterbox="stretch"))
-    np.testing.assert_allclose(detector.detect(BLACK).xyxy_px, [[49.5, 35.5, 53.5, 43.5]], atol=1e-4)
+    detector = YoloDetector(
+        model, options=ModelOptions(anchors="8,8 8,8 8,8 / 8,8 8,8 8,8", letterbox="stretch")
+    )
+    np.testing.assert_allclose(
+        detector.detect(BLACK).xyxy_px, [[49.5, 35.5, 53.5, 43.5]], atol=1e-4
+    )
     assert detector.model.attributes["anchors"].source == "as specified"
 
 
@@ -122,7 +132,9 @@ def test_scale_x_y_of_centres(tmp_path):
     coarse[0, :6, 0, 1] = 20.0, 0.0, 0.0, 0.0, 20.0, 20.0
     metadata = {"names": '["car"]', "scale_x_y": "[1.1, 1.0]", "anchors": "[[[8, 8]], [[4, 4]]]"}
     one_anchor = [head[:, :6] for head in (coarse, fine)]
-    detections = YoloDetector(write_model(tmp_path / "m.onnx", *one_anchor, metadata=metadata)).detect(BLACK)
+    detections = YoloDetector(
+        write_model(tmp_path / "m.onnx", *one_anchor, metadata=metadata)
+    ).detect(BLACK)
     # x: 1.1 * 1 - 0.05 + 1 = 2.05 cells of 32 px = 65.6; the box is clipped at the image's edge
     np.testing.assert_allclose(detections.xyxy_px, [[61.1, 11.5, 63.5, 19.5]], atol=1e-4)
 
@@ -158,10 +170,14 @@ def test_sources_of_class_names(tmp_path):
     (tmp_path / "two.yaml").write_text("names: {0: person, 1: car}")
     assert names_of(model) == ("person", "car")
     assert names_of(model, names=("person", "bus")) == ("person", "bus")
-    named = write_model(tmp_path / "named.onnx", two_classes, metadata={"names": "{0: 'bus', 1: 'truck'}"})
+    named = write_model(
+        tmp_path / "named.onnx", two_classes, metadata={"names": "{0: 'bus', 1: 'truck'}"}
+    )
     (tmp_path / "named.yaml").write_text("names: [person, car]")
     assert names_of(named) == ("bus", "truck")
-    assert names_of(write_model(tmp_path / "coco.onnx", np.zeros((1, 3 * CELLS, 85)))) == COCO_CLASSES
+    assert (
+        names_of(write_model(tmp_path / "coco.onnx", np.zeros((1, 3 * CELLS, 85)))) == COCO_CLASSES
+    )
     assert names_of(write_model(tmp_path / "voc.onnx", np.zeros((1, 3 * CELLS, 25)))) == VOC_CLASSES
 
 
@@ -215,16 +231,26 @@ def test_invalid_anchors(tmp_path, anchors, message):
 
 
 def test_one_scale_x_y_per_head(tmp_path):
-    model = write_model(tmp_path / "m.onnx", *heads((2, 2), (4, 4), n_columns=25), metadata={"scale_x_y": "[1, 1, 1]"})
+    model = write_model(
+        tmp_path / "m.onnx",
+        *heads((2, 2), (4, 4), n_columns=25),
+        metadata={"scale_x_y": "[1, 1, 1]"},
+    )
     with pytest.raises(ModelError, match=r"m\.onnx: .*scale_x_y"):
         YoloDetector(model)
 
 
 def test_sidecar_attributes(tmp_path):
     model = write_model(tmp_path / "m.onnx", np.zeros((1, CELLS, 85)))
-    (tmp_path / "m.yaml").write_text("family: custom\nletterbox: stretch\ncolours: rgb\ndivisor: 255\n")
+    (tmp_path / "m.yaml").write_text(
+        "family: custom\nletterbox: stretch\ncolours: rgb\ndivisor: 255\n"
+    )
     read = YoloDetector(model).model
-    assert (read.family, read.input_format.placement, read.input_format.colours) == ("custom", "stretch", "rgb")
+    assert (read.family, read.input_format.placement, read.input_format.colours) == (
+        "custom",
+        "stretch",
+        "rgb",
+    )
     assert read.input_format.divisor == 255
     assert read.attributes["letterbox"].source == "from m.yaml"
 

@@ -11,20 +11,36 @@ from track_range.cli.app import app
 PROJECT = Path(__file__).resolve().parents[2]
 PAGES = {
     path.relative_to(PROJECT).as_posix(): path.read_text(encoding="utf-8")
-    for path in (PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").rglob("*.md")))
+    for path in (
+        PROJECT / "README.md",
+        PROJECT / "CONTRIBUTING.md",
+        *sorted((PROJECT / "docs").rglob("*.md")),
+    )
 }
 """Text of each page, by its path."""
 
 README = PAGES["README.md"]
 
-PROGRAMS = ("track-range", "make", "pip", "python", "python3", "git", "cd", "export", "source", "curl")
+PROGRAMS = (
+    "track-range",
+    "make",
+    "pip",
+    "python",
+    "python3",
+    "git",
+    "cd",
+    "export",
+    "source",
+    "curl",
+)
 """First words of commands; a block of which the first line has one is a block of commands."""
 
 _FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def blocks(text):
-    """Indented and unlabelled fenced blocks of a page, each a list of its lines without the indentation."""
+    """Indented and unlabelled fenced blocks of a page, each a list of its lines without the
+    indentation."""
     fenced = [code.splitlines() for language, code in _FENCED.findall(text) if not language]
     indented = re.findall(r"^(?: {4}.*\n)+", _FENCED.sub("", text), re.MULTILINE)
     return [*fenced, *([line[4:] for line in block.splitlines()] for block in indented)]
@@ -43,7 +59,9 @@ def inline_code(text):
 
 def commands(text):
     """Commands of a page, each once, without their comments."""
-    in_blocks = [without_comment(line) for block in blocks(text) if is_command(block[0]) for line in block]
+    in_blocks = [
+        without_comment(line) for block in blocks(text) if is_command(block[0]) for line in block
+    ]
     return list(dict.fromkeys([*in_blocks, *filter(is_command, inline_code(text))]))
 
 
@@ -72,11 +90,13 @@ def subcommand(group, name):
 
 
 def command_of(line):
-    """Name of the command that a line of `track-range` gives, its typer command, and its other words."""
+    """Name of the command that a line of `track-range` gives, its typer command, and its other
+    words."""
     command, rest, name = typer.main.get_command(app), shlex.split(line)[1:], []
     while hasattr(command, "commands") and rest and rest[0] in command.commands:
         name.append(rest.pop(0))
         command = subcommand(command, name[-1])
-    if not name and rest[0].startswith("-") and rest != ["--version"]:  # the command `run` needs no name
+    # the command `run` needs no name
+    if not name and rest[0].startswith("-") and rest != ["--version"]:
         name, command = ["run"], subcommand(command, "run")
     return " ".join(name), command, rest

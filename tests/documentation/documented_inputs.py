@@ -40,7 +40,11 @@ def write_inputs(folder: Path, drive: Drive) -> Path:
 def copy_inputs(store: Path, words: Iterable[str], folder: Path) -> None:
     """Copy the files that the words of a command name from the store, except the value of --out."""
     words = list(words)
-    names = [word.rstrip("/") for before, word in zip(["", *words], words, strict=False) if before != "--out"]
+    names = [
+        word.rstrip("/")
+        for before, word in zip(["", *words], words, strict=False)
+        if before != "--out"
+    ]
     for source in store.iterdir():
         if any(fnmatch.fnmatch(source.name, name) for name in names):
             copy = shutil.copytree if source.is_dir() else shutil.copy
@@ -62,7 +66,9 @@ def _boxes(folder: Path) -> None:
     """The true boxes of the drive as detections, as tracks, and as the truth of a sequence."""
     truth = read_kitti(folder / "labels.txt")
     detections, tracks = [], []
-    for frame, number, (x1, y1, x2, y2) in zip(truth.frame, truth.track_id, truth.xyxy_px, strict=True):
+    for frame, number, (x1, y1, x2, y2) in zip(
+        truth.frame, truth.track_id, truth.xyxy_px, strict=True
+    ):
         if number >= 0:
             box = f"{x1 + 1:.2f},{y1 + 1:.2f},{x2 - x1:.2f},{y2 - y1:.2f},0.9,-1,-1,-1\n"
             detections.append(f"{frame + 1},-1,{box}")
@@ -86,7 +92,10 @@ def _boards(folder: Path) -> None:
     """Images of a chessboard by two cameras."""
     pair, board = rig(), ChessBoard(9, 6, 0.02)
     for number, pose in enumerate(varied_poses(N_BOARDS, seed=3, board=board)):
-        for side, camera, motion in (("left", pair.left, np.eye(4)), ("right", pair.right, pair.right_from_left)):
+        for side, camera, motion in (
+            ("left", pair.left, np.eye(4)),
+            ("right", pair.right, pair.right_from_left),
+        ):
             image = drawn(camera, motion @ pose, board=board, seed=number)
             cv2.imwrite(str(folder / f"{side}{number}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 97])
 

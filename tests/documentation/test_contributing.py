@@ -35,7 +35,9 @@ def test_ranging_method_example():
     names = {}
     exec(EXAMPLES["A ranging method"], names)  # noqa: S102 - our own text
     method = next(method for method in tr.ranging_methods() if method.name == "sign")
-    ranger = method.create(type("Context", (), {"camera": tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, 640, 360)})())
+    ranger = method.create(
+        type("Context", (), {"camera": tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, 640, 360)})()
+    )
     ids = np.array([1, 2])
     boxes = np.array([[10.0, 10.0, 45.0, 45.0], [10.0, 10.0, 45.0, 45.0]])
     tracks = tr.Tracks(ids, boxes, np.array([7, 2]), np.ones(2), np.ones(2, np.bool_))
@@ -73,4 +75,8 @@ def test_rig_format_example(tmp_path, monkeypatch):
 
 def test_documentation_has_the_same_examples():
     pages = (PROJECT / "docs/project/extending.md").read_text(encoding="utf-8")
-    assert [name for name in re.findall(r"^class (\w+)", TEXT, flags=re.M) if f"class {name}" not in pages] == []
+    assert [
+        name
+        for name in re.findall(r"^class (\w+)", TEXT, flags=re.M)
+        if f"class {name}" not in pages
+    ] == []

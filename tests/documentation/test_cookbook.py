@@ -1,4 +1,5 @@
-"""The pages of docs/start and docs/how-to that lead from files to results: their commands and Python code, in order."""
+"""The pages of docs/start and docs/how-to that lead from files to results: their commands and
+Python code, in order."""
 
 import json
 import re
@@ -15,7 +16,9 @@ from tests.documentation.documented_inputs import copy_inputs, write_inputs
 
 pytestmark = pytest.mark.slow
 
-BLOCK = re.compile(r"^```python\n(.*?)^```|^```.*?^```|((?:^ {4}[^\n]*\n)+)", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^```python\n(.*?)^```|^```.*?^```|((?:^ {4}[^\n]*\n)+)", re.MULTILINE | re.DOTALL
+)
 CHEAP = ("--align", "off", "--no-sgbm", "--no-overlay", "--duration", "0.6")
 """Options that are added to runs."""
 
@@ -59,12 +62,23 @@ def steps(text):
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=pytest.mark.train if "train" in page else ()) for page in FILES]
+    "page",
+    [pytest.param(page, marks=pytest.mark.train if "train" in page else ()) for page in FILES],
 )
 def test_page_runs(page, store, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     copy_inputs(
-        store, ["left.mp4", "right.mp4", "rig.yaml", "dashcam.mp4", "drive.mp4", "left*.jpg", "right*.jpg"], tmp_path
+        store,
+        [
+            "left.mp4",
+            "right.mp4",
+            "rig.yaml",
+            "dashcam.mp4",
+            "drive.mp4",
+            "left*.jpg",
+            "right*.jpg",
+        ],
+        tmp_path,
     )
     if "stereo" in page:
         (tmp_path / "rig.yaml").unlink()
@@ -76,7 +90,9 @@ def test_page_runs(page, store, tmp_path, monkeypatch, capsys):
         words = shlex.split(text)
         if words[0] != "track-range":
             continue
-        done = run_command(*words[1:], *(CHEAP if words[1].startswith("--") else ()), folder=tmp_path)
+        done = run_command(
+            *words[1:], *(CHEAP if words[1].startswith("--") else ()), folder=tmp_path
+        )
         assert (done.status, done.stderr) == (0, ""), text
         printed.append(done.stdout)
         if "calibrate" in words:  # the boards are of another pair
@@ -94,7 +110,9 @@ def test_notebook_has_the_outputs_of_its_cells(store, tmp_path, monkeypatch):
     notebook = json.loads((PROJECT / "docs/how-to/notebook.ipynb").read_text(encoding="utf-8"))
     shown = executed(notebook)
     kinds = [[sorted(o.get("data", o)) for o in cell.get("outputs", ())] for cell in shown["cells"]]
-    assert kinds == [[sorted(o.get("data", o)) for o in cell.get("outputs", ())] for cell in notebook["cells"]]
+    assert kinds == [
+        [sorted(o.get("data", o)) for o in cell.get("outputs", ())] for cell in notebook["cells"]
+    ]
     assert shown["cells"][1]["outputs"][0]["text"] == ["12 frames\n"]
     assert "closest_m" in shown["cells"][3]["outputs"][0]["data"]["text/plain"]
     assert shown["cells"][5]["outputs"][0]["data"]["image/png"].startswith("iVBOR")

@@ -1,4 +1,5 @@
-"""The README and the pages of docs/ agree with the program: commands, options, columns, names and links."""
+"""The README and the pages of docs/ agree with the program: commands, options, columns, names and
+links."""
 
 import re
 import tomllib
@@ -33,13 +34,29 @@ FOREIGN_OPTIONS = {"--strict", "--cov", "--numprocesses"}
 """Options of other programs that pages name."""
 
 GLOSSARY = (
-    *("mono", "ground", "lane", "stereo", "sgbm", "fused", "`*_kf`", "sigma", "coverage", "common coverage", "rig"),
+    *(
+        "mono",
+        "ground",
+        "lane",
+        "stereo",
+        "sgbm",
+        "fused",
+        "`*_kf`",
+        "sigma",
+        "coverage",
+        "common coverage",
+        "rig",
+    ),
     *("alignment", "track activation"),
 )
 
 
 def options_of(command):
-    return {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    return {
+        option
+        for parameter in command.params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }
 
 
 def all_options(command):
@@ -65,14 +82,18 @@ def test_versions_agree():
     assert yaml.safe_load((PROJECT / "CITATION.cff").read_text())["version"] == version
     heading = re.search(r"^## (.*)$", (PROJECT / "CHANGELOG.md").read_text(), re.MULTILINE)[1]
     assert re.fullmatch(rf"{re.escape(version)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", heading)
-    current = re.findall(r"^\| (\d+) \| ([\d.]+) \|", PAGES["docs/reference/schema.md"], re.MULTILINE)[-1]
+    current = re.findall(
+        r"^\| (\d+) \| ([\d.]+) \|", PAGES["docs/reference/schema.md"], re.MULTILINE
+    )[-1]
     assert current[0] == str(SCHEMA_VERSION)
     assert version.startswith(current[1])
 
 
 def test_help_of_fleets_names_no_refused_option():
     _, command, _ = command_of("track-range fleet run recordings/")
-    taken = {option for parameter in command.params if not parameter.hidden for option in parameter.opts}
+    taken = {
+        option for parameter in command.params if not parameter.hidden for option in parameter.opts
+    }
     named = {
         option
         for parameter in command.params
@@ -85,8 +106,14 @@ def test_help_of_fleets_names_no_refused_option():
 @pytest.mark.parametrize("page", PAGES)
 def test_options_in_text_exist(page, known_options):
     comments = [line.partition("#")[2] for block in blocks(PAGES[page]) for line in block]
-    texts = [code for code in inline_code(PAGES[page]) if not code.startswith(("python -m benchmarks", "pip ", "git "))]
-    assert {option for text in (*texts, *comments) for option in OPTION.findall(text)} <= known_options
+    texts = [
+        code
+        for code in inline_code(PAGES[page])
+        if not code.startswith(("python -m benchmarks", "pip ", "git "))
+    ]
+    assert {
+        option for text in (*texts, *comments) for option in OPTION.findall(text)
+    } <= known_options
 
 
 def test_commands_are_found():
@@ -112,10 +139,17 @@ def test_error_of_the_example(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("page", PAGES)
 def test_linked_files_exist(page):
     folder = (PROJECT / page).parent
-    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", PAGES[page]) if not link.startswith("http")]
-    if page != "README.md":  # pages of commands are made with the site, whose build checks links to them
+    links = [
+        link
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", PAGES[page])
+        if not link.startswith("http")
+    ]
+    # pages of commands are made with the site, whose build checks links to them
+    if page != "README.md":
         links = [link for link in links if "cli/" not in link]
-    assert [link for link in links if not (folder / link).exists() or not (folder / link).stat().st_size] == []
+    assert [
+        link for link in links if not (folder / link).exists() or not (folder / link).stat().st_size
+    ] == []
 
 
 def test_figures_of_the_readme_are_those_of_their_protocol():
@@ -124,7 +158,11 @@ def test_figures_of_the_readme_are_those_of_their_protocol():
     assert len(rows) >= 7
     for name, page, anchor, figures in rows:
         headings = re.split(r"^(?=## )", PAGES[page], flags=re.MULTILINE)
-        (protocol,) = (part for part in headings if re.sub(r"\W+", "-", part.split("\n")[0][3:].lower()) == anchor)
+        (protocol,) = (
+            part
+            for part in headings
+            if re.sub(r"\W+", "-", part.split("\n")[0][3:].lower()) == anchor
+        )
         missing = [
             figure
             for figure in re.findall(r"\d+(?:\.\d+)?", figures)
@@ -135,9 +173,16 @@ def test_figures_of_the_readme_are_those_of_their_protocol():
 
 def test_make_targets_exist():
     makefile = (PROJECT / "Makefile").read_text()
-    named = {line.split()[1] for text in PAGES.values() for line in commands(text) if line.startswith("make ")}
+    named = {
+        line.split()[1]
+        for text in PAGES.values()
+        for line in commands(text)
+        if line.startswith("make ")
+    }
     assert {"demo", "test", "docs", "check"} <= named
-    assert [target for target in named if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
+    assert [
+        target for target in named if not re.search(rf"^{target}:", makefile, re.MULTILINE)
+    ] == []
 
 
 def test_extras_exist():
@@ -152,7 +197,9 @@ def test_extras_exist():
 def test_columns_are_documented():
     table = PAGES["docs/reference/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `(\w+)` \| ([^|]*)\|", table, re.MULTILINE)
-    assert [(name, unit.strip()) for name, unit in rows] == [(column.name, column.unit) for column in result_columns()]
+    assert [(name, unit.strip()) for name, unit in rows] == [
+        (column.name, column.unit) for column in result_columns()
+    ]
 
 
 def test_event_columns_are_documented():
@@ -162,25 +209,38 @@ def test_event_columns_are_documented():
 
 
 def test_result_files_are_documented():
-    assert [name for name in result_names() if f"`{name}`" not in PAGES["docs/reference/results.md"]] == []
+    assert [
+        name for name in result_names() if f"`{name}`" not in PAGES["docs/reference/results.md"]
+    ] == []
 
 
 def test_summary_keys_are_documented():
-    section = PAGES["docs/reference/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
-    missing = [key for key in _SUMMARY.model_fields if key != "settings" and f"`{key}`" not in section]
+    section = (
+        PAGES["docs/reference/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
+    )
+    missing = [
+        key for key in _SUMMARY.model_fields if key != "settings" and f"`{key}`" not in section
+    ]
     assert missing == []
 
 
 def test_public_names_are_documented():
     pages = {name: text for name, text in PAGES.items() if name.startswith("docs/reference/api/")}
-    shown = [name for text in pages.values() for name in re.findall(r"^::: track_range\.(\S+)$", text, re.MULTILINE)]
+    shown = [
+        name
+        for text in pages.values()
+        for name in re.findall(r"^::: track_range\.(\S+)$", text, re.MULTILINE)
+    ]
     public = [name for name in shown if "." not in name]
     assert sorted(public) == sorted(set(tr.__all__) - {"__version__"})
     listed = re.findall(
-        r"`(\w+)`", pages["docs/reference/api/index.md"].partition("|---|---|---|")[2].partition("\n\n")[0]
+        r"`(\w+)`",
+        pages["docs/reference/api/index.md"].partition("|---|---|---|")[2].partition("\n\n")[0],
     )
     assert sorted(listed) == sorted(name.rpartition(".")[2] for name in shown)
-    assert [name for name, text in pages.items() if not python_blocks(text)] == ["docs/reference/api/index.md"]
+    assert [name for name, text in pages.items() if not python_blocks(text)] == [
+        "docs/reference/api/index.md"
+    ]
 
 
 def test_methods_are_documented():
@@ -198,15 +258,26 @@ def paths(entries):
     """Paths of the pages of an entry of the navigation, which is a path, or a list of entries."""
     if isinstance(entries, str):
         return [entries]
-    below = [part for entry in entries for part in (entry.values() if isinstance(entry, dict) else [entry])]
+    below = [
+        part
+        for entry in entries
+        for part in (entry.values() if isinstance(entry, dict) else [entry])
+    ]
     return [path for part in below for path in paths(part)]
 
 
 def test_navigation_has_every_page():
     # Tags of Python objects are not needed here.
     text = re.sub(r"!!python/\S+", "", (PROJECT / "mkdocs.yml").read_text())
-    pages = [page for group in yaml.safe_load(text)["nav"] for entries in group.values() for page in paths(entries)]
-    notebooks = [path.relative_to(PROJECT).as_posix() for path in (PROJECT / "docs").rglob("*.ipynb")]
+    pages = [
+        page
+        for group in yaml.safe_load(text)["nav"]
+        for entries in group.values()
+        for page in paths(entries)
+    ]
+    notebooks = [
+        path.relative_to(PROJECT).as_posix() for path in (PROJECT / "docs").rglob("*.ipynb")
+    ]
     written = [page for page in PAGES if page.startswith("docs/")] + [
         f"{name.removesuffix('.ipynb')}.md" for name in notebooks
     ]
@@ -221,6 +292,8 @@ def test_pages_load_nothing_from_the_network():
 
 
 def test_rig_file_of_the_page_loads(tmp_path):
-    (code,) = re.findall(r"```yaml\n(track_range_rig.*?)```", PAGES["docs/start/camera.md"], re.DOTALL)
+    (code,) = re.findall(
+        r"```yaml\n(track_range_rig.*?)```", PAGES["docs/start/camera.md"], re.DOTALL
+    )
     (tmp_path / "rig.yaml").write_text(code)
     assert tr.load_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.54)

@@ -1,4 +1,5 @@
-"""The commands of docs/how-to/camera-files.md with the files that these cameras and programs write."""
+"""The commands of docs/how-to/camera-files.md with the files that these cameras and programs
+write."""
 
 from __future__ import annotations
 
@@ -15,7 +16,14 @@ import pytest
 from tests.command_line import run_command
 from tests.documentation.documented_commands import PAGES, commands
 from tests.stereo import calibration_files as files
-from tests.track_range.recording.recording_files import Pair, Written, folders, one_file, timed_folders, videos
+from tests.track_range.recording.recording_files import (
+    Pair,
+    Written,
+    folders,
+    one_file,
+    timed_folders,
+    videos,
+)
 from track_range.recording.open_video import open_video
 from track_range.simulation.drive import Drive
 from track_range.stereo.geometry.rig import StereoRig
@@ -54,14 +62,20 @@ CAMERAS: dict[str, tuple[Record, files.Write]] = {
 
 @pytest.fixture(scope="module")
 def pair(small_drive: Drive) -> tuple[Pair, StereoRig]:
-    """The drive in the middle of images of a ZED camera, whose pixels are those of the drive, and their rig."""
+    """The drive in the middle of images of a ZED camera, whose pixels are those of the drive, and
+    their rig."""
     rig, _ = load_rig(small_drive.rig, size_px=(620, 188))
     border = (94, 94), (26, 26), (0, 0)
     images = Pair(
-        *([np.pad(frame.image, border) for frame in open_video(path)] for path in (small_drive.left, small_drive.right))
+        *(
+            [np.pad(frame.image, border) for frame in open_video(path)]
+            for path in (small_drive.left, small_drive.right)
+        )
     )
     left = rig.left
-    camera = replace(left, cx_px=left.cx_px + 26, cy_px=left.cy_px + 94, width_px=672, height_px=376)
+    camera = replace(
+        left, cx_px=left.cx_px + 26, cy_px=left.cy_px + 94, width_px=672, height_px=376
+    )
     return images, files.with_coefficients(StereoRig.rectified(camera, rig.baseline_m), 5)
 
 
@@ -75,7 +89,9 @@ def test_command_of_a_camera(tmp_path: Path, pair: tuple[Pair, StereoRig], line:
     assert (done.status, done.stderr) == (0, "")
     with (tmp_path / "out/tracks.csv").open() as file:
         rows = list(csv.DictReader(file))
-    distances_m = np.array([[float(row["stereo_m"]), float(row["mono_m"])] for row in rows if row["stereo_m"]])
+    distances_m = np.array(
+        [[float(row["stereo_m"]), float(row["mono_m"])] for row in rows if row["stereo_m"]]
+    )
     assert len(distances_m) > 5
     assert np.median(distances_m[:, 0] / distances_m[:, 1]) == pytest.approx(1.0, abs=0.2)
 

@@ -1,4 +1,5 @@
-"""Five commands and the Python examples of the README and the pages of docs/, run as they are printed."""
+"""Five commands and the Python examples of the README and the pages of docs/, run as they are
+printed."""
 
 import re
 import shlex
@@ -12,7 +13,15 @@ from tests.documentation.documented_inputs import copy_inputs, write_inputs
 
 pytestmark = pytest.mark.slow
 
-RESULTS = ("tracks.csv", "mot.txt", "tracks.parquet", "summary.json", "report.html", "overlay.mp4", "settings.yaml")
+RESULTS = (
+    "tracks.csv",
+    "mot.txt",
+    "tracks.parquet",
+    "summary.json",
+    "report.html",
+    "overlay.mp4",
+    "settings.yaml",
+)
 
 RUNS = {
     "track-range --stereo left.mp4 right.mp4 --rig rig.yaml": (
@@ -23,12 +32,16 @@ RUNS = {
         [f"dashcam-track-range/{name}" for name in RESULTS],
         ("Results in dashcam-track-range",),
     ),
-    "track-range --stereo left/ right/ --rig calib.txt --detections det.txt --truth labels.txt --out results": (
+    "track-range --stereo left/ right/ --rig calib.txt --detections det.txt --truth labels.txt "
+    "--out results": (
         [f"results/{name}" for name in RESULTS],
         ("Results in results", "Accuracy against"),
     ),
     "track-range track det.txt --out tracks": (["tracks/mot/det.txt"], ("tracks/mot",)),
-    "track-range evaluate tracks --truth labels/ --results tracks --class car": ([], ("HOTA", "IDF1")),
+    "track-range evaluate tracks --truth labels/ --results tracks --class car": (
+        [],
+        ("HOTA", "IDF1"),
+    ),
 }
 """By command: files that it writes, and words that it prints."""
 
@@ -47,7 +60,11 @@ def test_documented_command_runs(line, store, tmp_path):
     files, printed = RUNS[line]
     assert (done.status, done.stderr) == (0, "")
     assert [word for word in printed if word not in done.stdout] == []
-    assert [name for name in files if not (tmp_path / name).is_file() or not (tmp_path / name).stat().st_size] == []
+    assert [
+        name
+        for name in files
+        if not (tmp_path / name).is_file() or not (tmp_path / name).stat().st_size
+    ] == []
 
 
 def test_runs_are_documented():
@@ -71,7 +88,9 @@ def test_readme_example_runs(capsys):
     (code,) = (code for code in python_blocks(README) if "tr.Run" in code)
     assert len(code.splitlines()) <= 10
     run_code(code, "README.md")
-    assert re.search(r"^0\.\d s: car 1 at \d+\.\d \+- \d\.\d m$", capsys.readouterr().out, re.MULTILINE)
+    assert re.search(
+        r"^0\.\d s: car 1 at \d+\.\d \+- \d\.\d m$", capsys.readouterr().out, re.MULTILINE
+    )
     assert len(list(Path().iterdir())) == 4  # nothing is written
 
 
@@ -83,5 +102,7 @@ def test_parts_example_runs(capsys):
 
 @pytest.mark.usefixtures("recording")
 def test_detector_example_runs():
-    (code,) = (code for code in python_blocks(PAGES["docs/project/extending.md"]) if "def detect" in code)
+    (code,) = (
+        code for code in python_blocks(PAGES["docs/project/extending.md"]) if "def detect" in code
+    )
     run_code(code + "assert next(iter(run)).index == 0\nrun.close()\n", "extending.md")

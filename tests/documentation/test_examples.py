@@ -1,4 +1,5 @@
-"""The programs of docs/examples: on a simulated drive, and with stand-ins for the packages of ROS."""
+"""The programs of docs/examples: on a simulated drive, and with stand-ins for the packages of
+ROS."""
 
 import importlib.util
 import math
@@ -80,7 +81,14 @@ def module(name, **attributes):
 @pytest.fixture
 def node_module(monkeypatch):
     """docs/examples/ros2_node.py with stand-ins for what it imports of ROS."""
-    messages = ("Odometry", "CameraInfo", "Image", "Detection3D", "Detection3DArray", "ObjectHypothesisWithPose")
+    messages = (
+        "Odometry",
+        "CameraInfo",
+        "Image",
+        "Detection3D",
+        "Detection3DArray",
+        "ObjectHypothesisWithPose",
+    )
     kinds = dict.fromkeys(messages, Message)
     parts = {"Subscriber": lambda node, kind, topic, qos_profile: (node, kind, topic)}
     for stand_in in (
@@ -99,11 +107,22 @@ def image_message(image, encoding, *, padding=0):
     rows = np.pad(image.reshape(len(image), -1), ((0, 0), (0, padding)))
     height, width = image.shape[:2]
     data = rows.tobytes()
-    return Message(header=HEADER, encoding=encoding, height=height, width=width, step=rows.shape[1], data=data)
+    return Message(
+        header=HEADER, encoding=encoding, height=height, width=width, step=rows.shape[1], data=data
+    )
 
 
 def camera_info(camera, *, baseline_m=0.0):
-    row = [camera.fx_px, 0.0, camera.cx_px, -camera.fx_px * baseline_m, 0.0, camera.fy_px, camera.cy_px, 0.0]
+    row = [
+        camera.fx_px,
+        0.0,
+        camera.cx_px,
+        -camera.fx_px * baseline_m,
+        0.0,
+        camera.fy_px,
+        camera.cy_px,
+        0.0,
+    ]
     return Message(p=[*row, 0.0, 0.0, 1.0, 0.0], width=camera.width_px, height=camera.height_px)
 
 
@@ -114,7 +133,9 @@ def test_images_of_ros(node_module, padding):
     for encoding, sent in by_encoding.items():
         received = node_module.bgr_image(image_message(sent, encoding, padding=padding))
         assert received.flags.c_contiguous
-        np.testing.assert_array_equal(received, image[:, :, [0, 0, 0]] if encoding == "mono8" else image)
+        np.testing.assert_array_equal(
+            received, image[:, :, [0, 0, 0]] if encoding == "mono8" else image
+        )
     with pytest.raises(ValueError, match="16UC1"):
         node_module.bgr_image(image_message(image, "16UC1"))
 
@@ -128,11 +149,15 @@ def test_rig_of_camera_infos(node_module):
 
 
 def test_detection_of_an_object(node_module):
-    t = tr.TrackedObject(7, "car", (0.0, 0.0, 9.0, 9.0), 20.0, 0.5, math.nan, math.nan, (1.0, 0.5, 20.0), True)
+    t = tr.TrackedObject(
+        7, "car", (0.0, 0.0, 9.0, 9.0), 20.0, 0.5, math.nan, math.nan, (1.0, 0.5, 20.0), True
+    )
     detection = node_module.detection_of(t, 0.9, HEADER)
     (result,) = detection.results
     assert (detection.id, result.hypothesis.class_id, result.hypothesis.score) == ("7", "car", 0.9)
-    assert result.pose.pose.position == detection.bbox.center.position == Message(x=1.0, y=0.5, z=20.0)
+    assert (
+        result.pose.pose.position == detection.bbox.center.position == Message(x=1.0, y=0.5, z=20.0)
+    )
     assert result.pose.covariance.reshape(6, 6)[2, 2] == 0.25
 
 
@@ -141,7 +166,12 @@ def test_node_on_a_drive(node_module, small_drive):
     rig = tr.load_rig(small_drive.rig)
     infos = camera_info(rig.left), camera_info(rig.right, baseline_m=rig.baseline_m)
     node = node_module.RangeNode()
-    assert node.synchronizer.topics == ["left/image", "right/image", "left/camera_info", "right/camera_info"]
+    assert node.synchronizer.topics == [
+        "left/image",
+        "right/image",
+        "left/camera_info",
+        "right/camera_info",
+    ]
     recording = tr.open_recording(small_drive.left, small_drive.right, rig=small_drive.rig)
     for frame in recording.frames:
         pair = [image_message(image[:, :], "bgr8") for image in (frame.left, frame.right)]
@@ -153,4 +183,6 @@ def test_node_on_a_drive(node_module, small_drive):
     last = node.published[-1]
     assert last.header.frame_id == "left"
     assert all(0 < detection.bbox.center.position.z < 100 for detection in last.detections)
-    assert "car" in {result.hypothesis.class_id for detection in last.detections for result in detection.results}
+    assert "car" in {
+        result.hypothesis.class_id for detection in last.detections for result in detection.results
+    }

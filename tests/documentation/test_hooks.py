@@ -11,7 +11,8 @@ from tests.documentation.documented_commands import PROJECT
 
 @pytest.fixture(scope="module")
 def hooks():
-    """docs/hooks.py; the packages of the documentation's build, which `[dev]` lacks, have stand-ins."""
+    """docs/hooks.py; the packages of the documentation's build, which `[dev]` lacks, have
+    stand-ins."""
     names = (
         "latex2mathml",
         "latex2mathml.converter",
@@ -38,10 +39,15 @@ def hooks():
 
 
 def test_every_command_has_a_page(hooks):
-    pages = {" ".join(words): hooks.command_page(words, command) for words, command in hooks.commands()}
-    assert {"run", "fleet run", "rig check", "evaluate tracks", "models list", "train"} <= set(pages)
+    pages = {
+        " ".join(words): hooks.command_page(words, command) for words, command in hooks.commands()
+    }
+    assert {"run", "fleet run", "rig check", "evaluate tracks", "models list", "train"} <= set(
+        pages
+    )
     assert all(
-        text.startswith(f"# {name}\n\n") and f"track-range {name} [OPTIONS]" in text for name, text in pages.items()
+        text.startswith(f"# {name}\n\n") and f"track-range {name} [OPTIONS]" in text
+        for name, text in pages.items()
     )
     assert "## Ranging\n" in pages["run"]
     assert "| `--focal-px PX` | Focal length in pixels" in pages["run"]
@@ -55,7 +61,10 @@ def test_notebooks_are_pages(hooks):
         {
             "cell_type": "code",
             "source": ["1 + 1"],
-            "outputs": [{"data": {"text/plain": ["2"]}}, {"data": {"image/png": "AAAA\n", "text/plain": "<Figure>"}}],
+            "outputs": [
+                {"data": {"text/plain": ["2"]}},
+                {"data": {"image/png": "AAAA\n", "text/plain": "<Figure>"}},
+            ],
         },
         {"cell_type": "code", "source": ["print(3)"], "outputs": [{"text": ["3\n"]}]},
     ]
@@ -72,13 +81,22 @@ def test_text_of_a_public_name(hooks):
 
 
 def test_first_uses_of_terms_are_links(hooks):
-    glossary = "sigma\n:   Standard deviation. [Methods](methods.md#sigma)\n\nlane\n:   Width of `x`,\n    the lane.\n"
-    page = '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, sigmas and sigma, <code>lane</code></p>'
-    assert hooks.link_terms(page, glossary, "../g.html") == (
-        '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, '
-        '<a class="term" href="../g.html#sigma" title="Standard deviation. Methods">sigmas</a> and sigma, '
-        '<a class="term" href="../g.html#lane" title="Width of x, the lane."><code>lane</code></a></p>'
+    glossary = (
+        "sigma\n:   Standard deviation. [Methods](methods.md#sigma)\n\nlane\n:   Width of "
+        "`x`,\n    the lane.\n"
     )
-    assert hooks.link_terms("<p>sigma.txt, sigma-x, lane</p>", glossary, "") == "<p>sigma.txt, sigma-x, lane</p>"
+    page = (
+        '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, sigmas and sigma, '
+        "<code>lane</code></p>"
+    )
+    assert hooks.link_terms(page, glossary, "../g.html") == (
+        '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, <a class="term" '
+        'href="../g.html#sigma" title="Standard deviation. Methods">sigmas</a> and sigma, <a '
+        'class="term" href="../g.html#lane" title="Width of x, the lane."><code>lane</code></a></p>'
+    )
+    assert (
+        hooks.link_terms("<p>sigma.txt, sigma-x, lane</p>", glossary, "")
+        == "<p>sigma.txt, sigma-x, lane</p>"
+    )
     assert hooks._anchor("`*_kf`") == hooks._anchor("<code>*_kf</code>") == "_kf"
     assert hooks._anchor("time to collision (TTC)") == "time-to-collision"

@@ -12,14 +12,21 @@ def plain(text):
 
 
 def program_texts():
-    """The code of the program with adjacent texts joined, and a zero byte in the place of each value in them."""
-    code = "\n".join(path.read_text(encoding="utf-8") for room in ROOMS for path in (PROJECT / room).rglob("*.py"))
+    """The code of the program with adjacent texts joined, and a zero byte in the place of each
+    value in them."""
+    code = "\n".join(
+        path.read_text(encoding="utf-8")
+        for room in ROOMS
+        for path in (PROJECT / room).rglob("*.py")
+    )
     return plain(re.sub(r"\{[^{}]*\}", "\0", re.sub(r'"\s+f?"', "", code)))
 
 
 def test_quoted_messages_exist():
     page = PAGES["docs/start/troubleshooting.md"]
-    tables = re.findall(r"^\| the message has the words .*\n\|[-| ]+\n((?:\|.*\n)+)", page, re.MULTILINE)
+    tables = re.findall(
+        r"^\| the message has the words .*\n\|[-| ]+\n((?:\|.*\n)+)", page, re.MULTILINE
+    )
     quoted = [row.split("|")[1] for table in tables for row in table.splitlines()]
     assert len(quoted) > 80
     texts = program_texts()

@@ -18,7 +18,8 @@ SIZES_HWL_M = {
 
 
 def label_row(frame: int, track: int, kitti_type: str, rear_m: float, **more: float) -> str:
-    """A row of KITTI tracking labels of an object seen from straight behind, with its rear at `rear_m`."""
+    """A row of KITTI tracking labels of an object seen from straight behind, with its rear at
+    `rear_m`."""
     height, width, length = (size * more.get("scale", 1.0) for size in SIZES_HWL_M[kitti_type])
     x_m, ground_m = more.get("x_m", 0.0), more.get("ground_m", 1.65)
     box = [
@@ -40,7 +41,9 @@ def calib_text(shift_px: float = 0.0) -> str:
     return "".join(f"P{k}: {row}\n" for k in range(4))
 
 
-def write_drives(folder: Path, drives: dict[str, Sequence[str]], *, shift_px: float = 0.0) -> tuple[Path, Path]:
+def write_drives(
+    folder: Path, drives: dict[str, Sequence[str]], *, shift_px: float = 0.0
+) -> tuple[Path, Path]:
     """Write drives by name; returns the folders of labels and calibration files."""
     labels, calib = folder / "label_02", folder / "calib"
     for place in (labels, calib):

@@ -8,7 +8,8 @@ F_PX, WIDTH_PX = 1000.0, 4001
 
 
 def made_up_boxes(name, wh_over_f, bearing, distance_m, *, sequence, track_id=None, **columns):
-    """A BoxSet of one class, seen by a camera with a focal length of 1000 px; `columns` replace others."""
+    """A BoxSet of one class, seen by a camera with a focal length of 1000 px; `columns` replace
+    others."""
     n = len(distance_m)
     centre = np.stack([bearing, np.zeros(n)], axis=1) * F_PX + WIDTH_PX / 2
     nan = np.full(n, np.nan)
@@ -20,7 +21,9 @@ def made_up_boxes(name, wh_over_f, bearing, distance_m, *, sequence, track_id=No
         "track_id": np.arange(n) if track_id is None else track_id,
         "kitti_type": np.full(n, name),
         "class_name": np.full(n, name),
-        "xyxy_px": np.concatenate([centre - F_PX * wh_over_f / 2, centre + F_PX * wh_over_f / 2], axis=1),
+        "xyxy_px": np.concatenate(
+            [centre - F_PX * wh_over_f / 2, centre + F_PX * wh_over_f / 2], axis=1
+        ),
         "fxycxy_px": np.tile([F_PX, F_PX, WIDTH_PX / 2, WIDTH_PX / 2], (n, 1)),
         "size_px": np.full((n, 2), WIDTH_PX),
         "distance_m": distance_m,

@@ -12,7 +12,10 @@ def drawn(n_each, *, seed=0):
     small, high = (STANDARD_BODIES["van"][name].moments for name in ("small", "high roof"))
     raised = small[0] + np.array([0.05, 0.0, 0.0])
     return np.concatenate(
-        [rng.multivariate_normal(raised, small[1], n_each), rng.multivariate_normal(*high, n_each // 3)]
+        [
+            rng.multivariate_normal(raised, small[1], n_each),
+            rng.multivariate_normal(*high, n_each // 3),
+        ]
     )
 
 

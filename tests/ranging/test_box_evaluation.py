@@ -23,16 +23,19 @@ def box_set_of(tmp_path, row, drives):
 
 
 def test_figures_by_hand(box_set_of, row):
-    """Cars at 8, 25, 40 and 60 m with errors of -25, +10, -10 and 0 %; sigma is 10 % of the true distance."""
+    """Cars at 8, 25, 40 and 60 m with errors of -25, +10, -10 and 0 %; sigma is 10 % of the true
+    distance."""
     true_m = np.array([8.0, 25.0, 40.0, 60.0])
     boxes = box_set_of(a=[row(k, 0, "Car", d, x_m=12.0 * (k == 3)) for k, d in enumerate(true_m)])
     car = figures(boxes, MethodColumn(np.array([6.0, 27.5, 36.0, 60.0]), 0.11 * true_m))["car"]
     assert (car["n"], car["n_tracks"], car["coverage"]) == (3, 1, 1.0)
-    assert car["mean_relative_error_pct"] == pytest.approx(20 / 3, abs=1e-3)  # over 10-100 m, without the first
+    # over 10-100 m, without the first
+    assert car["mean_relative_error_pct"] == pytest.approx(20 / 3, abs=1e-3)
     assert car["median_relative_error_pct"] == pytest.approx(10.0, abs=1e-3)
     assert car["bias_pct"] == pytest.approx(0.0, abs=1e-3)
     assert car["far_pct"] == pytest.approx(5.0, abs=1e-3)  # 40 and 60 m
-    assert car["rear_view_pct"] == pytest.approx(10.0, abs=1e-3)  # the last has a lateral offset of 12 m
+    # the last has a lateral offset of 12 m
+    assert car["rear_view_pct"] == pytest.approx(10.0, abs=1e-3)
     assert (car["within_1_sigma"], car["within_2_sigma"]) == (1.0, 1.0)
     bands = {(band["from_m"], band["to_m"]): band for band in car["bands"]}
     assert bands[5.0, 10.0]["mean_relative_error_pct"] == pytest.approx(25.0, abs=1e-3)
@@ -40,9 +43,18 @@ def test_figures_by_hand(box_set_of, row):
 
 
 def test_classes_in_order_and_unmeasured_boxes(box_set_of, row):
-    boxes = box_set_of(a=[row(0, 0, "Cyclist", 20.0), row(0, 1, "Van", 30.0, x_m=4), row(0, 2, "Van", 40.0, x_m=-6)])
+    boxes = box_set_of(
+        a=[
+            row(0, 0, "Cyclist", 20.0),
+            row(0, 1, "Van", 30.0, x_m=4),
+            row(0, 2, "Van", 40.0, x_m=-6),
+        ]
+    )
     by_class = figures(
-        boxes, MethodColumn(np.where(boxes.distance_m > 35, np.nan, boxes.distance_m), np.full(len(boxes), np.nan))
+        boxes,
+        MethodColumn(
+            np.where(boxes.distance_m > 35, np.nan, boxes.distance_m), np.full(len(boxes), np.nan)
+        ),
     )
     assert list(by_class) == ["van", "bicycle"]
     assert (by_class["van"]["n"], by_class["van"]["coverage"]) == (1, 0.5)
@@ -51,7 +63,9 @@ def test_classes_in_order_and_unmeasured_boxes(box_set_of, row):
 
 
 def test_folds_never_fit_the_tested_sequence(box_set_of, row):
-    boxes = box_set_of(**{f"s{k}": [row(f, 0, "Car", 10.0 + k) for f in range(k + 1)] for k in range(9)})
+    boxes = box_set_of(
+        **{f"s{k}": [row(f, 0, "Car", 10.0 + k) for f in range(k + 1)] for k in range(9)}
+    )
     masks = list(folds(boxes))
     assert len(masks) == 7
     assert (np.sum(masks, axis=0) == 1).all()
@@ -72,21 +86,30 @@ def test_folds_never_fit_the_tested_sequence(box_set_of, row):
 
 def test_single_sequence_is_fitted_to_itself(box_set_of, row):
     boxes = box_set_of(a=[row(0, 0, "Car", 20.0)])
-    column = cross_validated(boxes, boxes, lambda train: lambda test: MethodColumn(0 * test.distance_m + len(train), 0))
+    column = cross_validated(
+        boxes, boxes, lambda train: lambda test: MethodColumn(0 * test.distance_m + len(train), 0)
+    )
     assert column.distance_m.tolist() == [1.0]
 
 
 def test_within_drives_fits_each_drive_to_itself(box_set_of, row):
     boxes = box_set_of(a=[row(0, 0, "Car", 20.0)], b=[row(f, 0, "Car", 30.0) for f in range(3)])
-    column = within_drives(boxes, boxes, lambda train: lambda test: MethodColumn(0 * test.distance_m + len(train), 0))
+    column = within_drives(
+        boxes, boxes, lambda train: lambda test: MethodColumn(0 * test.distance_m + len(train), 0)
+    )
     assert column.distance_m.tolist() == [1.0, 3.0, 3.0, 3.0]
 
 
 def test_rows_by_frame(box_set_of, row):
     boxes = box_set_of(
-        a=[row(1, 0, "Car", 20.0), row(0, 1, "Car", 30.0), row(1, 2, "Car", 40.0, x_m=5)], b=[row(0, 0, "Car", 9)]
+        a=[row(1, 0, "Car", 20.0), row(0, 1, "Car", 30.0), row(1, 2, "Car", 40.0, x_m=5)],
+        b=[row(0, 0, "Car", 9)],
     )
-    assert [boxes.distance_m[rows].round(3).tolist() for rows in frame_rows(boxes)] == [[30.0], [20.0, 40.0], [9.0]]
+    assert [boxes.distance_m[rows].round(3).tolist() for rows in frame_rows(boxes)] == [
+        [30.0],
+        [20.0, 40.0],
+        [9.0],
+    ]
 
 
 def test_closing_speed_is_a_central_difference(box_set_of, row):
@@ -99,5 +122,6 @@ def test_closing_speed_is_a_central_difference(box_set_of, row):
     car = closing_figures(boxes, np.where(np.arange(20) == 9, 12.0, 8.5))["car"]
     assert car["closing_n"] == 10
     assert car["closing_median_error_mps"] == pytest.approx(0.5, abs=1e-3)
-    assert car["closing_p95_error_mps"] == pytest.approx(0.5 + 0.55 * 3.5, abs=1e-2)  # ninth to last
+    # ninth to last
+    assert car["closing_p95_error_mps"] == pytest.approx(0.5 + 0.55 * 3.5, abs=1e-2)
     assert closing_figures(boxes, np.full(20, np.nan))["car"]["closing_median_error_mps"] is None

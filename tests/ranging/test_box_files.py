@@ -32,7 +32,9 @@ def test_rows_by_hand(file):
 
 
 def test_default_column_order(file):
-    boxes, notes = read_box_csv(file("pedestrian,10,20,30,60,12.5,800\n\ncar,100,20,190,60,12.5,800\n"))
+    boxes, notes = read_box_csv(
+        file("pedestrian,10,20,30,60,12.5,800\n\ncar,100,20,190,60,12.5,800\n")
+    )
     assert boxes.class_name.tolist() == ["person", "car"]
     assert boxes.fxycxy_px[:, 0].tolist() == [800.0, 800.0]
     assert boxes.fxycxy_px[:, 2].tolist() == [100.0, 100.0]  # midway between 10 and 190
@@ -53,7 +55,10 @@ def test_focal_length_as_an_argument(file):
         ("class,x1,y1,x2,y2,distance_m\ncar,1,2,3,4,5\n", "--focal-px"),
         (HEADER + "car,1,2,3,4,five,700\n", "line 2: .*for distance_m"),
         (HEADER + "car,1,2,3,4,5\n", "line 2: .*for fx"),
-        (HEADER + "car,1,2,3,4,5,700\ncar,1,2,3,4,-5,700\n", "line 3: .*positive number .*for distance_m"),
+        (
+            HEADER + "car,1,2,3,4,5,700\ncar,1,2,3,4,-5,700\n",
+            "line 3: .*positive number .*for distance_m",
+        ),
         (HEADER + "car,1,2,3,nan,5,700\n", "line 2: .*for y2"),
         (HEADER + "car,1,2,3,4,5,0\n", "positive number .*for fx"),
         (HEADER + "car,3,2,1,4,5,700\n", "line 2: .*x1 < x2"),
@@ -75,7 +80,8 @@ def test_missing_and_binary_files(tmp_path):
 
 
 def test_table_three_by_hand(file):
-    """Objects of one size, twice as wide as high: 1 / d is linear in h, so the inverse curve is exact."""
+    """Objects of one size, twice as wide as high: 1 / d is linear in h, so the inverse curve is
+    exact."""
     rng = np.random.default_rng(0)
     rows = []
     for k, distance_m in enumerate(rng.uniform(10, 60, 200)):
@@ -92,7 +98,9 @@ def test_table_three_by_hand(file):
     assert np.isnan(exact.at_m[4])  # there are no boxes at 90 m
     predicted = paper.predict(boxes.wh_over_f, boxes.bearing)
     assert paper.residual_m2 == pytest.approx(((predicted - boxes.distance_m) ** 2).sum())
-    assert paper.fitted_error_pct == pytest.approx(100 * np.abs(predicted / boxes.distance_m - 1).mean())
+    assert paper.fitted_error_pct == pytest.approx(
+        100 * np.abs(predicted / boxes.distance_m - 1).mean()
+    )
     assert 1.0 < paper.fitted_error_pct < paper.other_drives_error_pct < 30.0
     one = boxes.select(boxes.sequence == 0)
     assert np.isnan(compare_curves(one, "car")[0].other_drives_error_pct)

@@ -28,7 +28,8 @@ def error_of(column, boxes, name):
 
 
 def test_plain_curves_fit_cars_of_one_size(many_drives):
-    """d = const / h: exact for the inverse and log-linear curves, approximate for polynomials of the fifth order."""
+    """d = const / h: exact for the inverse and log-linear curves, approximate for polynomials of
+    the fifth order."""
     result = measured_by(tuple(PLAIN_CURVES), many_drives, many_drives)
     assert list(result) == list(PLAIN_CURVES)
     for name in ("inverse-height", "log-linear"):
@@ -62,9 +63,9 @@ def test_mono_ground_and_their_fusion(many_drives):
     assert error_of(result["ground"], many_drives, "car") < 0.1
     packaged = measured_by(("mono",), many_drives, many_drives)["mono"]
     assert 0.001 < error_of(packaged, many_drives, "car") < 0.2
-    known = measured_by(("ground",), many_drives, many_drives, MethodOptions(box_sigma_px=0.5, camera_height_m=1.65))[
-        "ground"
-    ]
+    known = measured_by(
+        ("ground",), many_drives, many_drives, MethodOptions(box_sigma_px=0.5, camera_height_m=1.65)
+    )["ground"]
     assert error_of(known, many_drives, "car") < 0.05
 
 
@@ -74,12 +75,14 @@ def approaching(tmp_path, row, drives, n=60, speed_mps=8.0):
 
 
 def test_paper_filter_by_hand(tmp_path, row, drives):
-    """Q = R = P0 = 0.1: gains 2/3, then 5/8; with V unknown the filter lags behind an approaching car."""
+    """Q = R = P0 = 0.1: gains 2/3, then 5/8; with V unknown the filter lags behind an approaching
+    car."""
     boxes = approaching(tmp_path, row, drives, n=3)
     z = np.array([10.0, 13.0, 9.0, 10.0, 13.0, 9.0])
     column, closing_mps = filtered(boxes, MethodColumn(z, 0 * z + 1), "paper")
     first, second, third = 10.0, 10.0 + 2 / 3 * 3.0, 12.0 + 5 / 8 * (9.0 - 12.0)
-    assert column.distance_m == pytest.approx([first, second, third] * 2)  # each drive has its own filter
+    # each drive has its own filter
+    assert column.distance_m == pytest.approx([first, second, third] * 2)
     assert closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
     assert filtered(boxes, MethodColumn(z, z), "none")[0].distance_m is z
 

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
+from track_range.ranging.fitting.camera.focal_evidence import (
+    default_guess,
+    focal_of_field,
+    focal_posterior,
+)
 from track_range.ranging.fitting.camera.measurements import (
     FocalGuess,
     HorizonRow,
@@ -70,12 +74,17 @@ def test_contradicting_distances_widen_all_sigmas():
     assert agreeing.contradiction == 1.0
     assert contradicting.contradiction > 2.0
     assert contradicting.focal_sigma > 2 * agreeing.focal_sigma
-    assert "60 m" in contradicting.largest_deviation[0] or "10 m" in contradicting.largest_deviation[0]
+    assert (
+        "60 m" in contradicting.largest_deviation[0] or "10 m" in contradicting.largest_deviation[0]
+    )
 
 
-@pytest.mark.parametrize(("factor", "is_contradiction"), [(1.0, False), (1.15, False), (1.45, True), (0.7, True)])
+@pytest.mark.parametrize(
+    ("factor", "is_contradiction"), [(1.0, False), (1.15, False), (1.45, True), (0.7, True)]
+)
 def test_one_wrong_distance_among_five(factor, is_contradiction):
-    """Its residual of 4 to 6 sigmas is a contradiction, although the rms of all residuals is below 2."""
+    """Its residual of 4 to 6 sigmas is a contradiction, although the rms of all residuals is below
+    2."""
     known = [
         KnownObject(
             name=f"{d:g} m",
@@ -94,7 +103,9 @@ def test_one_wrong_distance_among_five(factor, is_contradiction):
 
 
 def test_wrong_horizon_is_an_outlier():
-    boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (6.0, 10.0, 20.0, 35.0)]
+    boxes = [
+        flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (6.0, 10.0, 20.0, 35.0)
+    ]
     known = [
         KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
         for d, box in zip((6.0, 10.0, 20.0, 35.0), boxes, strict=True)
@@ -138,7 +149,8 @@ class _NoSizes:
 
 
 def cuboid_scene(focal_px, *, n=60, seed=0):
-    """Exact boxes of parked and driving cars of typical size along a road, seen by a camera of this focal length."""
+    """Exact boxes of parked and driving cars of typical size along a road, seen by a camera of this
+    focal length."""
     rng = np.random.default_rng(seed)
     prior = SIZES.priors["car"]
     bearing = rng.uniform(-0.85, 0.85, n) * SIZE_PX[0] / 2 / focal_px
@@ -160,7 +172,10 @@ def cuboid_scene(focal_px, *, n=60, seed=0):
 def test_shapes_of_cars_give_the_focal_length(focal_px):
     guess = default_guess(SIZE_PX[0])
     posterior = focal_posterior([guess], cuboid_scene(focal_px), SIZE_PX, SIZES)
-    before, after = abs(math.log(guess.focal_px / focal_px)), abs(math.log(posterior.guess[0] / focal_px))
+    before, after = (
+        abs(math.log(guess.focal_px / focal_px)),
+        abs(math.log(posterior.guess[0] / focal_px)),
+    )
     assert after < 0.16
     assert after < max(before, 0.12)
     assert 0.1 < posterior.guess[1] < 0.25
@@ -179,7 +194,9 @@ def test_two_guesses_are_combined_by_their_sigmas():
     guesses = [FocalGuess(800.0, 0.05, "a"), FocalGuess(1000.0, 0.2, "b")]
     focal_px, sigma = focal_posterior(guesses, SceneBoxes(), SIZE_PX, None).guess
     weight = 0.05**-2 / (0.05**-2 + 0.2**-2)
-    assert math.log(focal_px) == pytest.approx(weight * math.log(800) + (1 - weight) * math.log(1000), abs=0.005)
+    assert math.log(focal_px) == pytest.approx(
+        weight * math.log(800) + (1 - weight) * math.log(1000), abs=0.005
+    )
     assert sigma == pytest.approx((0.05**-2 + 0.2**-2) ** -0.5, rel=0.05)
 
 

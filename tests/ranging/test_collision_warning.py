@@ -36,7 +36,8 @@ def drive(
     settings: WarningSettings | None = None,
     measured_m: Callable[[float], float] | None = None,
 ) -> list[Warnings]:
-    """Warnings of all frames with one object, measured with 1 % of noise in distance and 0.5 px in the box.
+    """Warnings of all frames with one object, measured with 1 % of noise in distance and 0.5 px in
+    the box.
 
     `measured_m` replaces the distances that confirm the filtered ones.
     """
@@ -49,21 +50,35 @@ def drive(
         yaw = yaw_rad_s(time_s) if callable(yaw_rad_s) else yaw_rad_s
         middle, half = 620.0 + 700.0 * x_m / z_m, 350.0 * width_m / z_m
         box: FloatArray = np.array([[middle - half, 187.0, middle + half, 187.0 + 1000.0 / z_m]])
-        tracks = Tracks(ids, box + rng.normal(0, 0.5, (1, 4)), np.array([class_id]), np.ones(1), np.ones(1, bool))
+        tracks = Tracks(
+            ids,
+            box + rng.normal(0, 0.5, (1, 4)),
+            np.array([class_id]),
+            np.ones(1),
+            np.ones(1, bool),
+        )
         distance_m = z_m * (1 + 0.01 * rng.normal())
         measured = {"fused": Ranges(ids, np.array([distance_m]), np.array([0.01 * z_m]))}
         motion = filters.update(measured, time_s, ego_speed_mps=ego_mps)["fused"]
         own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
-        side = lateral.update(tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps)
+        side = lateral.update(
+            tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps
+        )
         ranges = measured["fused"]
         if measured_m is not None:
             ranges = Ranges(ids, np.array([measured_m(time_s)]), ranges.sigma_m)
-        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw, ranges=ranges))
+        results.append(
+            warning.update(
+                tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw, ranges=ranges
+            )
+        )
     return results
 
 
 def first_alarm_s(results: list[Warnings]) -> float:
-    return next((STEP_S * number for number, result in enumerate(results) if result.active[0]), math.inf)
+    return next(
+        (STEP_S * number for number, result in enumerate(results) if result.active[0]), math.inf
+    )
 
 
 def standing_in_a_bend(ego_mps: float, curvature: float, *, z_m: float, x_m: float) -> Path:
@@ -73,30 +88,39 @@ def standing_in_a_bend(ego_mps: float, curvature: float, *, z_m: float, x_m: flo
         turned = curvature * ego_mps * time_s
         ego_x, ego_z = (1 - math.cos(turned)) / curvature, math.sin(turned) / curvature
         dx, dz = x_m - ego_x, z_m - ego_z
-        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(turned)
+        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(
+            turned
+        )
 
     return path
 
 
 @pytest.mark.parametrize("ego_mps", [12.0, math.nan])
 def test_standing_car_ahead(ego_mps: float) -> None:
-    """The contact is when the front of the ego vehicle, 1.5 m before the camera, arrives: after (61.5 - 1.5) / 12 s."""
+    """The contact is when the front of the ego vehicle, 1.5 m before the camera, arrives: after
+    (61.5 - 1.5) / 12 s."""
     results = drive(lambda t: (0.2, 61.5 - 12 * t), seconds=4.9, ego_mps=ego_mps, yaw_rad_s=0.0)
     assert 2.0 < 5.0 - first_alarm_s(results) < 3.6
     assert results[-1].active[0]
     assert results[-1].probability[0] > 0.95
 
 
-@pytest.mark.parametrize(("slope_mps", "starts"), [(-12.0, True), (-11.0, True), (0.0, False), (2.0, False)])
+@pytest.mark.parametrize(
+    ("slope_mps", "starts"), [(-12.0, True), (-11.0, True), (0.0, False), (2.0, False)]
+)
 def test_measured_distances_confirm_the_closing_speed(slope_mps: float, starts: bool) -> None:
-    """The filtered distance falls by 12 m/s; an alarm starts only if the measured ones fall as well."""
+    """The filtered distance falls by 12 m/s; an alarm starts only if the measured ones fall as
+    well."""
     path: Path = lambda t: (0.2, 61.5 - 12 * t)  # noqa: E731
-    results = drive(path, seconds=4.0, ego_mps=12.0, yaw_rad_s=0.0, measured_m=lambda t: 61.5 + slope_mps * t)
+    results = drive(
+        path, seconds=4.0, ego_mps=12.0, yaw_rad_s=0.0, measured_m=lambda t: 61.5 + slope_mps * t
+    )
     assert (first_alarm_s(results) < 3.0) == starts
 
 
 def test_crossing_person() -> None:
-    """Walks from the right at 1.5 m/s and is in the middle of the path when the ego vehicle arrives after 4 s."""
+    """Walks from the right at 1.5 m/s and is in the middle of the path when the ego vehicle arrives
+    after 4 s."""
     path: Path = lambda t: (6.0 - 1.5 * t, 41.5 - 10 * t)  # noqa: E731
     results = drive(path, seconds=3.9, ego_mps=10.0, yaw_rad_s=0.0, class_id=PERSON, width_m=0.5)
     assert 4.0 - first_alarm_s(results) > 2.0
@@ -119,7 +143,8 @@ def test_harmless_motion(path: Path) -> None:
 
 
 def test_parked_car_straight_ahead_in_a_bend() -> None:
-    """On an arc of 1 / 60 m, a car straight ahead at 25 m is 5.2 m beside the path; without the yaw rate it is not."""
+    """On an arc of 1 / 60 m, a car straight ahead at 25 m is 5.2 m beside the path; without the yaw
+    rate it is not."""
     path = standing_in_a_bend(8.0, 1 / 60, z_m=40.0, x_m=8.0)
     known = drive(path, seconds=4.5, ego_mps=8.0, yaw_rad_s=8.0 / 60)
     assert first_alarm_s(known) == math.inf
@@ -133,7 +158,8 @@ def test_car_in_the_path_in_a_bend() -> None:
 
 
 def test_path_at_the_entry_of_a_bend() -> None:
-    """The yaw rate grows by 0.04 rad/s per second: a circle would miss a car in the path 25 m ahead by 1 m."""
+    """The yaw rate grows by 0.04 rad/s per second: a circle would miss a car in the path 25 m ahead
+    by 1 m."""
     step_s, V = 0.01, 10.0
     heading = 0.02 * np.arange(0, 6, step_s) ** 2
     x_m, z_m = np.cumsum(V * step_s * np.sin(heading)), np.cumsum(V * step_s * np.cos(heading))
@@ -141,22 +167,31 @@ def test_path_at_the_entry_of_a_bend() -> None:
     def path(time_s: float) -> tuple[float, float]:
         now = round(time_s / step_s)
         dx, dz, turned = x_m[500] - x_m[now], z_m[500] - z_m[now], heading[now]
-        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(turned)
+        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(
+            turned
+        )
 
     results = drive(path, seconds=3.0, ego_mps=V, yaw_rad_s=lambda time_s: 0.04 * time_s)
     assert abs(results[25].path_offset_m[0]) < 0.5
 
 
 def test_person_who_appears_late() -> None:
-    """First seen 1.6 s before the contact; people hardly walk along the road, so the closing speed is known at once."""
+    """First seen 1.6 s before the contact; people hardly walk along the road, so the closing speed
+    is known at once."""
     results = drive(
-        lambda t: (2.5 - 1.5 * t, 17.5 - 10 * t), seconds=1.5, ego_mps=10.0, yaw_rad_s=0.0, class_id=PERSON, width_m=0.5
+        lambda t: (2.5 - 1.5 * t, 17.5 - 10 * t),
+        seconds=1.5,
+        ego_mps=10.0,
+        yaw_rad_s=0.0,
+        class_id=PERSON,
+        width_m=0.5,
     )
     assert first_alarm_s(results) <= 0.6
 
 
 def test_vehicle_that_stops_in_a_queue() -> None:
-    """At 4.5 m/s, the vehicle 12 m ahead brakes with 2 m/s2 after 2 s; the ego vehicle can still brake gently."""
+    """At 4.5 m/s, the vehicle 12 m ahead brakes with 2 m/s2 after 2 s; the ego vehicle can still
+    brake gently."""
 
     def path(time_s: float) -> tuple[float, float]:
         return 0.0, 13.5 - max(time_s - 2.0, 0.0) ** 2
@@ -189,22 +224,36 @@ def test_signs_have_no_probability() -> None:
 
 
 def test_alarm_has_hysteresis() -> None:
-    """A new alarm needs 0.2 s above the threshold; it ends only 0.5 s after the probability has fallen."""
+    """A new alarm needs 0.2 s above the threshold; it ends only 0.5 s after the probability has
+    fallen."""
     path: Path = lambda t: (0.0, 41.5 - 10 * min(t, 2.5))  # noqa: E731 - the ego vehicle stops at once after 2.5 s
     results = drive(path, seconds=6.0)
     active = [bool(result.active[0]) for result in results]
     starts, ends = active.index(True), len(active) - 1 - active[::-1].index(True)
     assert all(active[starts : ends + 1])
-    above = [i for i, result in enumerate(results) if result.probability[0] >= WarningSettings().on_probability]
+    above = [
+        i
+        for i, result in enumerate(results)
+        if result.probability[0] >= WarningSettings().on_probability
+    ]
     assert starts >= above[0] + 2
     assert ends >= above[-1] + 4
 
 
 def test_no_tracks_and_unknown_distances() -> None:
-    filters, lateral, warning = DistanceFilters({"fused": 0.9}), LateralFilters(CAMERA), CollisionWarning()
-    for tracks in (Tracks.empty(), Tracks(np.array([4]), np.ones((1, 4)), np.array([2]), np.ones(1), np.ones(1, bool))):
+    filters, lateral, warning = (
+        DistanceFilters({"fused": 0.9}),
+        LateralFilters(CAMERA),
+        CollisionWarning(),
+    )
+    for tracks in (
+        Tracks.empty(),
+        Tracks(np.array([4]), np.ones((1, 4)), np.array([2]), np.ones(1), np.ones(1, bool)),
+    ):
         motion = filters.update({"fused": Ranges.unmeasured(tracks.track_id)}, 0.0)["fused"]
-        result = warning.update(tracks, motion, lateral.update(tracks, motion.ranges.distance_m, 0.0), 0.0)
+        result = warning.update(
+            tracks, motion, lateral.update(tracks, motion.ranges.distance_m, 0.0), 0.0
+        )
         assert len(result.probability) == len(tracks)
         assert not result.active.any()
         assert np.isnan(result.probability).all()

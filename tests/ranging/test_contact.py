@@ -22,7 +22,9 @@ EGO = {"horizon_s": 3.5, "manoeuvre_s": 3.0, "ego_length_m": 4.2}
 EXACT = 1e-8
 
 
-def state(x: float, v: float, *, P_xx: float = EXACT, P_xv: float = 0.0, P_vv: float = EXACT) -> ConstantVelocity:
+def state(
+    x: float, v: float, *, P_xx: float = EXACT, P_xv: float = 0.0, P_vv: float = EXACT
+) -> ConstantVelocity:
     return ConstantVelocity(*(np.array([value]) for value in (x, v, P_xx, P_xv, P_vv)))
 
 
@@ -36,13 +38,19 @@ def encounter(
     half_width_m: float = 1.8,
     A: float = 0.0,
 ) -> Encounter:
-    """An object with the acceleration a, and the ego vehicle with (speed, acceleration); None = unknown."""
+    """An object with the acceleration a, and the ego vehicle with (speed, acceleration); None =
+    unknown."""
     V, ego_a = ego or (0.0, 0.0)
     stops = (np.inf, np.inf)
     if ego is not None:
-        stops = stop_s(gap.v + V, np.array([a]), 3.0)[0], stop_s(np.array([V]), np.array([ego_a]), 3.0)[0]
+        stops = (
+            stop_s(gap.v + V, np.array([a]), 3.0)[0],
+            stop_s(np.array([V]), np.array([ego_a]), 3.0)[0],
+        )
     values = (np.array([value]) for value in (gap.v[0] + V, a, stops[0], a_sigma))
-    return Encounter(gap, *values, V, ego_a, float(stops[1]), offset, np.array([half_width_m]), np.array([A]))
+    return Encounter(
+        gap, *values, V, ego_a, float(stops[1]), offset, np.array([half_width_m]), np.array([A])
+    )
 
 
 def probability(*args: ConstantVelocity, **kwargs: Any) -> float:
@@ -60,30 +68,39 @@ def probability(*args: ConstantVelocity, **kwargs: Any) -> float:
         ((20.0, -10.0), (1.0, 3.0), 0.0),  # has left it by then
     ],
 )
-def test_certain_motion(gap: tuple[float, float], offset: tuple[float, float], expected: float) -> None:
+def test_certain_motion(
+    gap: tuple[float, float], offset: tuple[float, float], expected: float
+) -> None:
     assert probability(state(*gap), state(*offset)) == pytest.approx(expected, abs=1e-6)
 
 
 def test_uncertain_arrival_by_hand() -> None:
-    """30 m at 10 +- 1 m/s: arrival within 3.5 s if the speed exceeds 30 / 3.5 = 8.57 m/s, Phi(1.43) = 0.923."""
-    assert probability(state(30.0, -10.0, P_vv=1.0), state(0.0, 0.0)) == pytest.approx(ndtr(10 - 30 / 3.5), abs=1e-3)
+    """30 m at 10 +- 1 m/s: arrival within 3.5 s if the speed exceeds 30 / 3.5 = 8.57 m/s, Phi(1.43)
+    = 0.923."""
+    assert probability(state(30.0, -10.0, P_vv=1.0), state(0.0, 0.0)) == pytest.approx(
+        ndtr(10 - 30 / 3.5), abs=1e-3
+    )
 
 
 def test_uncertain_offset_by_hand() -> None:
     """Offset 0 +- 1 m and reach 1.8 m: P(|N(0, 1)| <= 1.8) = 0.928."""
     expected = ndtr(1.8) - ndtr(-1.8)
-    assert probability(state(20.0, -10.0), state(0.0, 0.0, P_xx=1.0)) == pytest.approx(expected, abs=1e-6)
+    assert probability(state(20.0, -10.0), state(0.0, 0.0, P_xx=1.0)) == pytest.approx(
+        expected, abs=1e-6
+    )
 
 
 def test_acceleration_brings_the_contact_forward() -> None:
     gap, offset = state(30.0, -6.0), state(0.0, 0.0)
     assert probability(gap, offset) == pytest.approx(0.0, abs=1e-6)
     assert probability(gap, offset, a=-4.0) == pytest.approx(1.0, abs=1e-6)
-    assert probability(state(18.0, -6.0), offset, a=3.0) == pytest.approx(0.0, abs=1e-6)  # brakes in time
+    # brakes in time
+    assert probability(state(18.0, -6.0), offset, a=3.0) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_braking_vehicle_does_not_reverse() -> None:
-    """8 m ahead at 2 m/s and braking with 2 m/s^2, it stops after about 1.4 m; the ego vehicle needs 4.7 s at 2 m/s."""
+    """8 m ahead at 2 m/s and braking with 2 m/s^2, it stops after about 1.4 m; the ego vehicle
+    needs 4.7 s at 2 m/s."""
     gap, offset = state(8.0, 0.0), state(0.0, 0.0)
     assert probability(gap, offset, a=-2.0, ego=(2.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
     assert probability(gap, offset, a=-2.0) == pytest.approx(1.0, abs=1e-6)  # unknown speeds
@@ -98,7 +115,9 @@ def test_braking_ego_vehicle_stops() -> None:
 @pytest.mark.parametrize("acceleration_mps2", [-0.5, -2.0, -8.0])
 def test_stop(acceleration_mps2: float) -> None:
     time_s = float(stop_s(np.array([1.0]), np.array([acceleration_mps2]), 3.0)[0])
-    assert 1.0 + acceleration_mps2 * 3.0 * (1 - np.exp(-time_s / 3.0)) == pytest.approx(0.0, abs=1e-6)
+    assert 1.0 + acceleration_mps2 * 3.0 * (1 - np.exp(-time_s / 3.0)) == pytest.approx(
+        0.0, abs=1e-6
+    )
 
 
 def test_no_stop() -> None:
@@ -114,7 +133,8 @@ def test_no_stop() -> None:
         ((30.0, -10.0), 0.0, None, 2.5),
         ((30.0, -10.0), 0.0, (10.0, -2.0), 64 / 42),  # already brakes
         ((30.0, 2.0), 0.0, (10.0, 0.0), 0.0),  # draws away
-        ((10.5, 0.0), -2.0, (15.0, 0.0), 15**2 / (2 * (9.5 + 13**2 / 4))),  # stops before the speeds are equal
+        # stops before the speeds are equal
+        ((10.5, 0.0), -2.0, (15.0, 0.0), 15**2 / (2 * (9.5 + 13**2 / 4))),
         ((10.0, -2.0), -1.0, (20.0, 0.0), 1 + 9 / 15),  # goes on braking
     ],
 )
@@ -126,21 +146,29 @@ def test_needed_deceleration(
 
 
 def test_person_may_run_into_the_side() -> None:
-    """Walks at 2 m/s and is 0.5 m beside the reach when the front arrives; the car passes for another 0.42 s."""
+    """Walks at 2 m/s and is 0.5 m beside the reach when the front arrives; the car passes for
+    another 0.42 s."""
     gap = state(20.0, -10.0)
-    assert probability(gap, state(1.2 + 0.5 + 4.0, -2.0), half_width_m=1.2) == pytest.approx(1.0, abs=0.2)
-    assert probability(gap, state(1.2 + 1.2 + 4.0, -2.0), half_width_m=1.2) == pytest.approx(0.0, abs=1e-6)
+    assert probability(gap, state(1.2 + 0.5 + 4.0, -2.0), half_width_m=1.2) == pytest.approx(
+        1.0, abs=0.2
+    )
+    assert probability(gap, state(1.2 + 1.2 + 4.0, -2.0), half_width_m=1.2) == pytest.approx(
+        0.0, abs=1e-6
+    )
 
 
 def test_overlap_against_the_normal_distribution() -> None:
     offset = state(1.0, -0.5, P_xx=0.2, P_xv=0.1, P_vv=0.3)
     sigma = np.sqrt(0.2 + 2 * 2 * 0.1 + 4 * 0.3 + (0.4 * 4 / 2) ** 2)
     expected = ndtr(1.5 / sigma) - ndtr(-1.5 / sigma)
-    assert overlap_probability(offset, np.array([1.5]), np.array([0.4]), 2.0)[0] == pytest.approx(expected)
+    assert overlap_probability(offset, np.array([1.5]), np.array([0.4]), 2.0)[0] == pytest.approx(
+        expected
+    )
 
 
 def test_monte_carlo() -> None:
-    """100,000 motions with the means and covariances of the encounter; arrival and overlap drawn separately."""
+    """100,000 motions with the means and covariances of the encounter; arrival and overlap drawn
+    separately."""
     rng = np.random.default_rng(4)
     n = 100_000
     gap = state(26.0, -9.0, P_xx=0.5, P_xv=0.2, P_vv=0.8)
@@ -156,7 +184,11 @@ def test_monte_carlo() -> None:
         arrival_s = np.where(g + v * t + a * h <= 0, t, arrival_s)
     t = np.minimum(arrival_s, 3.5)
     x, side = o + u * t + A * t * t / 2, u * 4.2 / 9.0
-    is_hit = (x >= -1.8 - np.maximum(side, 0)) & (x <= 1.8 + np.maximum(-side, 0)) & np.isfinite(arrival_s)
+    is_hit = (
+        (x >= -1.8 - np.maximum(side, 0))
+        & (x <= 1.8 + np.maximum(-side, 0))
+        & np.isfinite(arrival_s)
+    )
     assert exact == pytest.approx(is_hit.mean(), abs=0.02)
 
 
@@ -168,14 +200,20 @@ def test_monte_carlo() -> None:
     a=st.floats(-10, 10),
 )
 def test_probability_is_within_limits(
-    gap: tuple[float, float], offset: tuple[float, float], sigmas: tuple[float, float, float, float], a: float
+    gap: tuple[float, float],
+    offset: tuple[float, float],
+    sigmas: tuple[float, float, float, float],
+    a: float,
 ) -> None:
     d, v, x, u = (sigma**2 for sigma in sigmas)
     p = probability(state(*gap, P_xx=d, P_vv=v), state(*offset, P_xx=x, P_vv=u), a=a, a_sigma=0.5)
     assert -1e-9 <= p <= 1 + 1e-9
     mirrored = (-offset[0], -offset[1])
     assert p == pytest.approx(
-        probability(state(*gap, P_xx=d, P_vv=v), state(*mirrored, P_xx=x, P_vv=u), a=a, a_sigma=0.5), abs=1e-9
+        probability(
+            state(*gap, P_xx=d, P_vv=v), state(*mirrored, P_xx=x, P_vv=u), a=a, a_sigma=0.5
+        ),
+        abs=1e-9,
     )
 
 

@@ -58,7 +58,8 @@ def corners(position, yaw, hwl):
 
 
 def true_position(yaw, bearing, distance_m, hwl):
-    """(x, z) of a cuboid with the given bearing and surface distance, by damped iteration with `surface_distance_m`."""
+    """(x, z) of a cuboid with the given bearing and surface distance, by damped iteration with
+    `surface_distance_m`."""
     x, z = bearing * (distance_m + 1), distance_m + 1
     for _ in range(200):
         columns, _ = corners((x, z), yaw, hwl)

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.curve import CURVE_VERSION, CurveError, load_curves, save_curves
+from track_range.ranging.size_models.curve import (
+    CURVE_VERSION,
+    CurveError,
+    load_curves,
+    save_curves,
+)
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.plain_curves import SAFE_CURVES, TableCurve, TableSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
@@ -22,7 +27,9 @@ def table():
     distance_m = np.linspace(6, 80, 200)
     sizes = np.stack([1.7 / distance_m, 1.5 / distance_m], axis=1)
     fitted = SAFE_CURVES["height-3"](sizes, np.zeros(200), distance_m)
-    return TableSizes("height", {"car": TableCurve(table=fitted, sigma_relative=0.05, n=200, source="made up")})
+    return TableSizes(
+        "height", {"car": TableCurve(table=fitted, sigma_relative=0.05, n=200, source="made up")}
+    )
 
 
 def test_round_trip_of_all_kinds(tmp_path):

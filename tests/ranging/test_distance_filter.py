@@ -45,7 +45,11 @@ def test_equals_filterpy_with_uneven_steps():
             oracle.F = np.array([[1, dt], [0, 1]])
             oracle.Q = 1.5**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
             oracle.predict()
-            oracle.update(np.array([[np.log(z)]]), lambda x: np.array([[1 / x[0, 0], 0]]), lambda x: np.log(x[:1]))
+            oracle.update(
+                np.array([[np.log(z)]]),
+                lambda x: np.array([[1 / x[0, 0], 0]]),
+                lambda x: np.log(x[:1]),
+            )
         assert result.ranges.distance_m[0] == pytest.approx(oracle.x[0, 0])
         assert result.ranges.sigma_m[0] == pytest.approx(np.sqrt(oracle.P[0, 0]))
     assert result.rate_mps[0] == pytest.approx(oracle.x[1, 0])
@@ -54,7 +58,8 @@ def test_equals_filterpy_with_uneven_steps():
 
 
 def simulated(rng, *, n, steps, dt=0.1):
-    """Distances and rates (steps, n) of targets with speeds that follow the motion model of the filter."""
+    """Distances and rates (steps, n) of targets with speeds that follow the motion model of the
+    filter."""
     distance, rate = rng.uniform(80, 120, n), rng.normal(0, 8, n)
     for _ in range(steps):
         kick = rng.normal(0, 1.5 * np.sqrt(dt), n)
@@ -67,11 +72,14 @@ def test_errors_are_consistent_with_the_covariance():
     tracker = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0)
     of_distance, of_rate = [], []
     for step, (distance, rate) in enumerate(simulated(rng, n=300, steps=40)):
-        result = tracker.update(measured(np.arange(300), distance + rng.normal(0, 0.5, 300), 0.5), step * 0.1)
+        result = tracker.update(
+            measured(np.arange(300), distance + rng.normal(0, 0.5, 300), 0.5), step * 0.1
+        )
         if step > 20:
             of_distance.append(((result.ranges.distance_m - distance) / result.ranges.sigma_m) ** 2)
             of_rate.append(((result.rate_mps - rate) / result.rate_sigma_mps) ** 2)
-    assert 0.85 < np.mean(of_distance) < 1.15  # normalised squared error of a one-dimensional estimate
+    # normalised squared error of a one-dimensional estimate
+    assert 0.85 < np.mean(of_distance) < 1.15
     assert 0.85 < np.mean(of_rate) < 1.15
 
 
@@ -80,12 +88,15 @@ def test_noise_scale_is_learnt(true_sigma_m):
     rng = np.random.default_rng(3)
     tracker = OneFilter()
     for step, (distance, _) in enumerate(simulated(rng, n=40, steps=60)):
-        tracker.update(measured(np.arange(40), distance + rng.normal(0, true_sigma_m, 40), 1.0), step * 0.1)
+        tracker.update(
+            measured(np.arange(40), distance + rng.normal(0, true_sigma_m, 40), 1.0), step * 0.1
+        )
     assert tracker.noise_share == pytest.approx(true_sigma_m, rel=0.25)
 
 
 def test_box_jitter_does_not_bias_the_distance():
-    """A height of 20 px with a jitter of 3 px: a filter in metres would be biased by 7 % of the distance."""
+    """A height of 20 px with a jitter of 3 px: a filter in metres would be biased by 7 % of the
+    distance."""
     rng = np.random.default_rng(4)
     tracker, ids, last = OneFilter(), np.arange(200), []
     for step in range(60):
@@ -104,7 +115,9 @@ def test_ego_braking_is_not_target_motion():
         for step in range(18):
             speed_mps = 15.0 - 0.8 * max(step - 6, 0)
             result = tracker.update(
-                measured([1], [distance_m], 0.4), step * 0.1, ego_speed_mps=speed_mps if name == "known" else np.nan
+                measured([1], [distance_m], 0.4),
+                step * 0.1,
+                ego_speed_mps=speed_mps if name == "known" else np.nan,
             )
             distance_m -= (speed_mps + max(15.0 - 0.8 * max(step - 5, 0), 0)) / 2 * 0.1
         errors[name] = abs(result.rate_mps[0] + speed_mps)
@@ -112,14 +125,20 @@ def test_ego_braking_is_not_target_motion():
 
 
 def test_ego_sigma_widens_the_rate_sigma():
-    """With a noisy ego speed, errors of the rate agree with its sigma only if the filter gets the ego sigma."""
+    """With a noisy ego speed, errors of the rate agree with its sigma only if the filter gets the
+    ego sigma."""
     ratio = {}
     for ego_sigma_mps in (np.nan, 2.0):
         rng, errors2 = np.random.default_rng(5), []
         for _ in range(12):
-            tracker, ego_error_mps = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0), 0.0
+            tracker, ego_error_mps = (
+                OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0),
+                0.0,
+            )
             for step, (distance, rate) in enumerate(simulated(rng, n=5, steps=30)):
-                ego_error_mps = np.exp(-0.1) * ego_error_mps + 2.0 * np.sqrt(-np.expm1(-0.2)) * rng.normal()
+                ego_error_mps = (
+                    np.exp(-0.1) * ego_error_mps + 2.0 * np.sqrt(-np.expm1(-0.2)) * rng.normal()
+                )
                 result = tracker.update(
                     measured(np.arange(5), distance + rng.normal(0, 0.5, 5), 0.5),
                     step * 0.1,
@@ -149,7 +168,10 @@ def test_constant_ego_speed_needs_no_sigma():
 
 
 def test_new_track_starts_as_a_static_target():
-    tracker, moves = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0), {"may_be_static": np.array([False])}
+    tracker, moves = (
+        OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0),
+        {"may_be_static": np.array([False])},
+    )
     assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]
     unknown_ego = tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1)
     assert unknown_ego.rate_mps == pytest.approx([-12.0, 0.0])
@@ -159,18 +181,22 @@ def test_new_track_starts_as_a_static_target():
 
 
 def test_ttc_sigma_is_consistent_and_without_size_error():
-    """A constant size error of 20 %: distance and speed have the same relative error, the time has none."""
+    """A constant size error of 20 %: distance and speed have the same relative error, the time has
+    none."""
     rng = np.random.default_rng(5)
     tracker, ids, off = OneFilter(noise_share=0.1, max_rate_sigma_mps=9.0), np.arange(300), 1.2
     for step in range(20):
         true_m = 60 - 12 * step * 0.1
         noise = rng.normal(0, 0.02, 300)
-        result = tracker.update(measured(ids, off * true_m * np.exp(noise), 0.2 * true_m), step * 0.1)
+        result = tracker.update(
+            measured(ids, off * true_m * np.exp(noise), 0.2 * true_m), step * 0.1
+        )
     in_sigmas = (result.ttc_s - true_m / 12) / result.ttc_sigma_s
     assert abs(np.mean(in_sigmas)) < 0.3
     assert 0.5 < np.std(in_sigmas) < 1.2
     assert np.median(result.rate_mps) == pytest.approx(-14.4, rel=0.03)
-    assert np.mean(np.abs(result.rate_mps + 12) < 2 * result.rate_sigma_mps) > 0.9  # sigma includes the size error
+    # sigma includes the size error
+    assert np.mean(np.abs(result.rate_mps + 12) < 2 * result.rate_sigma_mps) > 0.9
 
 
 def test_tracks_come_go_and_survive_short_gaps():
@@ -180,7 +206,8 @@ def test_tracks_come_go_and_survive_short_gaps():
     assert len(tracker.update(measured([], []), 1.0).rate_mps) == 0
     back = tracker.update(measured([3, 1], [10.0, np.nan]), 1.3)
     assert back.ranges.distance_m[0] == pytest.approx(10.0)
-    assert back.ranges.distance_m[1] == pytest.approx(17, abs=1.5)  # 10 m/s closing, 4 steps after 21 m
+    # 10 m/s closing, 4 steps after 21 m
+    assert back.ranges.distance_m[1] == pytest.approx(17, abs=1.5)
     gone = tracker.update(measured([1], [np.nan]), 2.5)
     assert np.isnan(gone.ranges.distance_m).all()
     assert np.isnan(gone.ranges.sigma_m).all()
@@ -190,14 +217,19 @@ def test_single_outlier_has_little_effect():
     tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [30.0]), step * 0.1)
-    assert tracker.update(measured([1], [60.0]), 2.0).ranges.distance_m[0] == pytest.approx(30, abs=2)
+    assert tracker.update(measured([1], [60.0]), 2.0).ranges.distance_m[0] == pytest.approx(
+        30, abs=2
+    )
 
 
 def test_three_outliers_restart_the_filter():
     tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [15.0]), step * 0.1)
-    moved = [tracker.update(measured([1], [60.0]), 2.0 + step * 0.1).ranges.distance_m[0] for step in range(4)]
+    moved = [
+        tracker.update(measured([1], [60.0]), 2.0 + step * 0.1).ranges.distance_m[0]
+        for step in range(4)
+    ]
     assert max(moved[:2]) < 20
     assert moved[2:] == pytest.approx([60.0, 60.0])
 
@@ -218,7 +250,9 @@ def test_step_at_a_change_of_condition_is_not_speed():
         tracker = OneFilter()
         for step in range(16):
             number, distance_m = (numbers[0], 6.6) if step < 8 else (numbers[1], 4.4)
-            result = tracker.update(measured([1], [distance_m], 0.6), step * 0.1, condition=np.array([number]))
+            result = tracker.update(
+                measured([1], [distance_m], 0.6), step * 0.1, condition=np.array([number])
+            )
             rates.setdefault(name, []).append(abs(result.rate_mps[0]))
     assert np.nanmax(rates["given"]) < 0.5 < 2.0 < np.nanmax(rates["not given"])
     assert np.isnan(rates["given"][8:11]).all()  # no rate for a third of a second
@@ -234,13 +268,16 @@ def test_systematic_sigma_does_not_average_out():
 
 
 def test_systematic_sigma_per_box():
-    """Sigma 2 with a systematic part of sqrt(3) has a noise share of one half; the other track has noise only."""
+    """Sigma 2 with a systematic part of sqrt(3) has a noise share of one half; the other track has
+    noise only."""
     rng, ids = np.random.default_rng(11), np.array([1, 2])
     per_box = OneFilter(noise_share=0.9, learns_noise=False)
     half, whole = (OneFilter(noise_share=fraction, learns_noise=False) for fraction in (0.5, 1.0))
     for step in range(20):
         now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
-        result = per_box.update(replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
+        result = per_box.update(
+            replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1
+        ).ranges
         expected = [filters.update(now, step * 0.1).ranges for filters in (half, whole)]
         for k in (0, 1):
             assert result.distance_m[k] == pytest.approx(expected[k].distance_m[k])
@@ -282,19 +319,28 @@ def test_methods_are_filtered_independently():
         present = rng.permutation(ids)[: 5 if step % 3 else 4]
         by_method = {
             name: measured(
-                present, np.where(rng.random(len(present)) < 0.2, np.nan, (30 + present) * rng.normal(1.0, 0.05))
+                present,
+                np.where(
+                    rng.random(len(present)) < 0.2, np.nan, (30 + present) * rng.normal(1.0, 0.05)
+                ),
             )
             for name in fractions
         }
         by_method["b"] = replace(by_method["b"], sigma_systematic_m=0.8 * by_method["b"].sigma_m)
         condition = rng.integers(0, 2, len(present))
         result = together.update(
-            {**by_method, "other": by_method["a"]}, step * 0.1, conditions={"c": condition}, ego_speed_mps=3.0
+            {**by_method, "other": by_method["a"]},
+            step * 0.1,
+            conditions={"c": condition},
+            ego_speed_mps=3.0,
         )
         assert list(result) == ["a", "b", "c"]
         for name, tracker in alone.items():
             last[name] = tracker.update(
-                by_method[name], step * 0.1, condition=condition if name == "c" else None, ego_speed_mps=3.0
+                by_method[name],
+                step * 0.1,
+                condition=condition if name == "c" else None,
+                ego_speed_mps=3.0,
             )
             for actual, separate in (
                 (result[name].ranges.distance_m, last[name].ranges.distance_m),
@@ -303,7 +349,9 @@ def test_methods_are_filtered_independently():
                 (result[name].ttc_sigma_s, last[name].ttc_sigma_s),
             ):
                 assert actual == pytest.approx(separate, nan_ok=True)
-    assert together.noise_shares == pytest.approx({name: tracker.noise_share for name, tracker in alone.items()})
+    assert together.noise_shares == pytest.approx(
+        {name: tracker.noise_share for name, tracker in alone.items()}
+    )
     assert len(set(together.noise_shares.values())) == 3
 
 
@@ -316,7 +364,9 @@ def test_step_to_a_hidden_box_is_not_motion(is_told):
         z = 30.0 * (1.08 if is_hidden[0] else 1.0)
         options = {"is_hidden": is_hidden} if is_told else {}
         options["may_be_static"] = np.array([False])  # otherwise it is static in spite of the step
-        result = tracker.update(measured([1], [z], sigma_m=0.08 * z), step * 0.1, ego_speed_mps=0.0, **options)
+        result = tracker.update(
+            measured([1], [z], sigma_m=0.08 * z), step * 0.1, ego_speed_mps=0.0, **options
+        )
         rates.append(result.rate_mps[0])
     assert np.isfinite(rates[10:]).all()  # it is known all the time
     largest = np.abs(rates[15:]).max()
@@ -328,14 +378,21 @@ def test_missing_method_has_measured_nothing():
     tracker = DistanceFilters({"a": 0.6, "b": 0.6})
     assert tracker.update({}, 0.0) == {}
     for step in range(10):
-        tracker.update({"a": measured([1], [40.0 - step]), "b": measured([1], [40.0 - step])}, step * 0.1)
+        tracker.update(
+            {"a": measured([1], [40.0 - step]), "b": measured([1], [40.0 - step])}, step * 0.1
+        )
     assert list(tracker.update({"a": measured([1], [30.0])}, 1.0)) == ["a"]
-    carried_on = tracker.update({"a": measured([1], [29.0]), "b": measured([1], [np.nan])}, 1.1)["b"]
+    carried_on = tracker.update({"a": measured([1], [29.0]), "b": measured([1], [np.nan])}, 1.1)[
+        "b"
+    ]
     assert carried_on.ranges.distance_m == pytest.approx([29.0], abs=0.3)
 
 
 @settings(deadline=None)
-@given(st.lists(st.one_of(st.just(np.nan), st.floats(0.1, 500)), min_size=1, max_size=12), st.floats(-40, 40))
+@given(
+    st.lists(st.one_of(st.just(np.nan), st.floats(0.1, 500)), min_size=1, max_size=12),
+    st.floats(-40, 40),
+)
 def test_any_input_gives_positive_distances_and_sigmas(distances_m, ego_mps):
     tracker = OneFilter()
     for step, distance_m in enumerate(distances_m):

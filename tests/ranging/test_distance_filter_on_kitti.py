@@ -1,4 +1,5 @@
-"""Distance filter on real motion: labelled cars, ranged by box height, without noise and with 2 px of noise."""
+"""Distance filter on real motion: labelled cars, ranged by box height, without noise and with 2 px
+of noise."""
 
 import numpy as np
 import pytest
@@ -19,18 +20,33 @@ class Cars:
     def __init__(self, path):
         labels = read_kitti(path)
         labels = labels.select(
-            (labels.kitti_type == "Car") & (labels.truncated == 0) & (labels.occluded <= 1) & labels.has_3d_box
+            (labels.kitti_type == "Car")
+            & (labels.truncated == 0)
+            & (labels.occluded <= 1)
+            & labels.has_3d_box
         )
         centre = (labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2
         rays = np.concatenate([(centre - CENTRE_PX) / FOCAL_PX, np.ones((len(labels), 1))], axis=1)
         true_m = surface_distance_m(
-            rays, labels.location_m, size_hwl_m=labels.size_hwl_m, rotation_y_rad=labels.rotation_y_rad
+            rays,
+            labels.location_m,
+            size_hwl_m=labels.size_hwl_m,
+            rotation_y_rad=labels.rotation_y_rad,
         )
         rows = (true_m > 10) & (true_m < 90)
-        self.frame, self.track_id, self.true_m = labels.frame[rows], labels.track_id[rows] + 1, true_m[rows]
+        self.frame, self.track_id, self.true_m = (
+            labels.frame[rows],
+            labels.track_id[rows] + 1,
+            true_m[rows],
+        )
         self.height_px = (labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1])[rows]
-        at = {(int(f), int(i)): d for f, i, d in zip(self.frame, self.track_id, self.true_m, strict=True)}
-        ends = [[at.get((int(f) + s, int(i)), np.nan) for s in (-REACH, REACH)] for f, i in self.pairs()]
+        at = {
+            (int(f), int(i)): d
+            for f, i, d in zip(self.frame, self.track_id, self.true_m, strict=True)
+        }
+        ends = [
+            [at.get((int(f) + s, int(i)), np.nan) for s in (-REACH, REACH)] for f, i in self.pairs()
+        ]
         self.rate_mps = np.diff(np.array(ends), axis=1)[:, 0] / (2 * REACH * STEP_S)
 
     def pairs(self):
@@ -38,7 +54,9 @@ class Cars:
 
     def filtered(self, noise_px):
         """(N,) measured and filtered distances, their sigmas, and rates."""
-        height_px = self.height_px + np.random.default_rng(9).normal(0, noise_px * np.sqrt(2), len(self.height_px))
+        height_px = self.height_px + np.random.default_rng(9).normal(
+            0, noise_px * np.sqrt(2), len(self.height_px)
+        )
         measured_m = FOCAL_PX * HEIGHT_M / np.maximum(height_px, 5)
         sigma_m = measured_m * np.hypot(0.08, 1.5 * np.sqrt(2) / np.maximum(height_px, 5))
         filtered_m, found_sigma_m, rate_mps = np.full((3, len(measured_m)), np.nan)
@@ -61,9 +79,12 @@ def drives(shared_data):
 
 
 def figures_of(drives, noise_px):
-    """Mean relative errors before and after filtering, shares within 1 and 2 sigma, median closing speed error."""
+    """Mean relative errors before and after filtering, shares within 1 and 2 sigma, median closing
+    speed error."""
     results = [drive.filtered(noise_px) for drive in drives]
-    measured_m, filtered_m, sigma_m, rate_mps = (np.concatenate(column) for column in zip(*results, strict=True))
+    measured_m, filtered_m, sigma_m, rate_mps = (
+        np.concatenate(column) for column in zip(*results, strict=True)
+    )
     true_m = np.concatenate([drive.true_m for drive in drives])
     error_mps = rate_mps - np.concatenate([drive.rate_mps for drive in drives])
     in_sigmas = np.abs(filtered_m - true_m) / sigma_m

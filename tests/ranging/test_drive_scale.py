@@ -21,7 +21,8 @@ def learnt(bias, by_size, class_id, reference, time_s, *, sigma, corrects_tracks
     """The scale after one frame with one reference."""
     of_size = ScaleEvidence(class_id, by_size)
     return bias.after(
-        [of_size, ScaleEvidence(class_id, None, reference, sigma, corrects_tracks=corrects_tracks)], time_s
+        [of_size, ScaleEvidence(class_id, None, reference, sigma, corrects_tracks=corrects_tracks)],
+        time_s,
     )
 
 
@@ -42,7 +43,8 @@ def drive(n_tracks, factor, *, seed=0, n_frames=20, class_id=CAR, own_sigma=0.05
 
 @pytest.mark.parametrize("log_error", [-0.07, 0.0, 0.07])
 def test_errors_of_an_unknown_detector_are_removed_by_evidence(log_error):
-    """Boxes that are too low or too high by more than a sigma: covered at first, learnt after twelve cars."""
+    """Boxes that are too low or too high by more than a sigma: covered at first, learnt after
+    twelve cars."""
     camera = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)
     ranger, scale = SizeRanger(camera), DriveScale()
     rng = np.random.default_rng(1)
@@ -53,12 +55,17 @@ def test_errors_of_an_unknown_detector_are_removed_by_evidence(log_error):
         true_m = np.linspace(12, 45, n) + 0.2 * k
         centre_px, bottom_px = 640 + 1000 * lateral_m / true_m, 360 + 1500 / true_m
         half_px, height_px = 500 * factor * 1.63 / true_m, 1000 * factor * height_m / true_m
-        boxes = np.stack([centre_px - half_px, bottom_px - height_px, centre_px + half_px, bottom_px], axis=1)
+        boxes = np.stack(
+            [centre_px - half_px, bottom_px - height_px, centre_px + half_px, bottom_px], axis=1
+        )
         ids = np.arange(1, n + 1)
         tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
         reference = ScaleEvidence(tracks.class_id, None, Ranges(ids, true_m, 0.02 * true_m), 0.01)
         measured = ranger.measure_at_scale(tracks, Frame(k, 0.1 * k, image, None), {}, scale)
-        error, sigma = (np.log(measured.ranges.distance_m / true_m), measured.ranges.sigma_m / true_m)
+        error, sigma = (
+            np.log(measured.ranges.distance_m / true_m),
+            measured.ranges.sigma_m / true_m,
+        )
         if k == 0:
             first_error, first_sigma = np.median(error), np.median(sigma)
         scale = scale.after([measured.evidence, reference], 0.1 * k)
@@ -133,14 +140,24 @@ def test_outlying_track_has_little_weight():
     ids = np.array([999])
     for k in range(10):  # a van that was detected as a car
         reference = Ranges(ids, np.array([28.0]), np.array([0.8]))
-        bias = learnt(bias, sizes(np.array([20.0]), ids), np.array([CAR]), reference, 2.0 + 0.1 * k, sigma=0.015)
+        bias = learnt(
+            bias,
+            sizes(np.array([20.0]), ids),
+            np.array([CAR]),
+            reference,
+            2.0 + 0.1 * k,
+            sigma=0.015,
+        )
     assert bias.bias_of("car").log_factor - before < 0.01
 
 
 def test_many_tracks_are_forgotten():
     bias, ids = DriveScale(), np.arange(100)
     for k in range(8):
-        by_size, reference = sizes(np.full(100, 20.0), ids + 100 * k), Ranges(ids, np.full(100, 20.0), np.ones(100))
+        by_size, reference = (
+            sizes(np.full(100, 20.0), ids + 100 * k),
+            Ranges(ids, np.full(100, 20.0), np.ones(100)),
+        )
         bias = learnt(bias, by_size, np.full(100, CAR), reference, 0.1 * (k + 1), sigma=0.015)
     assert bias.n_tracks == 400
 

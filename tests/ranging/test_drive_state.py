@@ -1,12 +1,22 @@
-"""State of a drive: ground plane from objects that left, roughness, and body types over the views of an object."""
+"""State of a drive: ground plane from objects that left, roughness, and body types over the views
+of an object."""
 
 import numpy as np
 import pytest
 
 from track_range.ranging.methods.size_regression import incomplete_sigma
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, DriveState, GroundTerms
+from track_range.ranging.size_models.shared_ground import (
+    GroundContacts,
+    GroundPrior,
+    ground_from_others,
+)
+from track_range.ranging.size_models.size_model import (
+    SIZE_CLASSES,
+    BoxExtents,
+    DriveState,
+    GroundTerms,
+)
 
 PACKAGED = load_curves()
 HORIZON, HEIGHT_M = 0.02, 1.3
@@ -14,11 +24,17 @@ BODY = ("small", "high roof")
 
 
 def contacts(inverse_depth, *, off_m=0.0, bearing=0.0):
-    """Contact points on the plane of the test, `off_m` below it, with sizes that are known to 5 %."""
+    """Contact points on the plane of the test, `off_m` below it, with sizes that are known to 5
+    %."""
     n = len(inverse_depth)
     bottom = HORIZON + (HEIGHT_M + off_m) * inverse_depth
     return GroundContacts(
-        bottom, np.full(n, bearing), inverse_depth, np.full(n, 0.05), np.full(n, 5e-4), np.ones(n, np.bool_)
+        bottom,
+        np.full(n, bearing),
+        inverse_depth,
+        np.full(n, 0.05),
+        np.full(n, 5e-4),
+        np.ones(n, np.bool_),
     )
 
 
@@ -29,7 +45,9 @@ def drive_past(drive, n_objects, *, off_m=0.0, seed=0):
         ids = np.arange(first, first + 3)
         drive.start_frame(ids, 0.5 * first)
         inverse_depth = 1 / rng.uniform(8, 60, 3)
-        ground = ground_from_others(contacts(inverse_depth, off_m=rng.normal(0, off_m, 3)), GroundPrior(), drive)
+        ground = ground_from_others(
+            contacts(inverse_depth, off_m=rng.normal(0, off_m, 3)), GroundPrior(), drive
+        )
         drive.add(np.arange(3), ground.terms, np.zeros((1, 3)))
 
 
@@ -38,7 +56,10 @@ def test_objects_that_left_give_the_ground_of_a_single_object():
     drive = DriveState()
     drive_past(drive, 40)
     drive.start_frame(np.array([1000]), 21.0)
-    known, unknown = ground_from_others(single, GroundPrior(), drive), ground_from_others(single, GroundPrior())
+    known, unknown = (
+        ground_from_others(single, GroundPrior(), drive),
+        ground_from_others(single, GroundPrior()),
+    )
     assert known.height_m[0] == pytest.approx(HEIGHT_M, abs=0.05)
     assert known.horizon[0] == pytest.approx(HORIZON, abs=0.004)
     assert unknown.height_m[0] == pytest.approx(1.5)
@@ -79,7 +100,9 @@ def test_roughness_follows_the_contact_points():
 
 def test_evidence_of_body_types_is_a_limited_mean():
     drive = DriveState()
-    terms = GroundTerms(np.zeros((5, 1)), np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, np.bool_))
+    terms = GroundTerms(
+        np.zeros((5, 1)), np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, np.bool_)
+    )
     for log_likelihood in ([0.0, -0.4], [0.0, -9.0], [0.0, -0.4], [-0.2, 0.0]):
         drive.start_frame(np.array([4]), 0.0)
         drive.add(np.array([0]), terms, np.array(log_likelihood)[:, None])
@@ -99,7 +122,9 @@ def test_views_decide_between_body_types():
             size = np.array([[body.hwl_m[1], body.hwl_m[0]]]) / 40.0 + rng.normal(0, 0.004, (1, 2))
             one = np.ones(1)
             van = np.array([SIZE_CLASSES.index("van")])
-            boxes = BoxExtents(size, 0 * one, 0 * one, van, one > 0, one < 0, np.full((1, 2), 0.0028), 0 * size)
+            boxes = BoxExtents(
+                size, 0 * one, 0 * one, van, one > 0, one < 0, np.full((1, 2), 0.0028), 0 * size
+            )
             drive.start_frame(np.array([1]), 0.1 * k)
             with_state.append(abs(PACKAGED.measure(boxes, drive).distance_m[0] / 40.0 - 1))
             without.append(abs(PACKAGED.measure(boxes).distance_m[0] / 40.0 - 1))
@@ -114,9 +139,12 @@ def test_cut_and_covered_boxes_have_a_larger_sigma():
 
 
 def test_unusual_shapes_have_a_larger_sigma():
-    """A box of a car that is three times as high as wide: a pole, or the part of a car beside it."""
+    """A box of a car that is three times as high as wide: a pole, or the part of a car beside
+    it."""
     ones = np.ones(2)
     size = np.array([[1.7 / 30, 1.5 / 30], [0.5 / 30, 1.5 / 30]])
-    boxes = BoxExtents(size, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-3), 0 * size)
+    boxes = BoxExtents(
+        size, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-3), 0 * size
+    )
     usual, unusual = PACKAGED.measure(boxes).sigma_m / PACKAGED.measure(boxes).distance_m
     assert unusual > 1.5 * usual

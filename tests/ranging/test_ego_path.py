@@ -12,7 +12,8 @@ STEP_S = 0.1
 
 
 def driven(n, speed_mps=10.0, yaw_rad_s=0.0, *, speed_sigma_mps=0.1, rng=None):
-    """Poses of n frames at constant speed and yaw rate; with `rng`, errors whose sum grows as the model says."""
+    """Poses of n frames at constant speed and yaw rate; with `rng`, errors whose sum grows as the
+    model says."""
     path = EgoPath()
     noise = np.zeros(n) if rng is None else rng.normal(0.0, 0.005 * math.sqrt(1.0 / STEP_S), n)
     motions = [EgoMotion(speed_mps, speed_sigma_mps, yaw_rad_s + w) for w in noise.tolist()]
@@ -27,7 +28,8 @@ def test_a_right_turn_goes_to_negative_y():
 
 
 def test_points_in_the_world():
-    pose = driven(51, 10.0, math.pi / 2 / 5)[-1]  # a quarter to the right: the optical axis is -y, its right is -x
+    # a quarter to the right: the optical axis is -y, its right is -x
+    pose = driven(51, 10.0, math.pi / 2 / 5)[-1]
     x_m, y_m = pose.to_world(np.array([10.0, 0.0]), np.array([0.0, 2.0]))
     assert x_m - pose.x_m == pytest.approx([0.0, -2.0], abs=1e-9)
     assert y_m - pose.y_m == pytest.approx([-10.0, 0.0], abs=1e-9)
@@ -36,7 +38,8 @@ def test_points_in_the_world():
 def test_sigma_grows_with_the_distance():
     start, middle, end = (driven(201)[i] for i in (0, 100, 200))
     assert start.sigmas == (0.0, 0.0, 0.0)
-    assert middle.sigmas[0] == pytest.approx(0.1 * 10, rel=1e-6)  # an error of the speed that all frames share
+    # an error of the speed that all frames share
+    assert middle.sigmas[0] == pytest.approx(0.1 * 10, rel=1e-6)
     assert end.sigmas[0] == pytest.approx(0.1 * 20, rel=1e-6)
     assert end.sigmas[1] > 2 * middle.sigmas[1] > 0
     assert end.sigmas[2] == pytest.approx(math.hypot(0.005 * math.sqrt(20), 0.0005 * 20), rel=1e-6)
@@ -63,7 +66,8 @@ def test_a_gap_is_bridged_with_a_growing_sigma():
     path = EgoPath()
     assert math.isnan(path.update(0.0, EgoMotion()).x_m)
     known = [path.update(STEP_S * i, EgoMotion(10.0, 0.1, 0.0)) for i in range(1, 12)]
-    assert (known[0].x_m, known[0].sigmas) == (0.0, (0.0, 0.0, 0.0))  # the origin is where the speed is first known
+    # the origin is where the speed is first known
+    assert (known[0].x_m, known[0].sigmas) == (0.0, (0.0, 0.0, 0.0))
     gap = [path.update(STEP_S * i, EgoMotion()) for i in range(12, 32)]
     assert gap[-1].x_m == pytest.approx(30.0)
     assert gap[-1].sigmas[0] > math.hypot(known[-1].sigmas[0], 0.3)

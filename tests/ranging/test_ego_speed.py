@@ -21,7 +21,11 @@ def oxts_folder(tmp_path, *, inside="oxts", n=3, times=None):
     for i in range(n):
         (folder / f"{i:010d}.txt").write_text(OXTS.format(speed=10 + i))
     (folder / "dataformat.txt").write_text("vf: forward velocity")
-    times = [f"2011-09-26 13:10:51.{100 + 104 * i:03d}000000" for i in range(n)] if times is None else times
+    times = (
+        [f"2011-09-26 13:10:51.{100 + 104 * i:03d}000000" for i in range(n)]
+        if times is None
+        else times
+    )
     (tmp_path / "timestamps.txt").write_text("\n".join(times) + "\n")
     return folder
 
@@ -32,7 +36,9 @@ def test_number_is_a_constant_in_kmh():
     assert ego.note(100.0) is None
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("speed_mps", 1.0), ("speed_kmh", 1 / 3.6), (" Speed_KMH ", 1 / 3.6)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("speed_mps", 1.0), ("speed_kmh", 1 / 3.6), (" Speed_KMH ", 1 / 3.6)]
+)
 def test_header_gives_the_unit(tmp_path, unit, factor):
     ego = open_ego_speed(csv_file(tmp_path, f"brake,time_s,{unit}\n0,1.0,10\n1,2.0,20\n"))
     assert ego.at(1.5) == pytest.approx(15 * factor)
@@ -42,18 +48,30 @@ def test_header_gives_the_unit(tmp_path, unit, factor):
 
 def test_unknown_outside_the_file_and_in_long_gaps(tmp_path):
     ego = open_ego_speed(csv_file(tmp_path, "time_s,speed_mps\n0,10\n1,10\n9,10\n10,12\n"))
-    assert [math.isnan(ego.at(t)) for t in (-0.3, -0.2, 0.5, 5.0, 9.5, 10.2, 10.3)] == [1, 0, 0, 1, 0, 0, 1]
+    assert [math.isnan(ego.at(t)) for t in (-0.3, -0.2, 0.5, 5.0, 9.5, 10.2, 10.3)] == [
+        1,
+        0,
+        0,
+        1,
+        0,
+        0,
+        1,
+    ]
     assert ego.note(10.2) is None
     assert "speed.csv covers 0.0-10.0 s of the video" in ego.note(30.0)
 
 
 def test_note_on_a_late_first_sample(tmp_path):
-    assert "covers 2.0-3.0 s" in open_ego_speed(csv_file(tmp_path, "time_s,speed_mps\n2,10\n3,10\n")).note(3.0)
+    assert "covers 2.0-3.0 s" in open_ego_speed(
+        csv_file(tmp_path, "time_s,speed_mps\n2,10\n3,10\n")
+    ).note(3.0)
 
 
 @pytest.mark.parametrize("inside", ["oxts", "oxts/data"])
 def test_oxts_timestamps_in_or_next_to_the_folder(tmp_path, inside):
-    folder = oxts_folder(tmp_path / "oxts" if inside.endswith("data") else tmp_path, inside=inside.rpartition("/")[2])
+    folder = oxts_folder(
+        tmp_path / "oxts" if inside.endswith("data") else tmp_path, inside=inside.rpartition("/")[2]
+    )
     ego = open_ego_speed(str(folder.parent if inside.endswith("data") else folder))
     assert ego.speed_mps.tolist() == [10.0, 11.0, 12.0]
     assert ego.time_s == pytest.approx([0.0, 0.104, 0.208])
@@ -129,8 +147,16 @@ def test_invalid_oxts(tmp_path):
     for name, damage, word in (
         ("a", lambda f: (f.parent / "timestamps.txt").unlink(), "timestamps.txt"),
         ("b", lambda f: (f.parent / "timestamps.txt").write_text("noon\n"), "noon"),
-        ("c", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n"), "1 lines"),
-        ("d", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n" * 3), "increase"),
+        (
+            "c",
+            lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n"),
+            "1 lines",
+        ),
+        (
+            "d",
+            lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n" * 3),
+            "increase",
+        ),
         ("e", lambda f: (f / "0000000001.txt").write_text("1 2 3"), "0000000001.txt: .* 3 numbers"),
         ("f", lambda f: (f / "0000000001.txt").write_text("a " * 30), "0000000001.txt: .*'a'"),
     ):

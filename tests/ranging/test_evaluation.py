@@ -31,8 +31,12 @@ def truth_of(frame, boxes, distance_m):
 
 
 def test_matching_is_one_to_one_by_frame_and_iou():
-    truth = truth_of([0, 0, 1], [[0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10]], [10.0, 20.0, 30.0])
-    boxes = np.array([[1, 0, 11, 10], [0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10], [6, 0, 16, 10]], float)
+    truth = truth_of(
+        [0, 0, 1], [[0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10]], [10.0, 20.0, 30.0]
+    )
+    boxes = np.array(
+        [[1, 0, 11, 10], [0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10], [6, 0, 16, 10]], float
+    )
     assert match_truth(np.array([0, 0, 0, 2, 1]), boxes, truth).tolist() == [-1, 0, 1, -1, -1]
 
 
@@ -61,7 +65,10 @@ def scores(methods, true_m, **changes):
 
 def test_figures_by_hand():
     separate, common = scores(
-        {"a": ([11.0, 18.0, NAN, 44.0], [1.0, 1.5, NAN, 1.0]), "b": ([10.0, NAN, 30.0, 40.0], [1.0, NAN, 1.0, 1.0])},
+        {
+            "a": ([11.0, 18.0, NAN, 44.0], [1.0, 1.5, NAN, 1.0]),
+            "b": ([10.0, NAN, 30.0, 40.0], [1.0, NAN, 1.0, 1.0]),
+        },
         [10.0, 20.0, 30.0, 40.0],
     )
     a = separate["a"]
@@ -69,7 +76,13 @@ def test_figures_by_hand():
     assert a["mean_relative_error_pct"] == pytest.approx(10.0)  # +10, -10, +10 %
     assert a["bias_pct"] == pytest.approx(10.0)
     assert (a["within_1_sigma"], a["within_2_sigma"]) == pytest.approx((1 / 3, 2 / 3), abs=1e-4)
-    assert [(b["from_m"], b["n"]) for b in a["bands"]] == [(5, 0), (10, 1), (20, 1), (30, 1), (50, 0)]
+    assert [(b["from_m"], b["n"]) for b in a["bands"]] == [
+        (5, 0),
+        (10, 1),
+        (20, 1),
+        (30, 1),
+        (50, 0),
+    ]
     assert separate["b"]["mean_relative_error_pct"] == 0.0
     assert common["a"]["n"] == common["b"]["n"] == 2  # the first and the last
 
@@ -94,7 +107,12 @@ def test_truth_out_of_range_or_missing_is_ignored():
 
 def test_only_coverage_without_truth():
     figures = coverage_only({"a": MethodColumn(np.array([1.0, NAN]), np.array([1.0, NAN]))})["a"]
-    assert (figures["coverage"], figures["n"], figures["mean_relative_error_pct"], figures["bands"]) == (
+    assert (
+        figures["coverage"],
+        figures["n"],
+        figures["mean_relative_error_pct"],
+        figures["bands"],
+    ) == (
         0.5,
         1,
         None,
@@ -119,11 +137,13 @@ def test_truth_from_labels(tmp_path):
     file = tmp_path / "label.txt"
     file.write_text("\n".join(rows))
     camera = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
-    truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))  # the left camera is 1 m behind the reference camera
+    # the left camera is 1 m behind the reference camera
+    truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))
     assert truth.protocol == KITTI_PROTOCOL
     assert np.isnan(truth.closing_mps).all()
     assert truth.class_id.tolist() == [2, -1, 2, -1]
-    assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, 1 m farther from the left camera
+    # rear at 18 m, 1 m farther from the left camera
+    assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)
     assert np.isnan(truth.distance_m[1:]).all()
     file.write_text("\n".join([rows[0], rows[0]]))
     with pytest.raises(LabelFileError, match="id 1 twice"):
@@ -138,13 +158,16 @@ def test_truth_from_labels(tmp_path):
 
 def test_closing_speeds_by_hand():
     figures = score_closing(
-        np.array([1.0, -3.0, 5.0, NAN]), np.array([1.0, 0.6, NAN, NAN]), np.array([0.5, -2.0, 3.0, 7.0])
+        np.array([1.0, -3.0, 5.0, NAN]),
+        np.array([1.0, 0.6, NAN, NAN]),
+        np.array([0.5, -2.0, 3.0, 7.0]),
     )
     assert figures is not None
     assert (figures["coverage"], figures["n"]) == (0.75, 3)  # errors +0.5, -1, +2
     assert (figures["median_error_mps"], figures["bias_mps"]) == (1.0, 0.5)
     assert figures["mean_error_mps"] == pytest.approx(3.5 / 3, abs=1e-4)
-    assert (figures["within_1_sigma"], figures["within_2_sigma"]) == (0.5, 1.0)  # the third has no sigma
+    # the third has no sigma
+    assert (figures["within_1_sigma"], figures["within_2_sigma"]) == (0.5, 1.0)
 
 
 def test_closing_speeds_unknown_or_unmeasured():
@@ -152,7 +175,12 @@ def test_closing_speeds_unknown_or_unmeasured():
     assert score_closing(np.ones(2), np.ones(2), nothing) is None
     figures = score_closing(nothing, nothing, np.ones(2))
     assert figures is not None
-    assert (figures["coverage"], figures["n"], figures["median_error_mps"], figures["within_1_sigma"]) == (
+    assert (
+        figures["coverage"],
+        figures["n"],
+        figures["median_error_mps"],
+        figures["within_1_sigma"],
+    ) == (
         0.0,
         0,
         None,
@@ -163,7 +191,9 @@ def test_closing_speeds_unknown_or_unmeasured():
 CAMERA = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
 
 
-def csv_truth(path, *rows, header="frame,id,class,x1,y1,x2,y2,distance_m,visible_share,closing_mps"):
+def csv_truth(
+    path, *rows, header="frame,id,class,x1,y1,x2,y2,distance_m,visible_share,closing_mps"
+):
     path.write_text("\n".join([header, *rows]) + "\n")
     return read_truth(path, CAMERA, np.array([0.0, 0.0, 1.0]))
 
@@ -180,7 +210,8 @@ def test_truth_from_csv(tmp_path):
     assert truth.track_id.tolist() == [1, 2, -1, 1]
     assert truth.class_id.tolist() == [2, 2, -1, 0]
     assert truth.kitti_type.tolist() == ["car", "van", "dontcare", "person"]
-    np.testing.assert_equal(truth.distance_m, [18.25, NAN, NAN, NAN])  # not shifted: already in the left camera's frame
+    # not shifted: already in the left camera's frame
+    np.testing.assert_equal(truth.distance_m, [18.25, NAN, NAN, NAN])
     np.testing.assert_equal(truth.closing_mps, [2.5, NAN, NAN, 0.0])
     assert truth.protocol == CSV_PROTOCOL
     assert truth.select(np.array([3, 0])).closing_mps.tolist() == [0.0, 2.5]
@@ -209,7 +240,9 @@ def test_csv_without_distances_is_refused(tmp_path):
 
 def test_rays_of_real_labels_hit_their_boxes(shared_data):
     camera = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 1242, 375)
-    truth = read_truth(shared_data / "kitti_stereo/0003/label.txt", camera, np.array([0.0599, 0.0002, 0.0027]))
+    truth = read_truth(
+        shared_data / "kitti_stereo/0003/label.txt", camera, np.array([0.0599, 0.0002, 0.0027])
+    )
     centre_m = read_kitti(shared_data / "kitti_stereo/0003/label.txt").location_m[:, 2]
     gap = (centre_m - truth.distance_m)[np.isfinite(truth.distance_m)]
     assert len(gap) > 25

@@ -18,7 +18,16 @@ BLANK = np.zeros((360, 640, 3), np.uint8)
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 
 
-def times(*, start_m=40.0, closing_mps=8.0, class_id=CAR, size_m=(1.9, 1.6), noise_px=0.5, n=60, focal_px=700.0):
+def times(
+    *,
+    start_m=40.0,
+    closing_mps=8.0,
+    class_id=CAR,
+    size_m=(1.9, 1.6),
+    noise_px=0.5,
+    n=60,
+    focal_px=700.0,
+):
     """Times to collision, sigmas and the true time of n objects after 2 s, of boxes only."""
     camera = PinholeCamera(focal_px, focal_px, 320.0, 180.0, width_px=640, height_px=360)
     ranger, rng = (
@@ -28,7 +37,11 @@ def times(*, start_m=40.0, closing_mps=8.0, class_id=CAR, size_m=(1.9, 1.6), noi
     for step in range(21):
         distance_m = start_m - 0.1 * closing_mps * step
         half = 350.0 * np.array(size_m) / distance_m
-        boxes = np.tile([320.0, 180.0], 2) + np.concatenate([-half, half]) + rng.normal(0, noise_px, (n, 4))
+        boxes = (
+            np.tile([320.0, 180.0], 2)
+            + np.concatenate([-half, half])
+            + rng.normal(0, noise_px, (n, 4))
+        )
         tracks = Tracks(np.arange(n), boxes, np.full(n, class_id), np.ones(n), np.ones(n, np.bool_))
         ranges = ranger.measure(tracks, Frame(step, 0.1 * step, BLANK, None))
     assert np.isnan(ranges.distance_m).all()
@@ -42,11 +55,13 @@ def test_boxes_only(class_id, size_m):
     ttc_s, sigma_s, true_s = times(class_id=class_id, size_m=size_m)
     assert np.isfinite(ttc_s).mean() > 0.9
     assert np.nanmedian(ttc_s) == pytest.approx(true_s, rel=0.08)
-    assert 0.3 < np.sqrt(np.nanmean(((ttc_s - true_s) / sigma_s) ** 2)) < 1.2  # the filter allows for braking
+    # the filter allows for braking
+    assert 0.3 < np.sqrt(np.nanmean(((ttc_s - true_s) / sigma_s) ** 2)) < 1.2
 
 
 def test_focal_length_does_not_matter():
-    """Boxes of a camera with 700 px; a focal length that is 30 % wrong changes the time by a fraction of that."""
+    """Boxes of a camera with 700 px; a focal length that is 30 % wrong changes the time by a
+    fraction of that."""
     right, _, true_s = times(n=200)
     wrong, _, _ = times(n=200, focal_px=910.0)
     assert np.nanmedian(wrong) == pytest.approx(np.nanmedian(right), rel=0.03)
@@ -62,12 +77,16 @@ def test_uncertain_and_receding_objects_have_no_time():
 
 
 def test_images_make_it_precise():
-    """The textured square of the tests of registration, 20 px high and closing: box noise of 1 px hardly matters."""
+    """The textured square of the tests of registration, 20 px high and closing: box noise of 1 px
+    hardly matters."""
     from tests.ranging.test_patch_scale import SIZE_PX, scene, texture, tracks
 
     errors = {True: [], False: []}
     for seed in range(6):
-        rangers = {has: ExpansionRanger(CAMERA, noise=BoxNoise(1.0, 0.0, 0.0), has_images=has) for has in errors}
+        rangers = {
+            has: ExpansionRanger(CAMERA, noise=BoxNoise(1.0, 0.0, 0.0), has_images=has)
+            for has in errors
+        }
         pattern = texture(seed)
         for step in range(11):
             distance_m = 40.0 - 0.8 * step
@@ -85,6 +104,8 @@ def test_images_make_it_precise():
 
 def test_it_is_no_method_of_distances():
     """Created from any context, and left out of fusion."""
-    assert isinstance(EXPANSION.create(MethodContext(camera=CAMERA, has_images=False)), ExpansionRanger)
+    assert isinstance(
+        EXPANSION.create(MethodContext(camera=CAMERA, has_images=False)), ExpansionRanger
+    )
     assert "expansion" not in ErrorModel.of(methods()).names
     assert len(ErrorModel.of(methods()).names) == len(methods()) - 1

@@ -11,4 +11,6 @@ def test_time_to_collision_by_hand():
         variances=np.array([[9.0], [0.0], [1.0]]) * np.ones(4),
     )
     assert ttc_s == pytest.approx([3.0, np.nan, np.nan, np.nan], nan_ok=True)
-    assert sigma_s == pytest.approx([3 * np.sqrt(0.1**2 + 0.1**2), np.nan, np.nan, np.nan], nan_ok=True)
+    assert sigma_s == pytest.approx(
+        [3 * np.sqrt(0.1**2 + 0.1**2), np.nan, np.nan, np.nan], nan_ok=True
+    )

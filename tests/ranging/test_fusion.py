@@ -39,20 +39,27 @@ def test_single_method_is_unchanged():
 
 
 def test_correlated_methods_narrow_sigma_less():
-    together = single_frame({"mono": ranges(30.0, 3.0), "lane": ranges(30.0, 3.0)}).ranges.sigma_m[0]
+    together = single_frame({"mono": ranges(30.0, 3.0), "lane": ranges(30.0, 3.0)}).ranges.sigma_m[
+        0
+    ]
     apart = single_frame({"mono": ranges(30.0, 3.0), "stereo": ranges(30.0, 3.0)}).ranges.sigma_m[0]
     assert apart == pytest.approx(3.0 / np.sqrt(2))
-    # Common are the contact point, 0.36 * 2 / 7 and 0.25 of the variances, and the scale of the drive, 0.24 and 0.15.
+    # Common are the contact point, 0.36 * 2 / 7 and 0.25 of the variances, and the scale of the
+    # drive, 0.24 and 0.15.
     common = np.sqrt(0.36 * 2 / 7 * 0.25) + np.sqrt(0.24 * 0.15)
     assert together == pytest.approx(3.0 * np.sqrt((1 + common) / 2))
 
 
 def test_errors_that_change_are_no_biases_without_a_reference():
-    """A car comes nearer; the lines are 15 % wrong at first. In the end all methods agree, and fusion with them."""
+    """A car comes nearer; the lines are 15 % wrong at first. In the end all methods agree, and
+    fusion with them."""
     fusion = Fusion()
     for k, true_m in enumerate(np.geomspace(80.0, 20.0, 60)):
         lane_m = true_m * (1.15 - 0.15 * k / 59)
-        by_method = {"mono": ranges(0.97 * true_m, 0.08 * true_m), "lane": ranges(lane_m, 0.08 * lane_m)}
+        by_method = {
+            "mono": ranges(0.97 * true_m, 0.08 * true_m),
+            "lane": ranges(lane_m, 0.08 * lane_m),
+        }
         fused = fusion.fuse(by_method, np.array([1]), 0.1 * k).ranges
         assert 0.97 * true_m - 1e-6 <= fused.distance_m[0] <= lane_m + 1e-6
     assert fused.distance_m[0] == pytest.approx(20.0, rel=0.03)
@@ -63,7 +70,9 @@ def test_conflict_widens_sigma():
     result = single_frame({"mono": ranges(40.0, 2.0), "stereo": ranges(20.0, 1.0)}).ranges
     assert result.distance_m == pytest.approx([np.sqrt(800)])
     chi2 = np.log(2) ** 2 / (2 * 0.05**2)
-    assert (result.sigma_m / result.distance_m)[0] == pytest.approx(agreed.sigma_m[0] / 20 * np.sqrt(chi2))
+    assert (result.sigma_m / result.distance_m)[0] == pytest.approx(
+        agreed.sigma_m[0] / 20 * np.sqrt(chi2)
+    )
 
 
 def test_match_inconsistent_with_size_is_rejected():
@@ -81,15 +90,23 @@ def test_contact_point_supports_stereo_against_size(foot):
     assert single_frame(truck).ranges.distance_m[0] == pytest.approx(98.0)
     result = single_frame(truck | {foot: ranges(45.0, 4.0)}).ranges
     assert (result.distance_m[0], result.sigma_m[0]) == pytest.approx((38.0, 0.6))
-    assert single_frame(truck | {foot: ranges(90.0, 9.0)}).ranges.distance_m[0] == pytest.approx(98.0)
-    assert single_frame(truck | {foot: ranges(60.0, 2.0)}).ranges.distance_m[0] == pytest.approx(98.0)
+    assert single_frame(truck | {foot: ranges(90.0, 9.0)}).ranges.distance_m[0] == pytest.approx(
+        98.0
+    )
+    assert single_frame(truck | {foot: ranges(60.0, 2.0)}).ranges.distance_m[0] == pytest.approx(
+        98.0
+    )
 
 
 def test_lines_of_another_lane_are_rejected():
     by_method = {"mono": ranges(17.0, 1.2), "lane": ranges(9.0, 0.3)}
     assert single_frame(by_method).ranges.distance_m[0] == pytest.approx(17.0)
-    assert single_frame(by_method | {"ground": ranges(16.0, 2.0)}).ranges.distance_m[0] == pytest.approx(17.0)
-    assert single_frame(by_method | {"ground": ranges(10.0, 1.0)}).ranges.distance_m[0] == pytest.approx(9.0)
+    assert single_frame(by_method | {"ground": ranges(16.0, 2.0)}).ranges.distance_m[
+        0
+    ] == pytest.approx(17.0)
+    assert single_frame(by_method | {"ground": ranges(10.0, 1.0)}).ranges.distance_m[
+        0
+    ] == pytest.approx(9.0)
     agreeing = single_frame(by_method | {"lane": ranges(15.5, 0.5)}).ranges.distance_m[0]
     assert 15.5 < agreeing < 16.0
 
@@ -132,13 +149,18 @@ def test_size_learnt_from_stereo_improves_mono():
         true_m = 30 - 0.3 * step
         mono_m = 1.1 * true_m * np.exp(rng.normal(0, 0.01))
         matches = step < 20
-        stereo = ranges(true_m * np.exp(rng.normal(0, 0.003)), 0.01 * true_m) if matches else UNMEASURED
-        result = fusion.fuse({"mono": ranges(mono_m, 0.08 * mono_m), "stereo": stereo}, ONE, step * 0.1)
+        stereo = (
+            ranges(true_m * np.exp(rng.normal(0, 0.003)), 0.01 * true_m) if matches else UNMEASURED
+        )
+        result = fusion.fuse(
+            {"mono": ranges(mono_m, 0.08 * mono_m), "stereo": stereo}, ONE, step * 0.1
+        )
         errors[matches].append(result.ranges.distance_m[0] / true_m - 1)
         assert result.scale_source == [ScaleSource.REFERENCE]
     assert np.max(np.abs(errors[True][5:])) < 0.01
     assert np.mean(np.abs(errors[False])) < 0.025  # 10 % without learning
-    assert 0.01 * 18.3 < result.ranges.sigma_m[0] < 0.07 * 18.3  # larger than the error: the bias of stereo is unknown
+    # larger than the error: the bias of stereo is unknown
+    assert 0.01 * 18.3 < result.ranges.sigma_m[0] < 0.07 * 18.3
 
 
 def test_learnt_size_is_no_more_certain_than_stereo():
@@ -164,15 +186,21 @@ def test_wrong_match_of_a_trusted_track_is_rejected():
     fusion = Fusion()
     for step in range(10):
         fused_m(fusion, step, mono=ranges(41.0, 4.0), stereo=ranges(40.0, 1.0))
-    assert fused_m(fusion, 10, mono=ranges(41.0, 4.0), stereo=ranges(20.0, 0.3)) == pytest.approx(40.0, rel=0.03)
-    assert fused_m(fusion, 11, mono=ranges(41.0, 4.0), stereo=ranges(40.0, 1.0)) == pytest.approx(40.0, rel=0.02)
+    assert fused_m(fusion, 10, mono=ranges(41.0, 4.0), stereo=ranges(20.0, 0.3)) == pytest.approx(
+        40.0, rel=0.03
+    )
+    assert fused_m(fusion, 11, mono=ranges(41.0, 4.0), stereo=ranges(40.0, 1.0)) == pytest.approx(
+        40.0, rel=0.02
+    )
 
 
 def test_occluded_box_of_a_trusted_track_is_rejected():
     fusion = Fusion()
     for step in range(10):
         fused_m(fusion, step, mono=ranges(21.0, 1.7), stereo=ranges(20.0, 0.3))
-    assert fused_m(fusion, 10, mono=ranges(42.0, 3.4), stereo=ranges(20.0, 0.3)) == pytest.approx(20.0, rel=0.02)
+    assert fused_m(fusion, 10, mono=ranges(42.0, 3.4), stereo=ranges(20.0, 0.3)) == pytest.approx(
+        20.0, rel=0.02
+    )
 
 
 def test_wrong_history_is_given_up():
@@ -180,7 +208,10 @@ def test_wrong_history_is_given_up():
     fusion = Fusion()
     for step in range(10):
         fused_m(fusion, step, mono=ranges(40.0, 4.0), stereo=ranges(33.0, 0.7))
-    later = [fused_m(fusion, step, mono=ranges(40.0, 4.0), stereo=ranges(60.0, 1.2)) for step in range(10, 22)]
+    later = [
+        fused_m(fusion, step, mono=ranges(40.0, 4.0), stereo=ranges(60.0, 1.2))
+        for step in range(10, 22)
+    ]
     assert later[-1] == pytest.approx(60.0, rel=0.05)
 
 
@@ -189,22 +220,31 @@ def test_tracks_are_independent_and_in_order():
     for step in range(20):
         mono = Ranges(two, np.array([22.0, 36.0]), np.array([1.8, 3.0]))
         fusion.fuse(
-            {"mono": mono, "stereo": Ranges(two, np.array([20.0, 40.0]), np.array([0.2, 0.4]))}, two, step * 0.1
+            {"mono": mono, "stereo": Ranges(two, np.array([20.0, 40.0]), np.array([0.2, 0.4]))},
+            two,
+            step * 0.1,
         )
     three = np.array([2, 7, 5])
-    result = fusion.fuse({"mono": Ranges(three, np.array([36.0, 50.0, 22.0]), np.ones(3) * 2)}, three, 2.0).ranges
+    result = fusion.fuse(
+        {"mono": Ranges(three, np.array([36.0, 50.0, 22.0]), np.ones(3) * 2)}, three, 2.0
+    ).ranges
     assert result.track_id.tolist() == [2, 7, 5]
     assert result.distance_m == pytest.approx([40.0, 50.0, 20.0], rel=0.05)
 
 
 @pytest.mark.parametrize(
     ("names", "fractions", "shared", "drive"),
-    [(("mono", "lane"), (0.6, 0.6**0.5), (2 / 7 * 5 / 12) ** 0.5, 0.375), (("mono", "stereo"), (0.6, 0.3), 0.0, 0.0)],
+    [
+        (("mono", "lane"), (0.6, 0.6**0.5), (2 / 7 * 5 / 12) ** 0.5, 0.375),
+        (("mono", "stereo"), (0.6, 0.3), 0.0, 0.0),
+    ],
 )
 def test_fused_is_the_least_squares_solution(names, fractions, shared, drive):
     """Against the joint normal equations of a frame for log d and the biases of the methods."""
     sigma, log_m = np.array([0.1, 0.07]), np.log([30.0, 28.0])
-    by_method = {n: ranges(np.exp(z), s * np.exp(z)) for n, z, s in zip(names, log_m, sigma, strict=True)}
+    by_method = {
+        n: ranges(np.exp(z), s * np.exp(z)) for n, z, s in zip(names, log_m, sigma, strict=True)
+    }
     fraction = np.array(fractions)
     noise = np.outer(fraction * sigma, fraction * sigma) * np.array([[1.0, shared], [shared, 1.0]])
     design = np.hstack([np.ones((2, 1)), np.diag(np.sqrt(1 - fraction**2) * sigma)])
@@ -213,16 +253,18 @@ def test_fused_is_the_least_squares_solution(names, fractions, shared, drive):
     solution = np.linalg.solve(information, design.T @ np.linalg.inv(noise) @ log_m)
     result = single_frame(by_method).ranges
     assert np.log(result.distance_m[0]) == pytest.approx(solution[0])
-    assert (result.sigma_m / result.distance_m)[0] == pytest.approx(np.sqrt(np.linalg.inv(information)[0, 0]))
+    assert (result.sigma_m / result.distance_m)[0] == pytest.approx(
+        np.sqrt(np.linalg.inv(information)[0, 0])
+    )
 
 
 @pytest.mark.parametrize(("fallback", "preferred"), [("ground", "mono"), ("lane", "stereo")])
 def test_fallback_is_used_only_without_the_other_method(fallback, preferred):
     both = single_frame({fallback: ranges(20.0, 1.0), preferred: ranges(24.0, 1.0)}).ranges
     assert both.distance_m[0] == pytest.approx(24.0)
-    assert single_frame({fallback: ranges(20.0, 1.0), preferred: ranges(np.nan, np.nan)}).ranges.distance_m[
-        0
-    ] == pytest.approx(20.0)
+    assert single_frame(
+        {fallback: ranges(20.0, 1.0), preferred: ranges(np.nan, np.nan)}
+    ).ranges.distance_m[0] == pytest.approx(20.0)
 
 
 @settings(deadline=None)
@@ -251,4 +293,6 @@ def test_any_measurement_gives_a_finite_distance(frames):
         }
         result = fusion.fuse(by_method, ONE, step * 0.1).ranges
         assert np.isfinite(result.distance_m[0]) == any(values is not None for values in frame)
-        assert np.isnan(result.distance_m[0]) or (result.distance_m[0] > 0 and result.sigma_m[0] > 0)
+        assert np.isnan(result.distance_m[0]) or (
+            result.distance_m[0] > 0 and result.sigma_m[0] > 0
+        )

@@ -29,7 +29,11 @@ def method(name, *sources, **options):
 def like(name, other, **options):
     """A method with the error sources of another one."""
     sources = next(known.error_sources for known in methods() if known.name == other)
-    return method(name, *((source.name, source.systematic, source.independent) for source in sources), **options)
+    return method(
+        name,
+        *((source.name, source.systematic, source.independent) for source in sources),
+        **options,
+    )
 
 
 MONO, LANE, STEREO = (like(name, name) for name in ("mono", "lane", "stereo"))
@@ -50,10 +54,14 @@ def relative_sigma(fused):
 
 def single_frame(listed, **by_method):
     """Fusion of one frame of distances and relative sigmas, without history."""
-    return Fusion(listed).fuse({name: ranges(*value) for name, value in by_method.items()}, ONE, 0.0)
+    return Fusion(listed).fuse(
+        {name: ranges(*value) for name, value in by_method.items()}, ONE, 0.0
+    )
 
 
-@pytest.mark.parametrize(("copy_m", "copy_sigma"), [(30.0, 0.1), (30.5, 0.1), (30.0, 0.13), (29.5, 0.11), (30.0, 0.3)])
+@pytest.mark.parametrize(
+    ("copy_m", "copy_sigma"), [(30.0, 0.1), (30.5, 0.1), (30.0, 0.13), (29.5, 0.11), (30.0, 0.3)]
+)
 def test_redundant_copy_does_not_narrow_sigma(copy_m, copy_sigma):
     both = single_frame((MONO, COPY), mono=(30.0, 0.1), copy=(copy_m, copy_sigma))
     assert 0.095 <= relative_sigma(both) <= 0.105
@@ -62,10 +70,14 @@ def test_redundant_copy_does_not_narrow_sigma(copy_m, copy_sigma):
 
 def test_redundant_copy_does_not_outvote_a_third_method():
     of_two = single_frame((MONO, STEREO), mono=(32.0, 0.1), stereo=(30.0, 0.05))
-    of_three = single_frame((MONO, COPY, STEREO), mono=(32.0, 0.1), copy=(32.0, 0.1), stereo=(30.0, 0.05))
+    of_three = single_frame(
+        (MONO, COPY, STEREO), mono=(32.0, 0.1), copy=(32.0, 0.1), stereo=(30.0, 0.05)
+    )
     assert 0.95 <= relative_sigma(of_three) / relative_sigma(of_two) <= 1.0
     assert of_three.ranges.distance_m == pytest.approx(of_two.ranges.distance_m, rel=0.005)
-    contradicted = single_frame((MONO, COPY, STEREO), mono=(40.0, 0.05), copy=(40.0, 0.05), stereo=(20.0, 0.05))
+    contradicted = single_frame(
+        (MONO, COPY, STEREO), mono=(40.0, 0.05), copy=(40.0, 0.05), stereo=(20.0, 0.05)
+    )
     assert 20.5 < contradicted.ranges.distance_m[0] < 39.5
 
 
@@ -103,12 +115,16 @@ def test_independent_method_narrows_sigma_as_predicted():
 
 
 def sampled_errors(rng, model, sigma, n_tracks, n_frames):
-    """(n_frames, M, n_tracks) errors of log distances, sampled from the declared sources for (M,) relative sigmas."""
+    """(n_frames, M, n_tracks) errors of log distances, sampled from the declared sources for (M,)
+    relative sigmas."""
     m = len(sigma)
     systematic = (
-        rng.multivariate_normal(np.zeros(m), model.systematic_correlation, n_tracks).T * model.systematic[:, :1]
+        rng.multivariate_normal(np.zeros(m), model.systematic_correlation, n_tracks).T
+        * model.systematic[:, :1]
     )
-    new = rng.multivariate_normal(np.zeros(m), model.independent_covariance[..., 0], (n_frames, n_tracks))
+    new = rng.multivariate_normal(
+        np.zeros(m), model.independent_covariance[..., 0], (n_frames, n_tracks)
+    )
     return (systematic + np.moveaxis(new, 2, 1)) * sigma[:, None]
 
 
@@ -118,11 +134,14 @@ def test_sigma_is_consistent_with_declared_sources(n_frames):
     fusion, ids = Fusion(SIX), np.arange(n)
     for step, errors in enumerate(sampled_errors(rng, ErrorModel.of(SIX), sigma, n, n_frames)):
         distance_m = 30.0 * np.exp(errors)
-        by_method = {one.name: Ranges(ids, distance_m[i], distance_m[i] * sigma[i]) for i, one in enumerate(SIX)}
+        by_method = {
+            one.name: Ranges(ids, distance_m[i], distance_m[i] * sigma[i])
+            for i, one in enumerate(SIX)
+        }
         result = fusion.fuse(by_method, ids, step * 0.1).ranges
     normalised = np.log(result.distance_m / 30.0) / (result.sigma_m / result.distance_m)
-    # Sigma is widened for large chi^2, but never narrowed for small chi^2: with 5 degrees of freedom the mean of
-    # 1 / max(1, chi^2 / 5) is 0.84.
+    # Sigma is widened for large chi^2, but never narrowed for small chi^2: with 5 degrees of
+    # freedom the mean of 1 / max(1, chi^2 / 5) is 0.84.
     chi2 = rng.chisquare(5, 100_000) / 5
     assert np.mean(normalised**2) == pytest.approx(np.mean(1 / np.maximum(1, chi2)), rel=0.08)
     assert abs(np.mean(normalised)) < 0.06
@@ -137,7 +156,9 @@ def test_outlier_of_any_method_is_rejected(wrong, factor, n_before):
     sigma = dict(zip((one.name for one in SIX), (0.08, 0.08, 0.06, 0.03, 0.06, 0.05), strict=True))
     for step in range(n_before):
         fusion.fuse({name: ranges(true_m, s) for name, s in sigma.items()}, ONE, step * 0.1)
-    now = {name: ranges(true_m * (factor if name == wrong else 1.0), s) for name, s in sigma.items()}
+    now = {
+        name: ranges(true_m * (factor if name == wrong else 1.0), s) for name, s in sigma.items()
+    }
     result = fusion.fuse(now, ONE, n_before * 0.1).ranges
     assert result.distance_m[0] == pytest.approx(true_m, rel=0.02)
     assert result.sigma_m[0] < 0.04 * true_m
@@ -166,14 +187,22 @@ def test_fallback_is_used_only_if_its_target_is_missing():
         listed, stereo=(20.0, 0.05), dense=(22.0, 0.05), sonar=(24.0, 0.05)
     ).ranges.distance_m == pytest.approx([20])
     # Dense has the same sources as stereo and replaces it, also for the other fallback.
-    assert single_frame(listed, dense=(22.0, 0.05), sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([22.0])
+    assert single_frame(
+        listed, dense=(22.0, 0.05), sonar=(24.0, 0.05)
+    ).ranges.distance_m == pytest.approx([22.0])
     assert single_frame(listed, sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([24.0])
-    assert 20.0 < single_frame(listed, stereo=(20.0, 0.05), separate=(22.0, 0.05)).ranges.distance_m[0] < 22.0
+    assert (
+        20.0
+        < single_frame(listed, stereo=(20.0, 0.05), separate=(22.0, 0.05)).ranges.distance_m[0]
+        < 22.0
+    )
 
 
 def test_scale_source_of_reference_and_learnt_biases():
     fusion = Fusion((MONO, REFERENCE, RADAR))
-    assert fusion.fuse({"radar": ranges(20.0, 0.05)}, ONE, 0.0).scale_source == [ScaleSource.ASSUMED]
+    assert fusion.fuse({"radar": ranges(20.0, 0.05)}, ONE, 0.0).scale_source == [
+        ScaleSource.ASSUMED
+    ]
     for step in range(1, 30):
         by_method = {"mono": ranges(24.0, 0.1), "stereo": ranges(20.0, 0.02)}
         assert fusion.fuse(by_method, ONE, step * 0.1).scale_source == [ScaleSource.REFERENCE]
@@ -200,7 +229,11 @@ measurement = st.one_of(st.none(), st.tuples(st.floats(10, 60), st.floats(0.01, 
 def test_order_of_methods_does_not_matter(frames, order):
     first, second = Fusion(SIX), Fusion([SIX[i] for i in order])
     for step, frame in enumerate(frames):
-        by_method = {one.name: ranges(*value) for one, value in zip(SIX, frame, strict=True) if value is not None}
+        by_method = {
+            one.name: ranges(*value)
+            for one, value in zip(SIX, frame, strict=True)
+            if value is not None
+        }
         a, b = (fusion.fuse(by_method, ONE, step * 0.1) for fusion in (first, second))
         assert a.ranges.distance_m == pytest.approx(b.ranges.distance_m, rel=1e-6, nan_ok=True)
         assert a.ranges.sigma_m == pytest.approx(b.ranges.sigma_m, rel=1e-6, nan_ok=True)
@@ -212,7 +245,9 @@ def test_order_of_methods_does_not_matter(frames, order):
 @pytest.mark.parametrize("n_copies", [2, 6])
 def test_copies_of_a_method_count_as_one(n_copies):
     listed = [like(f"copy_{i}", "stereo") for i in range(n_copies)]
-    result = single_frame(listed, **{one.name: (30.0 + 0.1 * i, 0.05) for i, one in enumerate(listed)})
+    result = single_frame(
+        listed, **{one.name: (30.0 + 0.1 * i, 0.05) for i, one in enumerate(listed)}
+    )
     assert 0.95 * 0.05 <= relative_sigma(result) <= 0.0501
 
 
@@ -237,7 +272,8 @@ def test_bias_covariance_stays_valid_over_many_conflicts(listed):
 
 
 def test_correlations_of_the_built_in_methods():
-    """By hand: mono, ground and lane share the contact point; dense and patch matching share the rig."""
+    """By hand: mono, ground and lane share the contact point; dense and patch matching share the
+    rig."""
     model = ErrorModel.of(methods())
     mono, ground, lane, stereo, sgbm = (
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")
@@ -248,6 +284,13 @@ def test_correlations_of_the_built_in_methods():
     )
     assert noise[[mono, ground, lane], stereo] == pytest.approx([0, 0, 0])
     assert model.systematic_correlation[stereo, sgbm] == pytest.approx(1.0)
-    assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx([0, 0.375, 0])
+    assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx(
+        [0, 0.375, 0]
+    )
     assert model.reference.tolist() == [stereo, sgbm]
-    assert np.argwhere(model.superseded_by).tolist() == [[ground, mono], [lane, stereo], [lane, sgbm], [sgbm, stereo]]
+    assert np.argwhere(model.superseded_by).tolist() == [
+        [ground, mono],
+        [lane, stereo],
+        [lane, sgbm],
+        [sgbm, stereo],
+    ]

@@ -18,11 +18,14 @@ F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65
 CAMERA = PinholeCamera(F_PX, F_PX, 600.0, CY_PX, 1200, 370)
 IMAGE = np.zeros((370, 1200, 3), np.uint8)
 CAR, PERSON, LIGHT = (ROAD_CLASSES.index(name) for name in ("car", "person", "traffic light"))
-SMOOTH = GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, kerb_m=0.0, box_sigma_px=0.1, road_sigma_rad=0.0005)
+SMOOTH = GroundSettings(
+    height_m=HEIGHT_M, height_sigma_m=0.02, kerb_m=0.0, box_sigma_px=0.1, road_sigma_rad=0.0005
+)
 
 
 def cars_at(distance_m, *, horizon_px=CY_PX, height_m=HEIGHT_M, size_error=0.0, sigma=0.06):
-    """Cars seen from behind on a plane, and their distances by size, with an error of `size_error`."""
+    """Cars seen from behind on a plane, and their distances by size, with an error of
+    `size_error`."""
     distance_m = np.asarray(distance_m, float)
     n = len(distance_m)
     bottom = horizon_px + F_PX * height_m / distance_m
@@ -38,7 +41,8 @@ def at(time_s, index=0):
 
 
 def test_car_on_the_plane_by_hand():
-    """f H / (y - horizon) = 700 1.65 / 57.75 = 20 m; 3 cm of it are between contact point and surface."""
+    """f H / (y - horizon) = 700 1.65 / 57.75 = 20 m; 3 cm of it are between contact point and
+    surface."""
     plane = GroundPlane(CAMERA, SMOOTH)
     tracks, by_size = cars_at([20.0, 40.0, 60.0])
     assert tracks.xyxy_px[0, 3] - CY_PX == pytest.approx(57.75)
@@ -51,7 +55,10 @@ def test_own_size_does_not_affect_the_distance():
     """A car 30 % larger than its class is measured with the horizon from the other cars."""
     tracks, wrong = cars_at([20.0, 30.0, 45.0, 60.0], size_error=[-0.3, 0.0, 0.0, 0.0])
     _, right = cars_at([20.0, 30.0, 45.0, 60.0])
-    measured = [GroundPlane(CAMERA, SMOOTH).measure(tracks, sizes, at(0.0)).distance_m for sizes in (wrong, right)]
+    measured = [
+        GroundPlane(CAMERA, SMOOTH).measure(tracks, sizes, at(0.0)).distance_m
+        for sizes in (wrong, right)
+    ]
     assert measured[0][0] == pytest.approx(measured[1][0], rel=1e-6)
     assert measured[0][1] != pytest.approx(measured[1][1], rel=1e-6)
 
@@ -72,7 +79,9 @@ def test_camera_height_from_near_and_far_objects():
     plane = GroundPlane(CAMERA, GroundSettings(box_sigma_px=0.1, kerb_m=0.0, pitch_sigma_rad=0.001))
     assert plane.horizon.height_m == pytest.approx(1.5)
     for k in range(20):
-        plane.measure(*cars_at([6.0, 8.0, 12.0, 30.0, 50.0, 80.0], height_m=1.2, sigma=0.03), at(0.1 * k, k))
+        plane.measure(
+            *cars_at([6.0, 8.0, 12.0, 30.0, 50.0, 80.0], height_m=1.2, sigma=0.03), at(0.1 * k, k)
+        )
     assert plane.horizon.height_m == pytest.approx(1.2, abs=0.1)
 
 
@@ -85,7 +94,8 @@ def test_measurements_decay():
     sigma_px.append(plane.horizon.sigma_px)
     plane.measure(Tracks.empty(), Ranges.unmeasured(np.zeros(0, np.int64)), at(60.0, 2))
     sigma_px.append(plane.horizon.sigma_px)
-    assert sigma_px[1] < sigma_px[2] < sigma_px[3] < 0.5 * sigma_px[0]  # the angle of the mounting stays known
+    # the angle of the mounting stays known
+    assert sigma_px[1] < sigma_px[2] < sigma_px[3] < 0.5 * sigma_px[0]
     plane.measure(Tracks.empty(), Ranges.unmeasured(np.zeros(0, np.int64)), at(1200.0, 3))
     assert plane.horizon.sigma_px == pytest.approx(sigma_px[0], rel=0.02)
 
@@ -94,7 +104,8 @@ def test_horizon_from_lane_lines():
     plane = GroundPlane(CAMERA, SMOOTH)
     plane.add_horizon(200.0, 1.0)
     assert plane.horizon.y_px == pytest.approx(200.0, abs=3.0)
-    tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # a single car, no other objects
+    # a single car, no other objects
+    tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)
     with_lanes = plane.measure(tracks, by_size, at(0.0))
     without = GroundPlane(CAMERA, SMOOTH).measure(tracks, by_size, at(0.0))
     assert with_lanes.distance_m == pytest.approx([25.0], rel=0.08)
@@ -135,11 +146,14 @@ def test_outlier_has_little_effect_on_the_horizon():
 
 
 def test_sigma_adapts_to_the_road():
-    """Bottom edges with a scatter of 8 px (rough road) and without: the learnt pitch sigma differs."""
+    """Bottom edges with a scatter of 8 px (rough road) and without: the learnt pitch sigma
+    differs."""
     sigma = {}
     for scatter_px in (0.0, 8.0):
         rng = np.random.default_rng(3)
-        plane = GroundPlane(CAMERA, GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, box_sigma_px=0.5))
+        plane = GroundPlane(
+            CAMERA, GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, box_sigma_px=0.5)
+        )
         for k in range(150):
             tracks, by_size = cars_at([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
             boxes = tracks.xyxy_px + np.array([0, 1, 0, 1]) * rng.normal(0, scatter_px, (6, 1))
@@ -150,15 +164,22 @@ def test_sigma_adapts_to_the_road():
 
 
 def test_sigma_is_calibrated_on_a_simulated_road():
-    """Size errors of 6 %, constant per track; kerbs of 10 cm, pitch of 4 px, slopes of 5 px, box noise of 1 px."""
+    """Size errors of 6 %, constant per track; kerbs of 10 cm, pitch of 4 px, slopes of 5 px, box
+    noise of 1 px."""
     rng = np.random.default_rng(5)
     in_sigmas = []
     for _ in range(60):
         plane = GroundPlane(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
-        true_m, kerb_m, wrong = rng.uniform(10, 50, 6), rng.normal(0, 0.1, 6), rng.normal(0, 0.06, 6)
+        true_m, kerb_m, wrong = (
+            rng.uniform(10, 50, 6),
+            rng.normal(0, 0.1, 6),
+            rng.normal(0, 0.06, 6),
+        )
         horizon_px, slope_px = CY_PX + rng.normal(0, 10), rng.normal(0, 5, 6)
         for k in range(20):
-            tracks, by_size = cars_at(true_m, horizon_px=horizon_px + rng.normal(0, 4), size_error=wrong)
+            tracks, by_size = cars_at(
+                true_m, horizon_px=horizon_px + rng.normal(0, 4), size_error=wrong
+            )
             boxes = (
                 tracks.xyxy_px
                 + rng.normal(0, 1, (6, 4))
@@ -174,7 +195,12 @@ def test_sigma_is_calibrated_on_a_simulated_road():
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.lists(st.tuples(st.floats(0, 1190), st.floats(0, 360), st.floats(2, 400), st.floats(2, 400)), max_size=12))
+@given(
+    st.lists(
+        st.tuples(st.floats(0, 1190), st.floats(0, 360), st.floats(2, 400), st.floats(2, 400)),
+        max_size=12,
+    )
+)
 def test_any_boxes_give_positive_distances_or_nan(boxes):
     xyxy_px = np.array([[x, y, x + w, y + h] for x, y, w, h in boxes]).reshape(-1, 4)
     n = len(xyxy_px)
@@ -182,7 +208,9 @@ def test_any_boxes_give_positive_distances_or_nan(boxes):
     by_size_m = 900.0 / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
     plane = GroundPlane(CAMERA)
     for k in range(3):
-        ranges = plane.measure(tracks, Ranges(tracks.track_id, by_size_m, 0.1 * by_size_m), at(0.1 * k, k))
+        ranges = plane.measure(
+            tracks, Ranges(tracks.track_id, by_size_m, 0.1 * by_size_m), at(0.1 * k, k)
+        )
         known = np.isfinite(ranges.distance_m)
         assert (np.isfinite(ranges.sigma_m) == known).all()
         assert (ranges.distance_m[known] > 0).all()
@@ -191,7 +219,9 @@ def test_any_boxes_give_positive_distances_or_nan(boxes):
 
 def test_offset_from_contact_point_to_surface():
     boxes = np.array([[0, 0, 100, 100], [0, 0, 300, 100], [0, 0, 40, 100.0]])
-    assert surface_offset_m(boxes, np.array([CAR, CAR, PERSON])) == pytest.approx([0.03, 0.45, 0.05])
+    assert surface_offset_m(boxes, np.array([CAR, CAR, PERSON])) == pytest.approx(
+        [0.03, 0.45, 0.05]
+    )
 
 
 def test_ranger_estimates_the_horizon_from_mono():
@@ -206,7 +236,9 @@ def test_ranger_estimates_the_horizon_from_mono():
 
 
 def road_view(horizon_px=CY_PX, sigma_px=0.5, **fields):
-    return RoadView(horizon=(horizon_px - CY_PX) / F_PX, horizon_variance=(sigma_px / F_PX) ** 2, **fields)
+    return RoadView(
+        horizon=(horizon_px - CY_PX) / F_PX, horizon_variance=(sigma_px / F_PX) ** 2, **fields
+    )
 
 
 def test_horizon_of_image_motion_replaces_sizes():
@@ -232,7 +264,9 @@ def test_contact_points_on_a_curved_road(curvature_per_m):
     boxes = tracks.xyxy_px - raised_px[:, None] * [0.0, 1.0, 0.0, 1.0]
     raised = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
     plane = GroundPlane(CAMERA, SMOOTH)
-    plane.update_road(road_view(curvature_per_m=curvature_per_m, curvature_variance=1e-10), bias_sigma=0.06)
+    plane.update_road(
+        road_view(curvature_per_m=curvature_per_m, curvature_variance=1e-10), bias_sigma=0.06
+    )
     assert plane.measure_alone(raised, at(0.0)).distance_m == pytest.approx(distance_m, rel=0.01)
     assert plane.measure(raised, by_size, at(0.0)).distance_m == pytest.approx(distance_m, rel=0.02)
 
@@ -259,7 +293,10 @@ def test_scale_of_the_drive_is_measured_by_image_motion():
     assert scale.bias_of("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
     without_height = GroundRanger(CAMERA)
     without_height.update_road(road_view())
-    assert without_height.measure_at_scale(tracks, at(0.0), {"mono": by_size}, DriveScale()).evidence is None
+    assert (
+        without_height.measure_at_scale(tracks, at(0.0), {"mono": by_size}, DriveScale()).evidence
+        is None
+    )
 
 
 def test_lane_lines_are_ignored_where_image_motion_shows_the_road():
@@ -270,7 +307,8 @@ def test_lane_lines_are_ignored_where_image_motion_shows_the_road():
 
 
 def test_measured_camera_height():
-    """With a height of image motion and a known speed, distances are independent of sizes, which are 20 % wrong."""
+    """With a height of image motion and a known speed, distances are independent of sizes, which
+    are 20 % wrong."""
     tracks, by_size = cars_at([12.0, 20.0, 30.0], height_m=1.3, size_error=-0.17)
     ranger = GroundRanger(CAMERA, replace(SMOOTH, height_m=1.5, height_sigma_m=0.3))
     for k in range(5):
@@ -284,7 +322,8 @@ def test_measured_camera_height():
 
 
 def test_tyres_of_a_detected_car_are_behind_its_bumper():
-    """The bottom edge is at 20.6 m, the bumper at 20 m; seen from the side, tyres and surface are at one depth."""
+    """The bottom edge is at 20.6 m, the bumper at 20 m; seen from the side, tyres and surface are
+    at one depth."""
     tracks, _ = cars_at([20.6])
     plane = GroundPlane(CAMERA, replace(SMOOTH, has_visible_boxes=True))
     plane.update_road(road_view(), bias_sigma=0.06)
@@ -292,4 +331,6 @@ def test_tyres_of_a_detected_car_are_behind_its_bumper():
     side = np.array([[0.0, 0.0, 220.0, 100.0], [0.0, 0.0, 100.0, 100.0]])
     offset_m = surface_offset_m(side, np.array([CAR, CAR]), has_visible_boxes=True)
     assert offset_m == pytest.approx([0.45, 0.03 - 0.6])
-    assert surface_offset_m(side[1:], np.array([PERSON]), has_visible_boxes=True) == pytest.approx([0.05])
+    assert surface_offset_m(side[1:], np.array([PERSON]), has_visible_boxes=True) == pytest.approx(
+        [0.05]
+    )

@@ -17,11 +17,14 @@ def growth(log_ratio, sigma, *, is_key=False):
 
 
 def test_against_a_filter_of_three_states():
-    """The same steps with matrices: state [d, v, r], a distance, a step of the systematic error, and a growth."""
+    """The same steps with matrices: state [d, v, r], a distance, a step of the systematic error,
+    and a growth."""
     rng = np.random.default_rng(0)
     L = rng.normal(size=(3, 3))
     x, P = np.array([48.0, -6.0, 51.0]), L @ L.T + np.eye(3)
-    state = ConstantVelocity(*(np.array([[value]]) for value in (x[0], x[1], P[0, 0], P[0, 1], P[1, 1])))
+    state = ConstantVelocity(
+        *(np.array([[value]]) for value in (x[0], x[1], P[0, 0], P[0, 1], P[1, 1]))
+    )
     key = KeyDistance(*(np.array([[value]]) for value in (x[2], P[0, 2], P[1, 2], P[2, 2])))
 
     dt, q = 0.2, 0.7
@@ -55,17 +58,21 @@ def test_against_a_filter_of_three_states():
 
 
 def run(sigma_growth, *, seed=0, n=400, n_frames=15, offset=1.2):
-    """Objects that start at 60 m, closing at 8 m/s, with distances that are 20 % too long, and growths of 1 %."""
+    """Objects that start at 60 m, closing at 8 m/s, with distances that are 20 % too long, and
+    growths of 1 %."""
     rng = np.random.default_rng(seed)
     filters = DistanceFilters(
-        {"a": 0.7}, FilterSettings(max_rate_sigma_mps=99.0, acceleration_noise=0.5, learns_noise=False)
+        {"a": 0.7},
+        FilterSettings(max_rate_sigma_mps=99.0, acceleration_noise=0.5, learns_noise=False),
     )
     key_m = np.full(n, np.nan)
     for step in range(n_frames):
         true_m = 60.0 - 0.8 * step
         distance_m = offset * true_m * np.exp(rng.normal(0, 0.08, n))
         log_ratio = np.log(key_m / true_m) + rng.normal(0, 0.01, n)
-        measured = Ranges(np.arange(n), distance_m, distance_m * np.hypot(0.08, 0.2), distance_m * 0.2)
+        measured = Ranges(
+            np.arange(n), distance_m, distance_m * np.hypot(0.08, 0.2), distance_m * 0.2
+        )
         is_key = step % 6 == 0
         grown = None if sigma_growth is None else growth(log_ratio, sigma_growth, is_key=is_key)
         result = filters.update({"a": measured}, 0.1 * step, growth=grown)["a"]
@@ -85,7 +92,8 @@ def test_growth_makes_rates_precise_and_their_sigma_true():
 
 
 def test_growth_tells_moving_from_static_objects():
-    """Cars ahead at 4 m/s, from a camera at 10 m/s: with noisy distances alone, most appear to be parked."""
+    """Cars ahead at 4 m/s, from a camera at 10 m/s: with noisy distances alone, most appear to be
+    parked."""
     n, rng, close = 200, np.random.default_rng(5), {}
     for has_growth in (False, True):
         filters, key_m = DistanceFilters({"a": 0.7}), np.full(n, np.nan)
@@ -95,7 +103,9 @@ def test_growth_tells_moving_from_static_objects():
             log_ratio, is_key = np.log(key_m / true_m) + rng.normal(0, 0.008, n), step == 0
             measured = Ranges(np.arange(n), distance_m, 0.14 * distance_m, 0.1 * distance_m)
             grown = growth(log_ratio, 0.008, is_key=is_key) if has_growth else None
-            result = filters.update({"a": measured}, 0.1 * step, ego_speed_mps=10.0, ego_sigma_mps=0.1, growth=grown)
+            result = filters.update(
+                {"a": measured}, 0.1 * step, ego_speed_mps=10.0, ego_sigma_mps=0.1, growth=grown
+            )
             key_m = true_m if is_key else key_m
         close[has_growth] = np.mean(np.abs(result["a"].state.v + 6.0) < 1.5)
     assert 0.0 <= close[False] < 0.4
@@ -103,7 +113,8 @@ def test_growth_tells_moving_from_static_objects():
 
 
 def test_outliers_count_less():
-    """A growth of 30 % that was measured with a sigma of 1 % changes the rate by less than one of 2 %."""
+    """A growth of 30 % that was measured with a sigma of 1 % changes the rate by less than one of 2
+    %."""
     change_mps = []
     for log_ratio in (0.03, 0.3):
         zero = np.zeros((1, 1))
@@ -127,7 +138,8 @@ def test_without_a_key_frame_nothing_changes():
 
 
 def test_a_key_frame_whose_covariance_is_impossible_is_given_up():
-    """Correlations above 1, as rounding and steps far from linear leave them: the state stays as it was."""
+    """Correlations above 1, as rounding and steps far from linear leave them: the state stays as it
+    was."""
     state = ConstantVelocity(*(np.array([[value]]) for value in (30.0, -6.0, 10.0, 0.0, 1.0)))
     key = KeyDistance(*(np.array([[value]]) for value in (60.0, 12.0, 20.0, 40.0)))
     grown, given_up, *_ = key.grown(state, growth(0.9, 0.003), valid=YES, outlier_sigma=3.0)

@@ -7,7 +7,8 @@ from track_range.stereo.geometry.rig import RigError
 
 
 def test_car_seen_from_behind_by_hand(tmp_path, row, drives):
-    """f = 700 px: a rear of 1.7 x 1.5 m at 20 m is 59.5 x 52.5 px; the ray through its centre meets it at 20 m."""
+    """f = 700 px: a rear of 1.7 x 1.5 m at 20 m is 59.5 x 52.5 px; the ray through its centre meets
+    it at 20 m."""
     boxes = box_set(*drives(tmp_path, {"a": [row(3, 7, "Car", 20.0)]}))
     assert boxes.distance_m == pytest.approx([20.0], abs=1e-4)
     assert boxes.xyxy_px[0, 2:] - boxes.xyxy_px[0, :2] == pytest.approx([59.5, 52.5], abs=1e-4)
@@ -20,8 +21,8 @@ def test_car_seen_from_behind_by_hand(tmp_path, row, drives):
 def test_ray_starts_at_the_left_colour_camera(tmp_path, row, drives):
     """The fourth column of P2 is the position of camera 2; labels are in camera 0's frame.
 
-    The ray of bearing 0.3 meets the back at 20 m; a car that is 1.2 m further right is met at its left side, which runs
-    along x = 6.35 m: at 6.35 / 0.3 = 21.17 m.
+    The ray of bearing 0.3 meets the back at 20 m; a car that is 1.2 m further right is met at its
+    left side, which runs along x = 6.35 m: at 6.35 / 0.3 = 21.17 m.
     """
     slanted = row(0, 0, "Car", 20.0, x_m=6.0)
     plain = box_set(*drives(tmp_path / "plain", {"a": [slanted]}))
@@ -43,17 +44,25 @@ def test_usable_labels(tmp_path, row, drives):
         row(1, 7, "Cyclist", 30.0, x_m=-3.0),
         row(1, 8, "Truck", 30.0, x_m=12.0),
     ]
-    boxes = box_set(*drives(tmp_path, {"a": [*rows, rows[0].replace("Car", "Misc").replace("0 0", "0 9", 1)]}))
+    boxes = box_set(
+        *drives(tmp_path, {"a": [*rows, rows[0].replace("Car", "Misc").replace("0 0", "0 9", 1)]})
+    )
     assert boxes.track_id.tolist() == [0, 5, 6, 7, 8]
     assert boxes.class_name.tolist() == ["car", "van", "person", "bicycle", "truck"]
-    assert boxes.is_rear_view.tolist() == [True, True, True, True, False]  # the truck has a lateral offset of 12 m
+    # the truck has a lateral offset of 12 m
+    assert boxes.is_rear_view.tolist() == [True, True, True, True, False]
 
 
 def test_edge_noise_is_seeded(tmp_path, row, drives):
-    rows = [row(frame, track, "Car", 20.0 + track, x_m=2.0 * track) for frame in range(50) for track in range(10)]
+    rows = [
+        row(frame, track, "Car", 20.0 + track, x_m=2.0 * track)
+        for frame in range(50)
+        for track in range(10)
+    ]
     folders = drives(tmp_path, {"a": rows})
     exact, noisy, again, other = (
-        box_set(*folders, noise_px=noise_px, seed=seed).xyxy_px for noise_px, seed in ((0, 0), (2, 0), (2, 0), (2, 1))
+        box_set(*folders, noise_px=noise_px, seed=seed).xyxy_px
+        for noise_px, seed in ((0, 0), (2, 0), (2, 0), (2, 1))
     )
     assert (noisy - exact).std() == pytest.approx(2.0, rel=0.05)
     assert (noisy - exact).mean() == pytest.approx(0.0, abs=0.15)
@@ -65,9 +74,13 @@ def test_edge_noise_is_seeded(tmp_path, row, drives):
 
 
 def test_detections_replace_boxes_but_not_the_truth(tmp_path, row, drives):
-    """A match, a low-confidence one, one with too little overlap, and one of an occluded car next to a measured car."""
+    """A match, a low-confidence one, one with too little overlap, and one of an occluded car next
+    to a measured car."""
     hidden = row(1, 3, "Car", 20.0, x_m=1.0, occluded=3)
-    folders = drives(tmp_path, {"a": [row(0, 1, "Car", 20.0), row(1, 2, "Car", 20.0), hidden, row(2, 4, "Van", 20.0)]})
+    folders = drives(
+        tmp_path,
+        {"a": [row(0, 1, "Car", 20.0), row(1, 2, "Car", 20.0), hidden, row(2, 4, "Van", 20.0)]},
+    )
     exact = box_set(*folders)
     x1, y1, x2, y2 = exact.xyxy_px[0]
     for kind in ("Car", "Pedestrian"):
@@ -88,7 +101,10 @@ def test_detections_replace_boxes_but_not_the_truth(tmp_path, row, drives):
 
 def test_greedy_matching_by_confidence():
     labels = (np.array([0, 0, 1]), np.array([[0, 0, 10, 10], [4, 0, 14, 10], [0, 0, 10, 10.0]]))
-    detections = (np.array([0, 0, 0, 1]), np.array([[1, 0, 11, 10], [0, 0, 10, 10], [50, 0, 60, 10], [9, 0, 19, 10.0]]))
+    detections = (
+        np.array([0, 0, 0, 1]),
+        np.array([[1, 0, 11, 10], [0, 0, 10, 10], [50, 0, 60, 10], [9, 0, 19, 10.0]]),
+    )
     row, detection = greedy_matches(labels, detections, score=np.array([0.9, 0.8, 0.95, 0.9]))
     assert sorted(zip(row.tolist(), detection.tolist(), strict=True)) == [(0, 0)]
     row, detection = greedy_matches(labels, detections, score=np.array([0.8, 0.9, 0.95, 0.9]))
@@ -140,15 +156,20 @@ def test_kitti_counts(shared_data):
     counts = {name: int((boxes.class_name == name).sum()) for name in np.unique(boxes.class_name)}
     assert counts == {"bicycle": 1194, "car": 11918, "person": 2502, "truck": 724, "van": 1055}
     assert 0.2 < boxes.is_rear_view.mean() < 0.3
-    with_detections = box_set(folders / "label_02", folders / "calib", boxes=f"rrc:{folders / 'rrc'}")
+    with_detections = box_set(
+        folders / "label_02", folders / "calib", boxes=f"rrc:{folders / 'rrc'}"
+    )
     assert set(with_detections.class_name) == {"car", "person"}
     assert 0.85 < (with_detections.class_name == "car").sum() / counts["car"] < 1.0
 
 
 def test_image_size(tmp_path, drives, row):
-    """KITTI's images have the known size of their recording; others contain all labels, but not DontCare regions."""
+    """KITTI's images have the known size of their recording; others contain all labels, but not
+    DontCare regions."""
     region = "0 -1 DontCare -1 -1 -10 0 0 1700 900 -1 -1 -1 -1000 -1000 -1000 -10"
-    labels, calib = drives(tmp_path, {"0000": [row(0, 0, "Car", 20.0), row(0, 1, "Car", 10.0, x_m=9.0), region]})
+    labels, calib = drives(
+        tmp_path, {"0000": [row(0, 0, "Car", 20.0), row(0, 1, "Car", 10.0, x_m=9.0), region]}
+    )
     right_px = 600.0 + 700.0 * (9.0 + 0.85) / 10.0
     assert box_set(labels, calib).size_px[0].tolist() == [int(np.ceil(right_px)) + 1, 360]
     text = (calib / "0000.txt").read_text().replace("700.0 ", "718.3351 ")

@@ -3,7 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, picture, row_px, width_px
+from tests.detection.lane_roads import (
+    CENTRE_PX,
+    FOCAL_PX,
+    HORIZON_PX,
+    HW,
+    picture,
+    row_px,
+    width_px,
+)
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
@@ -26,7 +34,10 @@ def lines(lane_m=3.5, *, sigma_px=0.0, rows=(190.0, 355.0)):
     slope = lane_m / 2 / 1.5
     covariance = np.diag([sigma_px**2, 0.0, 0.0])
     return LaneLines(
-        *(LaneLine(np.array([320 - side * slope * 170, side * slope, 0.0]), covariance, *rows) for side in (-1, 1))
+        *(
+            LaneLine(np.array([320 - side * slope * 170, side * slope, 0.0]), covariance, *rows)
+            for side in (-1, 1)
+        )
     )
 
 
@@ -51,29 +62,48 @@ def measured(tracks, lane_lines=None, *, width_m=3.5, **more):
 
 
 def test_by_hand():
-    """500 px x 3.5 m / (3.5 / 1.5 x (220 - 170) = 116.67 px) = 15 m; the tail of a car is 3 cm behind the contact."""
-    box = Tracks(np.array([1]), np.array([[310.0, 200, 330, 220]]), np.array([CAR]), np.ones(1), np.ones(1, bool))
+    """500 px x 3.5 m / (3.5 / 1.5 x (220 - 170) = 116.67 px) = 15 m; the tail of a car is 3 cm
+    behind the contact."""
+    box = Tracks(
+        np.array([1]),
+        np.array([[310.0, 200, 330, 220]]),
+        np.array([CAR]),
+        np.ones(1),
+        np.ones(1, bool),
+    )
     assert measured(box).distance_m == pytest.approx([15.03])
-    assert measured(box, has_visible_boxes=True).distance_m == pytest.approx([14.43])  # the box ends at the tyres
+    # the box ends at the tyres
+    assert measured(box, has_visible_boxes=True).distance_m == pytest.approx([14.43])
 
 
 def test_distances_and_another_lane_width():
     true_m = np.array([5.0, 10.0, 20.0, 30.0])
     assert measured(boxes_at(*true_m)).distance_m == pytest.approx(true_m + 0.03)
-    assert measured(boxes_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m + 0.03)
-    assert measured(boxes_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0 + 0.03)
+    assert measured(boxes_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(
+        true_m + 0.03
+    )
+    assert measured(boxes_at(*true_m), lines(3.0)).distance_m == pytest.approx(
+        true_m * 3.5 / 3.0 + 0.03
+    )
 
 
 def test_sigma_by_error_propagation():
     ranges = measured(boxes_at(15.0), lines(sigma_px=2.0), width_sigma=0.06, box_sigma_px=1.5)
     width = 3.5 / 1.5 * 50
-    row_px = np.hypot(1.5, 0.004 * FOCAL_PX)  # of the bottom edge, and of the row in which the lines meet
+    # of the bottom edge, and of the row in which the lines meet
+    row_px = np.hypot(1.5, 0.004 * FOCAL_PX)
     parts = (2 * np.sqrt(2) / width, 0.06, 3.5 / 1.5 * row_px / width, 0.01)
     assert ranges.sigma_m == pytest.approx([15 * np.sqrt(np.sum(np.square(parts)))])
 
 
 def test_ego_and_neighbouring_lanes_only():
-    for lanes_to_the_right, is_measured in ((0.0, True), (-1.0, True), (1.0, True), (-2.0, False), (2.0, False)):
+    for lanes_to_the_right, is_measured in (
+        (0.0, True),
+        (-1.0, True),
+        (1.0, True),
+        (-2.0, False),
+        (2.0, False),
+    ):
         ranges = measured(boxes_at(15.0, lanes_to_the_right=lanes_to_the_right))
         assert np.isfinite(ranges.distance_m).tolist() == [is_measured]
 
@@ -98,7 +128,10 @@ def test_extrapolation_is_limited():
     ranges = measured(boxes_at(12.0, 23.9, 24.1), lane_lines)
     assert np.isfinite(ranges.distance_m).tolist() == [True, True, False]
     near_unseen = lines(rows=(190.0, row_px(20.0)))
-    assert np.isfinite(measured(boxes_at(9.9, 10.1), near_unseen).distance_m).tolist() == [False, True]
+    assert np.isfinite(measured(boxes_at(9.9, 10.1), near_unseen).distance_m).tolist() == [
+        False,
+        True,
+    ]
 
 
 def test_uncertain_lines_measure_nothing():
@@ -115,11 +148,25 @@ def test_cache_depends_on_lines_and_tracks():
         ranger.update_lanes(lane_lines)
         expected = measured(tracks, lane_lines).distance_m
         assert ranger.measure(tracks, FRAME).distance_m == pytest.approx(expected, nan_ok=True)
-    assert ranger.measure(boxes_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
+    assert ranger.measure(boxes_at(12.0, 20.0), FRAME).distance_m == pytest.approx(
+        [12.0, 20.0], rel=0.01
+    )
 
 
-def learn(ranger, lane_m, n_frames, source="mono", *, noise=0.02, first=0, scale=None, bias=1.0, sigma=0.02):
-    """Ranges of the last frame; each frame has two cars whose distances by another method have the factor `bias`."""
+def learn(
+    ranger,
+    lane_m,
+    n_frames,
+    source="mono",
+    *,
+    noise=0.02,
+    first=0,
+    scale=None,
+    bias=1.0,
+    sigma=0.02,
+):
+    """Ranges of the last frame; each frame has two cars whose distances by another method have the
+    factor `bias`."""
     rng = np.random.default_rng(2)
     for i in range(first, first + n_frames):
         frame = Frame(i, i * 0.1, FRAME.left, None)
@@ -148,7 +195,8 @@ def test_width_is_learnt_from_stereo():
 
 
 def test_scale_of_sizes_is_not_taken_for_the_width():
-    """All sizes are 8 % too large, which the width follows by the ratio of the variances; sigma contains the rest."""
+    """All sizes are 8 % too large, which the width follows by the ratio of the variances; sigma
+    contains the rest."""
     ranger = LaneWidthRanger(CAMERA, width_m=3.5, width_sigma=0.12, width_from="mono")
     ranges = learn(ranger, 3.5, 60, bias=1.08, sigma=0.1)
     bias_sigma = DriveScale().bias_of("car").sigma
@@ -159,14 +207,19 @@ def test_scale_of_sizes_is_not_taken_for_the_width():
 
 
 def test_own_size_does_not_affect_the_distance():
-    """The first of three cars is 40 % larger than its class; its distance by lane has the width of the others."""
-    others = {"mono": Ranges(np.array([1, 2, 3]), np.array([8.0, 20.0, 15.0]), np.array([0.8, 2.0, 1.5]))}
+    """The first of three cars is 40 % larger than its class; its distance by lane has the width of
+    the others."""
+    others = {
+        "mono": Ranges(np.array([1, 2, 3]), np.array([8.0, 20.0, 15.0]), np.array([0.8, 2.0, 1.5]))
+    }
     distances_m = []
     for first_m in (8.0, 11.0):
         others["mono"].distance_m[0] = first_m
         ranger = LaneWidthRanger(CAMERA, width_m=3.5, width_from="mono")
         ranger.update_lanes(lines())
-        distances_m.append(ranger.measure_with(boxes_at(12.0, 20.0, 15.0), FRAME, others).distance_m)
+        distances_m.append(
+            ranger.measure_with(boxes_at(12.0, 20.0, 15.0), FRAME, others).distance_m
+        )
     assert distances_m[0][0] == pytest.approx(distances_m[1][0], rel=0.01)
     assert distances_m[0][0] == pytest.approx(12.0, rel=0.02)
 
@@ -174,7 +227,9 @@ def test_own_size_does_not_affect_the_distance():
 def test_lines_of_two_lanes_measure_nothing():
     ranger = LaneWidthRanger(CAMERA, width_from="mono")
     assert np.isnan(learn(ranger, 7.0, 10, sigma=0.06).distance_m).all()
-    assert np.isfinite(learn(LaneWidthRanger(CAMERA, width_from="mono"), 4.1, 10, sigma=0.06).distance_m).all()
+    assert np.isfinite(
+        learn(LaneWidthRanger(CAMERA, width_from="mono"), 4.1, 10, sigma=0.06).distance_m
+    ).all()
 
 
 def test_prior_by_region_and_speed():
@@ -202,7 +257,8 @@ def test_prior_by_region_and_speed():
 
 
 def test_width_from_the_height_of_the_camera():
-    """Lines with an opening of 4.2 / 1.5 from a camera 1.5 m high are 4.2 m apart, with a sigma of 6 %."""
+    """Lines with an opening of 4.2 / 1.5 from a camera 1.5 m high are 4.2 m apart, with a sigma of
+    6 %."""
     tracks = boxes_at(12.0, 20.0)
     others = {"mono": Ranges.unmeasured(tracks.track_id)}
     ranger = LaneWidthRanger(CAMERA, width_from="mono", camera_height_m=1.5)
@@ -246,23 +302,31 @@ def test_common_error_inflates_sigma():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
     wrong = inflated_by_disagreement(by(0.7 * true_m, 0.03), [by(true_m, 0.08)])
     error = 1.25 * np.hypot(0.03, 0.08) / 2
-    np.testing.assert_allclose(wrong.sigma_m / wrong.distance_m, np.hypot(0.03, -np.log(0.7) - error))
+    np.testing.assert_allclose(
+        wrong.sigma_m / wrong.distance_m, np.hypot(0.03, -np.log(0.7) - error)
+    )
     np.testing.assert_array_equal(wrong.distance_m, 0.7 * true_m)
 
 
 def test_single_error_does_not_inflate_sigma():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
     by_size = by(true_m * [1.05, 0.97, 2.2, 0.98], 0.08)  # the third is detected as a truck
-    np.testing.assert_allclose(inflated_by_disagreement(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m)
+    np.testing.assert_allclose(
+        inflated_by_disagreement(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m
+    )
 
 
 def test_stereo_has_precedence_over_size():
     true_m, unknown = np.array([10.0, 20.0]), np.full(2, np.nan)
     lane = by(true_m, 0.03)
     np.testing.assert_allclose(
-        inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m, lane.sigma_m
+        inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m,
+        lane.sigma_m,
     )
-    assert (inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(unknown, 0.01)]).sigma_m > 0.5 * true_m).all()
+    assert (
+        inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(unknown, 0.01)]).sigma_m
+        > 0.5 * true_m
+    ).all()
 
 
 @pytest.mark.parametrize("others", [[], [by([np.nan, np.nan], 0.1)]])

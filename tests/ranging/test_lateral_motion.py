@@ -1,4 +1,5 @@
-"""Lateral motion of objects that pass, cross or are hit: positions by hand, projected by an exact camera."""
+"""Lateral motion of objects that pass, cross or are hit: positions by hand, projected by an exact
+camera."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ class Course:
     def __init__(self, camera: PinholeCamera) -> None:
         self._filters = LateralFilters(camera)
 
-    def update(self, boxes: Tracks, distance_m: FloatArray, ttc_s: FloatArray, time_s: float) -> Offsets:
+    def update(
+        self, boxes: Tracks, distance_m: FloatArray, ttc_s: FloatArray, time_s: float
+    ) -> Offsets:
         motion, T = self._filters.update(boxes, distance_m, time_s), ttc_s
         x = motion.state
         variance = x.P_xx + T * (2 * x.P_xv + T * x.P_vv)
@@ -46,7 +49,9 @@ def box(x_m: float, z_m: float, width_m: float) -> list[float]:
 def tracks(boxes: list[list[float]], *, observed: bool = True, first_id: int = 1) -> Tracks:
     n = len(boxes)
     ids = np.arange(first_id, first_id + n)
-    return Tracks(ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed))
+    return Tracks(
+        ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed)
+    )
 
 
 def drive(
@@ -62,14 +67,19 @@ def drive(
     rng = np.random.default_rng(7)
     offsets = None
     for number in range(n):
-        x_m, z_m = (start + number * STEP_S * rate for start, rate in zip(start_m, speed_mps, strict=True))
+        x_m, z_m = (
+            start + number * STEP_S * rate for start, rate in zip(start_m, speed_mps, strict=True)
+        )
         seen = (
             np.array([box(x_m, z_m, width_m)]) + rng.normal(0, noise_px, (1, 4))
             if noise_px
             else [box(x_m, z_m, width_m)]
         )
         offsets = course.update(
-            tracks([list(seen[0])]), np.array([z_m]), np.array([-z_m / speed_mps[1]]), number * STEP_S
+            tracks([list(seen[0])]),
+            np.array([z_m]),
+            np.array([-z_m / speed_mps[1]]),
+            number * STEP_S,
         )
     assert offsets is not None
     return offsets
@@ -90,15 +100,19 @@ def test_lateral_offset_of_moving_objects(
 ) -> None:
     offsets = drive(Course(CAMERA), start_m, speed_mps)
     assert offsets.lateral_offset_m[0] == pytest.approx(offset_m, abs=0.3)
-    assert 0.75 - 1e-9 <= offsets.half_width_m[0] <= 0.9 + 1e-9  # a car beside the path may show its side
+    # a car beside the path may show its side
+    assert 0.75 - 1e-9 <= offsets.half_width_m[0] <= 0.9 + 1e-9
 
 
 def test_first_frame_by_hand() -> None:
     """After one frame the rate is 0 +- 5 m/s: 2 s ahead that is 10 m.
 
-    The inner edge may be at the far end of a car, so the car may be as narrow as 1.5 m, its centre 0.15 m farther out.
+    The inner edge may be at the far end of a car, so the car may be as narrow as 1.5 m, its centre
+    0.15 m farther out.
     """
-    offsets = Course(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
+    offsets = Course(CAMERA).update(
+        tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0
+    )
     assert offsets.lateral_offset_m[0] == pytest.approx(3.65)
     edge_m = (1.0 + 0.02 * 700 * 1.8 / 20) * 20 / 700
     assert offsets.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2))
@@ -113,19 +127,24 @@ def test_offset_error_within_sigma() -> None:
 def test_unknown_without_ttc_or_distance() -> None:
     course = Course(CAMERA)
     boxes = [box(-3.5, 20.0, 1.8), box(3.5, 20.0, 1.8)]
-    offsets = course.update(tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0)
+    offsets = course.update(
+        tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0
+    )
     assert np.isnan(offsets.lateral_offset_m).all()
 
 
 def test_box_cut_by_the_border_is_not_a_measurement() -> None:
-    """The visible centre of a passing car stays at the border: only measurements before it was cut are used."""
+    """The visible centre of a passing car stays at the border: only measurements before it was cut
+    are used."""
     course, n = Course(CAMERA), 0
     offsets = drive(course, (-4.0, 14.0), (0.0, -8.0), n=12)
     for number in range(12, 16):
         z_m = 14.0 - 8.0 * STEP_S * number
         cut = np.maximum(box(-4.0, z_m, 1.8), 0.0)
         n += int(cut[0] == 0.0)
-        offsets = course.update(tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S)
+        offsets = course.update(
+            tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S
+        )
         assert offsets.lateral_offset_m[0] == pytest.approx(-4.0, abs=0.3)
     assert n == 4
 
@@ -148,7 +167,9 @@ def test_jump_restarts_the_filter() -> None:
     course = Course(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))
     seen = [
-        course.update(tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0 + STEP_S * number)
+        course.update(
+            tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0 + STEP_S * number
+        )
         for number in range(3)
     ]
     assert seen[0].lateral_offset_m[0] == pytest.approx(-6.0, abs=0.5)  # one outlier is ignored

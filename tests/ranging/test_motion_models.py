@@ -12,8 +12,19 @@ from track_range.ranging.ranges import Ranges
 CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0
 
 
-def filtered(own_mps, *, size_error=0.0, size_sigma=0.08, noise=0.02, steps=25, seed=1, filters=None, **options):
-    """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to `size_sigma`."""
+def filtered(
+    own_mps,
+    *,
+    size_error=0.0,
+    size_sigma=0.08,
+    noise=0.02,
+    steps=25,
+    seed=1,
+    filters=None,
+    **options,
+):
+    """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to
+    `size_sigma`."""
     own_mps, rng = np.asarray(own_mps, float), np.random.default_rng(seed)
     ids = rng.integers(1, 10**9, len(own_mps))
     filters = filters or DistanceFilters({"a": 0.6})
@@ -28,7 +39,8 @@ def filtered(own_mps, *, size_error=0.0, size_sigma=0.08, noise=0.02, steps=25, 
 
 
 def test_closing_speed_of_a_static_object_is_that_of_the_ego_vehicle():
-    """A parked car that is 8 % larger than assumed: its rate is 8 % too large, but not its closing speed."""
+    """A parked car that is 8 % larger than assumed: its rate is 8 % too large, but not its closing
+    speed."""
     static = filtered([0.0] * 20, size_error=0.08)
     assert -static.rate_mps == pytest.approx(np.full(20, EGO_MPS), abs=0.35)
     assert np.median(np.abs(static.rate_mps + EGO_MPS)) < 0.12
@@ -52,7 +64,8 @@ def test_objects_that_move_across_are_not_static():
 
 
 def test_static_objects_in_a_turn():
-    """Places at 50 m at which static objects come nearer with 12 and 7 m/s, since the camera turns by 0.2 rad/s."""
+    """Places at 50 m at which static objects come nearer with 12 and 7 m/s, since the camera turns
+    by 0.2 rad/s."""
     speeds, no, none = np.array([12.0, 7.0]), np.zeros(2, np.bool_), np.zeros(2)
     bearing = (EGO_MPS - speeds) / (0.2 * 50.0)
     cut = CutBoxes(is_cut=no, q=none, q_sigma=none, length_m=none + 4.0, bearing=bearing)
@@ -77,7 +90,8 @@ def test_sigma_is_true_for_parked_and_moving_objects():
 
 
 def test_a_class_learns_how_it_moves():
-    """After 30 s, against a prior of 10 s, the probability that a member of a class is static follows what was seen."""
+    """After 30 s, against a prior of 10 s, the probability that a member of a class is static
+    follows what was seen."""
     models = MotionModels()
     cars, people = np.array([CAR]), np.array([PERSON])
     before = models.prior(cars, True)[0, :, 0]
@@ -90,10 +104,18 @@ def test_a_class_learns_how_it_moves():
 
 
 def test_probabilities_follow_the_likelihoods():
-    """By Bayes' rule, with the exponent 1.5 of the evidence; innovations that are not valid change nothing."""
+    """By Bayes' rule, with the exponent 1.5 of the evidence; innovations that are not valid change
+    nothing."""
     models = MotionModels()
-    weight, nu, S = (np.array(values)[None, :, None] for values in ([0.5, 0.3, 0.2], [2.0, 1.0, 0.5], [1.0, 1.0, 4.0]))
-    expected = [0.5 * np.exp(-3.0), 0.3 * np.exp(-0.75), 0.2 * np.exp(-0.75 * 0.0625) / np.sqrt(8.0)]
+    weight, nu, S = (
+        np.array(values)[None, :, None]
+        for values in ([0.5, 0.3, 0.2], [2.0, 1.0, 0.5], [1.0, 1.0, 4.0])
+    )
+    expected = [
+        0.5 * np.exp(-3.0),
+        0.3 * np.exp(-0.75),
+        0.2 * np.exp(-0.75 * 0.0625) / np.sqrt(8.0),
+    ]
     updated = models.updated(weight, nu, S, valid=np.array([[[True]]]))
     assert updated[0, :, 0] == pytest.approx(np.array(expected) / np.sum(expected))
     assert models.updated(weight, nu, S, valid=np.array([[[False]]])) == pytest.approx(weight)
@@ -125,9 +147,12 @@ def test_rates_of_long_vehicles_are_less_certain():
 
 
 def test_errors_of_sizes_change_on_the_way():
-    """An error of the size that changes with the distance looks like a speed, which a known size cannot."""
+    """An error of the size that changes with the distance looks like a speed, which a known size
+    cannot."""
     moving = {"may_be_static": np.zeros(8, np.bool_), "noise": 0.005}
-    known, unknown = (filtered([-4.0] * 8, size_sigma=sigma, **moving).state.P_vv for sigma in (1e-6, 0.08))
+    known, unknown = (
+        filtered([-4.0] * 8, size_sigma=sigma, **moving).state.P_vv for sigma in (1e-6, 0.08)
+    )
     assert 2 < np.median(unknown / known) < 20
 
 

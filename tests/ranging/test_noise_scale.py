@@ -10,7 +10,12 @@ def learnt(true_variance, *, declared=1.0, predicted=0.3, frames=100):
     rng, scale = np.random.default_rng(6), NoiseScale()
     for _ in range(frames):
         squared = rng.normal(0, np.sqrt(predicted + true_variance), (1, 20)) ** 2
-        scale.learn(squared, np.full((1, 20), predicted), noise=scale.factor * np.full((1, 20), declared), use=ALL)
+        scale.learn(
+            squared,
+            np.full((1, 20), predicted),
+            noise=scale.factor * np.full((1, 20), declared),
+            use=ALL,
+        )
     return scale.factor.item()
 
 
@@ -23,7 +28,9 @@ def test_starts_at_the_declared_noise():
     scale = NoiseScale()
     assert scale.factor == 1.0
     scale.learn(np.full((1, 3), 9.0), np.zeros((1, 3)), noise=np.ones((1, 3)), use=ALL[:, :3])
-    assert scale.factor.item() == pytest.approx((30 * 0.5 ** (3 / 300) + 27) / (30 * 0.5 ** (3 / 300) + 3))
+    assert scale.factor.item() == pytest.approx(
+        (30 * 0.5 ** (3 / 300) + 27) / (30 * 0.5 ** (3 / 300) + 3)
+    )
 
 
 def test_limits_and_outliers():

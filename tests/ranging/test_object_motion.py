@@ -1,4 +1,5 @@
-"""Motion over ground: speeds, headings and states of made-up tracks, and of KITTI's labels with known poses."""
+"""Motion over ground: speeds, headings and states of made-up tracks, and of KITTI's labels with
+known poses."""
 
 import math
 
@@ -19,13 +20,18 @@ EGO_MPS = 10.0
 
 
 def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3, static=None):
-    """Filtered distances with these rates; objects within 0.5 m/s of the ego speed are static, if not given."""
+    """Filtered distances with these rates; objects within 0.5 m/s of the ego speed are static, if
+    not given."""
     v = np.asarray(rate_mps, np.float64)
     full = np.full_like
-    state = ConstantVelocity(full(v, distance_m), v, full(v, 0.05), full(v, 0.0), full(v, rate_sigma_mps**2))
+    state = ConstantVelocity(
+        full(v, distance_m), v, full(v, 0.05), full(v, 0.0), full(v, rate_sigma_mps**2)
+    )
     ranges = Ranges(np.arange(len(v)), state.x, full(v, sigma_m))
     static = np.where(np.abs(v + EGO_MPS) < 0.5, 0.97, 0.0) if static is None else full(v, static)
-    return FilteredRanges(ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state, static)
+    return FilteredRanges(
+        ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state, static
+    )
 
 
 def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
@@ -44,7 +50,9 @@ def ground_of(rate_mps, right_mps, class_id=CAR, ego_mps=EGO_MPS, **options):
 def test_speed_is_the_rate_plus_the_ego_speed():
     ground = ground_of([-2.0, -25.0, 0.0], [0.0, 0.0, 5.0])
     assert ground.speed_mps == pytest.approx([8.0, 15.0, math.hypot(10.0, 5.0)], rel=1e-3)
-    assert np.abs(ground.heading_rad) == pytest.approx([0.0, math.pi, math.atan2(5.0, 10.0)], abs=1e-9)
+    assert np.abs(ground.heading_rad) == pytest.approx(
+        [0.0, math.pi, math.atan2(5.0, 10.0)], abs=1e-9
+    )
     assert ground.heading_rad[2] < 0  # to the right
     assert (ground.moving > 0.99).all()
     s = math.sqrt(0.5**2 - 0.05) / 20  # systematic, relative
@@ -54,7 +62,8 @@ def test_speed_is_the_rate_plus_the_ego_speed():
 
 
 def test_rotation_of_the_camera_is_no_speed():
-    """In a turn to the right with 0.2 rad/s, a parked car 10 m to the right comes nearer 2 m/s more slowly."""
+    """In a turn to the right with 0.2 rad/s, a parked car 10 m to the right comes nearer 2 m/s more
+    slowly."""
     motion, lateral = motion_of([-8.0]), lateral_of([0.0], x_m=10.0)
     turning, straight = EgoMotion(EGO_MPS, 0.05, 0.2), EgoMotion(EGO_MPS, 0.05)
     assert over_ground(motion, lateral, np.array([CAR]), turning).speed_mps[0] < 0.1
@@ -98,7 +107,12 @@ def states_of(rates_mps, rights_mps, *, step_s=0.1):
 
 @pytest.mark.parametrize(
     ("rate_mps", "right_mps", "state"),
-    [(-10.0, 0.0, "parked"), (-2.0, 0.2, "moving"), (-20.0, 0.1, "oncoming"), (-9.5, -6.0, "crossing")],
+    [
+        (-10.0, 0.0, "parked"),
+        (-2.0, 0.2, "moving"),
+        (-20.0, 0.1, "oncoming"),
+        (-9.5, -6.0, "crossing"),
+    ],
 )
 def test_states(rate_mps, right_mps, state):
     states, _ = states_of([rate_mps] * 6, [right_mps] * 6)

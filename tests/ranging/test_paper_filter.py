@@ -12,7 +12,9 @@ def measured(ids, distance_m):
 def test_by_hand():
     paper = PaperFilter()
     first = paper.update(measured([1], [20.0]), 0.0, ego_speed_mps=10.0)
-    assert (first.ranges.distance_m[0], first.ranges.sigma_m[0]) == pytest.approx((20.0, np.sqrt(0.1)))
+    assert (first.ranges.distance_m[0], first.ranges.sigma_m[0]) == pytest.approx(
+        (20.0, np.sqrt(0.1))
+    )
     assert np.isnan(first.rate_mps[0])
     second = paper.update(measured([1], [20.0]), 0.1, ego_speed_mps=10.0)
     # Predicted 19 +- sqrt(0.2), gain 2/3.
@@ -51,7 +53,9 @@ def test_tracks_have_separate_filters():
 def test_tracks_restart_after_a_second():
     paper = PaperFilter()
     paper.update(measured([1, 2], [30.0, 40.0]), 0.0)
-    assert paper.update(measured([2], [np.nan]), 0.5, ego_speed_mps=4.0).ranges.distance_m == pytest.approx([38.0])
+    assert paper.update(
+        measured([2], [np.nan]), 0.5, ego_speed_mps=4.0
+    ).ranges.distance_m == pytest.approx([38.0])
     late = paper.update(measured([1, 2], [np.nan, 50.0]), 1.2)
     assert np.isnan(late.ranges.distance_m[0])
     assert np.isnan(late.ranges.sigma_m[0])

@@ -1,4 +1,5 @@
-"""Parallax on pictures of textured boards that stand at known distances while the camera drives past them."""
+"""Parallax on pictures of textured boards that stand at known distances while the camera drives
+past them."""
 
 import numpy as np
 import pytest
@@ -34,7 +35,9 @@ def picture(distances_m):
     for face, (x1, y1, x2, y2) in zip(FACES, boards_at(distances_m), strict=True):
         u, v = (column - x1) / (x2 - x1) * 19, (row - y1) / (y2 - y1) * 11
         inside = (u >= 0) & (u <= 19) & (v >= 0) & (v <= 11)
-        u0, v0 = (np.clip(np.floor(part).astype(int), 0, size - 2) for part, size in ((u, 20), (v, 12)))
+        u0, v0 = (
+            np.clip(np.floor(part).astype(int), 0, size - 2) for part, size in ((u, 20), (v, 12))
+        )
         a, b = u - u0, v - v0
         smooth = (face[v0, u0] * (1 - a) + face[v0, u0 + 1] * a) * (1 - b)
         smooth += (face[v0 + 1, u0] * (1 - a) + face[v0 + 1, u0 + 1] * a) * b
@@ -43,9 +46,16 @@ def picture(distances_m):
 
 
 def driven(
-    speeds_mps=(0.0, 0.0), *, class_id=CAR, size_error=0.0, sigma=0.08, travelled_m=WAY_M, starts_m=(32.0, 28.0)
+    speeds_mps=(0.0, 0.0),
+    *,
+    class_id=CAR,
+    size_error=0.0,
+    sigma=0.08,
+    travelled_m=WAY_M,
+    starts_m=(32.0, 28.0),
 ):
-    """Ranges after some frames, and the true distances; the objects move with `speeds_mps` away from the camera."""
+    """Ranges after some frames, and the true distances; the objects move with `speeds_mps` away
+    from the camera."""
     parallax, flow = Parallax(CAMERA), BackgroundFlow()
     distances_m, ids = np.array(starts_m), np.array([1, 2])
     for k in range(N_FRAMES):
@@ -63,7 +73,9 @@ def driven(
             now=flow.now,
         )
         other_m = distances_m * (1 + size_error)
-        ranges = parallax.measure(tracks, step if k else None, Ranges(ids, other_m, sigma * other_m))
+        ranges = parallax.measure(
+            tracks, step if k else None, Ranges(ids, other_m, sigma * other_m)
+        )
         true_m = distances_m
         distances_m = distances_m - WAY_M + DT_S * np.array(speeds_mps)
     return ranges, true_m

@@ -1,4 +1,5 @@
-"""Tests of the growth of objects by registration of patches, on textures that are scaled by known factors."""
+"""Tests of the growth of objects by registration of patches, on textures that are scaled by known
+factors."""
 
 import cv2
 import numpy as np
@@ -16,12 +17,15 @@ SIZE_PX = np.array([40.0, 32.0])  # of the boxes in the first frame
 
 def texture(seed, sides=(240, 300)):
     rng = np.random.default_rng(seed)
-    coarse = cv2.resize(rng.uniform(40, 220, (sides[0] // 12, sides[1] // 12)).astype(np.float32), sides[::-1])
+    coarse = cv2.resize(
+        rng.uniform(40, 220, (sides[0] // 12, sides[1] // 12)).astype(np.float32), sides[::-1]
+    )
     return coarse + cv2.GaussianBlur(rng.normal(0, 40, sides).astype(np.float32), (0, 0), 5)
 
 
 def scene(objects, *, seed=0, noise=2.0, gain=1.0):
-    """(360, 640, 3) image of objects (texture, middle, width and height in px), each over those before."""
+    """(360, 640, 3) image of objects (texture, middle, width and height in px), each over those
+    before."""
     rng = np.random.default_rng(seed)
     image = cv2.resize(texture(99), (640, 360))
     for pattern, middle_px, size_px in objects:
@@ -29,7 +33,9 @@ def scene(objects, *, seed=0, noise=2.0, gain=1.0):
         shift = np.asarray(middle_px) - scale * (np.array(pattern.shape[::-1]) - 1) / 2
         placed = np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]]])
         # averaged over the area of a pixel: drawn at four times the size
-        large = cv2.warpAffine(pattern, 4 * placed + [[0, 0, 1.5]] * 2, (2560, 1440), borderValue=-1e4)
+        large = cv2.warpAffine(
+            pattern, 4 * placed + [[0, 0, 1.5]] * 2, (2560, 1440), borderValue=-1e4
+        )
         small = cv2.resize(large, (640, 360), interpolation=cv2.INTER_AREA)
         image = np.where(small >= 0, small, image)
     grey = np.clip(gain * image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
@@ -40,18 +46,28 @@ def tracks(middles_px, sizes_px, *, class_id=CAR, noise_px=0.0, seed=0):
     boxes = np.concatenate([middles_px - sizes_px / 2, middles_px + sizes_px / 2], axis=1)
     boxes = boxes + np.random.default_rng(seed).normal(0, noise_px, boxes.shape)
     n = len(boxes)
-    return Tracks(np.arange(1, n + 1), boxes, np.full(n, class_id), np.ones(n), np.ones(n, np.bool_))
+    return Tracks(
+        np.arange(1, n + 1), boxes, np.full(n, class_id), np.ones(n), np.ones(n, np.bool_)
+    )
 
 
 def grown(middles_px, scale, shift_px, *, n_seeds=12, noise_px=1.0, gain=1.0):
-    """Log ratios and sigmas of objects that grow by `scale` and move by `shift_px` between two frames."""
+    """Log ratios and sigmas of objects that grow by `scale` and move by `shift_px` between two
+    frames."""
     values = []
     for seed in range(n_seeds):
-        scales, pattern = PatchScales(CAMERA), [texture(10 * seed + i) for i in range(len(middles_px))]
+        scales, pattern = (
+            PatchScales(CAMERA),
+            [texture(10 * seed + i) for i in range(len(middles_px))],
+        )
         middles = np.array(middles_px, float)
         now = middles + np.array(shift_px)
         before = scene([(p, m, SIZE_PX) for p, m in zip(pattern, middles, strict=True)], seed=seed)
-        after = scene([(p, m, SIZE_PX * scale) for p, m in zip(pattern, now, strict=True)], seed=seed + 50, gain=gain)
+        after = scene(
+            [(p, m, SIZE_PX * scale) for p, m in zip(pattern, now, strict=True)],
+            seed=seed + 50,
+            gain=gain,
+        )
         start = tracks(middles, SIZE_PX, noise_px=noise_px, seed=seed)
         assert scales.measure(start, before, 0.0).is_key.all()
         end = tracks(now, SIZE_PX * scale, noise_px=noise_px, seed=seed + 50)
@@ -82,9 +98,13 @@ def test_nearer_boxes_have_no_weight():
             for step, (near_x, near_size) in enumerate(((345, 50.0), (351, 56.0))):
                 middles = np.array([[320.0, 180.0], [near_x, 190.0]])
                 sizes = np.array([SIZE_PX * (1.03 if step else 1.0), [near_size, near_size]])
-                image = scene([(far, middles[0], sizes[0]), (near, middles[1], sizes[1])], seed=seed + step)
+                image = scene(
+                    [(far, middles[0], sizes[0]), (near, middles[1], sizes[1])], seed=seed + step
+                )
                 present = tracks(middles, sizes)
-                result = scales.measure(present if knows_nearer else present.select(np.array([0])), image, 0.1 * step)
+                result = scales.measure(
+                    present if knows_nearer else present.select(np.array([0])), image, 0.1 * step
+                )
             measured.append(result.log_ratio[0] - np.log(1.03))
         errors[knows_nearer] = np.array(measured)
     assert np.isfinite(errors[True]).mean() > 0.7
@@ -94,7 +114,8 @@ def test_nearer_boxes_have_no_weight():
 
 
 def test_width_of_sides_counts_little():
-    """Beside the axis the width of a car may grow faster than the car: 8 % against 4 % in height."""
+    """Beside the axis the width of a car may grow faster than the car: 8 % against 4 % in
+    height."""
     log_ratio, sigma = grown([(560, 180)], np.array([1.08, 1.04]), (2.0, 0.0))
     on_axis, axis_sigma = grown([(320, 180)], np.array([1.08, 1.04]), (2.0, 0.0))
     assert np.nanmedian(log_ratio) == pytest.approx(np.log(1.04), abs=0.012)
@@ -103,7 +124,8 @@ def test_width_of_sides_counts_little():
 
 
 def test_key_frames():
-    """A key frame lasts a second, or until the object is lost; measured after 0.1 s, and then every 0.2 s."""
+    """A key frame lasts a second, or until the object is lost; measured after 0.1 s, and then every
+    0.2 s."""
     scales, pattern, middle = PatchScales(CAMERA), texture(1), np.array([[320.0, 180.0]])
     image, present = scene([(pattern, middle[0], SIZE_PX)]), tracks(middle, SIZE_PX)
     keys, measured = [], []

@@ -9,7 +9,9 @@ from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURV
 RNG = np.random.default_rng(3)
 DISTANCE_M = RNG.uniform(8, 80, 400)
 BEARING = RNG.uniform(-0.5, 0.5, 400)
-SIZES = np.stack([1.7 / DISTANCE_M, 1.5 / DISTANCE_M], axis=1) * np.exp(RNG.normal(0, 0.03, (400, 2)))
+SIZES = np.stack([1.7 / DISTANCE_M, 1.5 / DISTANCE_M], axis=1) * np.exp(
+    RNG.normal(0, 0.03, (400, 2))
+)
 FITTED = {name: fit(SIZES, BEARING, DISTANCE_M) for name, fit in SAFE_CURVES.items()}
 FITTED["log-linear"] = PLAIN_CURVES["log-linear"](SIZES, BEARING, DISTANCE_M)
 
@@ -32,7 +34,9 @@ def test_polynomial_recovers_its_coefficients(name):
 
 
 def test_log_linear_recovers_its_slopes():
-    expected = np.exp(0.4 - 0.9 * np.log(SIZES[:, 1]) - 0.1 * np.log(SIZES[:, 0]) + 0.2 * np.abs(BEARING))
+    expected = np.exp(
+        0.4 - 0.9 * np.log(SIZES[:, 1]) - 0.1 * np.log(SIZES[:, 0]) + 0.2 * np.abs(BEARING)
+    )
     fitted = PLAIN_CURVES["log-linear"](SIZES, BEARING, expected)
     np.testing.assert_allclose(fitted(SIZES, -BEARING), expected, rtol=1e-9)
 
@@ -53,7 +57,9 @@ def test_safe_curves_equal_raw_ones_where_decreasing(name):
     assert 0.005 < np.abs(error).mean() < 0.25
 
 
-@given(st.sampled_from(sorted(FITTED)), st.floats(1e-4, 5.0), st.floats(1.0, 3.0), st.floats(0.2, 4.0))
+@given(
+    st.sampled_from(sorted(FITTED)), st.floats(1e-4, 5.0), st.floats(1.0, 3.0), st.floats(0.2, 4.0)
+)
 @settings(deadline=None)
 def test_distance_never_increases_with_size(name, height, ratio, aspect):
     sizes = np.array([[aspect * height, height], [aspect * height * ratio, height * ratio]])

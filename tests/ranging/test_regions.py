@@ -16,12 +16,15 @@ MODELS = {region: load_curves(region=region) for region in REGIONS}
 
 
 def measured(region, name, size_px):
-    """Distance and relative sigma of one box of a size in px, ahead, whose bottom edge counts for nothing."""
+    """Distance and relative sigma of one box of a size in px, ahead, whose bottom edge counts for
+    nothing."""
     width, height = size_px
     xyxy_px = np.array([[640 - width / 2, 400 - height, 640 + width / 2, 400]])
     use = np.ones(1, np.bool_), np.zeros(1, np.bool_)
     size_class = np.array([SIZE_CLASSES.index(name)])
-    boxes = measured_boxes(xyxy_px, size_class, camera=CAMERA, noise=BoxNoise(), uses_width_bottom=use)
+    boxes = measured_boxes(
+        xyxy_px, size_class, camera=CAMERA, noise=BoxNoise(), uses_width_bottom=use
+    )
     ranges = MODELS[region].measure(boxes)
     return float(ranges.distance_m[0]), float(ranges.sigma_m[0] / ranges.distance_m[0])
 
@@ -63,15 +66,20 @@ def test_an_unknown_region_lies_between_and_is_less_certain():
 
 
 def test_narrow_boxes_are_those_of_higher_cars():
-    """At equal height, the box of a pickup or SUV is narrower than that of a saloon, so it is farther."""
+    """At equal height, the box of a pickup or SUV is narrower than that of a saloon, so it is
+    farther."""
     saloon, _ = measured("north-america", "car", (56.0, 40.0))
     pickup, _ = measured("north-america", "car", (43.0, 40.0))
     assert pickup > 1.08 * saloon
-    assert measured("europe", "car", (43.0, 40.0))[0] < 1.05 * measured("europe", "car", (56.0, 40.0))[0]
+    assert (
+        measured("europe", "car", (43.0, 40.0))[0]
+        < 1.05 * measured("europe", "car", (56.0, 40.0))[0]
+    )
 
 
 def test_a_bicycle_without_rider_is_near():
-    """A box as wide as it is high is a rider from the side; a low, wide one a bicycle alone: 1.1 m high, not 1.7."""
+    """A box as wide as it is high is a rider from the side; a low, wide one a bicycle alone: 1.1 m
+    high, not 1.7."""
     with_rider, _ = measured("unknown", "bicycle", (100.0, 100.0))
     alone, sigma = measured("unknown", "bicycle", (155.0, 100.0))
     assert with_rider == pytest.approx(17.0, rel=0.1)

@@ -1,4 +1,5 @@
-"""Registry of ranging methods: order, validation of descriptions, entry points of other packages."""
+"""Registry of ranging methods: order, validation of descriptions, entry points of other
+packages."""
 
 from dataclasses import replace
 
@@ -29,7 +30,8 @@ def names(listed):
 def correlation(method, other):
     """Correlation of the independent errors of two methods."""
     parts = [
-        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"} for m in (method, other)
+        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"}
+        for m in (method, other)
     ]
     return sum((parts[0][name] * parts[1].get(name, 0.0)) ** 0.5 for name in parts[0])
 
@@ -37,10 +39,14 @@ def correlation(method, other):
 def test_built_in_methods_in_order_with_their_noise():
     listed = registry.methods()[:5]
     assert names(listed) == ["mono", "ground", "lane", "stereo", "sgbm"]
-    assert [method.noise_share for method in listed] == pytest.approx([0.6, 0.742, 0.775, 0.3, 0.3], abs=1e-3)
+    assert [method.noise_share for method in listed] == pytest.approx(
+        [0.6, 0.742, 0.775, 0.3, 0.3], abs=1e-3
+    )
     mono, ground, lane, stereo, _ = listed
     pairs = ((mono, ground), (mono, lane), (ground, lane), (mono, stereo))
-    assert [correlation(*pair) for pair in pairs] == pytest.approx([0.456, 0.345, 0.550, 0.0], abs=1e-3)
+    assert [correlation(*pair) for pair in pairs] == pytest.approx(
+        [0.456, 0.345, 0.550, 0.0], abs=1e-3
+    )
 
 
 def test_registered_is_limited_to_the_block():
@@ -62,8 +68,12 @@ def test_unknown_names_of_methods_are_refused(change):
 
 
 def test_create_that_returns_no_ranger():
-    with pytest.raises(MethodError, match=r"'radar': expected create\(\) to return a Ranger or None, got object"):
-        registry.create_rangers(MethodContext(camera=CAMERA), [replace(RADAR, create=lambda context: object())])
+    with pytest.raises(
+        MethodError, match=r"'radar': expected create\(\) to return a Ranger or None, got object"
+    ):
+        registry.create_rangers(
+            MethodContext(camera=CAMERA), [replace(RADAR, create=lambda context: object())]
+        )
 
 
 def test_measuring_order_follows_reads():
@@ -76,7 +86,11 @@ def test_measuring_order_follows_reads():
 
 
 def test_rangers_are_created_if_their_needs_are_met():
-    assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == ["mono", "ground", "expansion"]
+    assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == [
+        "mono",
+        "ground",
+        "expansion",
+    ]
     rig = StereoRig.rectified(CAMERA, 0.5)
     assert list(registry.create_rangers(MethodContext(camera=CAMERA, rig=rig))) == [
         "mono",
@@ -84,7 +98,9 @@ def test_rangers_are_created_if_their_needs_are_met():
         "stereo",
         "expansion",
     ]
-    everything = MethodContext(camera=CAMERA, rig=rig, has_lane_lines=True, has_dense_disparity=True)
+    everything = MethodContext(
+        camera=CAMERA, rig=rig, has_lane_lines=True, has_dense_disparity=True
+    )
     rangers = registry.create_rangers(everything)
     assert list(rangers) == ["mono", "ground", "stereo", "lane", "sgbm", "expansion"]
     for ranger in rangers.values():

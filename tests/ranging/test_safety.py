@@ -1,4 +1,5 @@
-"""Surrogate measures of safety: hand-worked numbers, objects beside the path, lanes, the lead, exposure and PET."""
+"""Surrogate measures of safety: hand-worked numbers, objects beside the path, lanes, the lead,
+exposure and PET."""
 
 import math
 
@@ -15,14 +16,32 @@ from track_range.stereo.geometry.camera import PinholeCamera
 PERSON, CAR, SIGN = (ROAD_CLASSES.index(name) for name in ("person", "car", "traffic sign"))
 
 
-def measured(distance_m, closing_mps, *, offset_m=0.0, class_id=CAR, time_s=0.0, ego_mps=20.0, monitor=None, **more):
+def measured(
+    distance_m,
+    closing_mps,
+    *,
+    offset_m=0.0,
+    class_id=CAR,
+    time_s=0.0,
+    ego_mps=20.0,
+    monitor=None,
+    **more,
+):
     """Measures of one frame; scalars are those of all tracks."""
     d, c, o, k, sigma, p = np.broadcast_arrays(
-        distance_m, closing_mps, offset_m, class_id, more.get("closing_sigma_mps", 0.1), more.get("probability", 0.0)
+        distance_m,
+        closing_mps,
+        offset_m,
+        class_id,
+        more.get("closing_sigma_mps", 0.1),
+        more.get("probability", 0.0),
     )
     n = d.size
     warnings = Warnings(
-        np.reshape(p, n), np.zeros(n, bool), np.reshape(o, n), np.full(n, more.get("offset_sigma_m", 0.1))
+        np.reshape(p, n),
+        np.zeros(n, bool),
+        np.reshape(o, n),
+        np.full(n, more.get("offset_sigma_m", 0.1)),
     )
     return (monitor or SafetyMonitor()).update(
         np.arange(n),
@@ -47,7 +66,8 @@ def test_by_hand():
 
 
 def test_measures_of_the_path_are_of_objects_on_the_path():
-    found = measured([21.5] * 4, [10.0] * 4, offset_m=[1.7, 1.9, -1.9, np.nan])  # both are 1.8 m wide
+    # both are 1.8 m wide
+    found = measured([21.5] * 4, [10.0] * 4, offset_m=[1.7, 1.9, -1.9, np.nan])
     for values in (found.headway_s, found.drac_mps2, found.mdrac_mps2, found.ttc_front_s):
         assert np.isfinite(values).tolist() == [True, False, False, False]
     assert found.gap_m == pytest.approx([20.0] * 4)
@@ -58,7 +78,10 @@ def test_measures_of_the_path_are_of_objects_on_the_path():
 def test_a_wider_ego_vehicle_has_more_objects_on_its_path():
     for width_m, is_on_path in ((1.8, False), (2.5, True)):
         monitor = SafetyMonitor(WarningSettings(ego_width_m=width_m))
-        assert np.isfinite(measured([21.5], [10.0], offset_m=2.0, monitor=monitor).drac_mps2[0]) == is_on_path
+        assert (
+            np.isfinite(measured([21.5], [10.0], offset_m=2.0, monitor=monitor).drac_mps2[0])
+            == is_on_path
+        )
 
 
 def test_ttc_of_those_who_will_be_on_the_path():
@@ -103,7 +126,10 @@ def test_lanes():
     found = measured([20.0] * 5, [0.0] * 5, offset_m=[-3.4, -0.5, 3.4, 8.0, np.nan])
     assert found.lane_index == pytest.approx([-1, 0, 1, np.nan, np.nan], nan_ok=True)
     assert (found.lane_index_sigma[:3] < 0.1).all()
-    edge, unsure = (measured([20.0], [0.0], offset_m=1.7, offset_sigma_m=s).lane_index_sigma[0] for s in (0.1, 2.0))
+    edge, unsure = (
+        measured([20.0], [0.0], offset_m=1.7, offset_sigma_m=s).lane_index_sigma[0]
+        for s in (0.1, 2.0)
+    )
     assert 0.5 < edge < 0.75
     assert unsure > edge - 0.1
 
@@ -114,7 +140,8 @@ def test_lane_lines_move_the_lanes():
     def line(x_px):
         return LaneLine(np.array([x_px, 0.0, 0.0]), np.eye(3), 200.0, 340.0)
 
-    edges = lane_edges_m(LaneLines(line(240.0), line(560.0)), camera)  # a quarter of the lane to the left
+    # a quarter of the lane to the left
+    edges = lane_edges_m(LaneLines(line(240.0), line(560.0)), camera)
     assert edges == pytest.approx((-0.875, 2.625))
     assert lane_edges_m(LaneLines(line(240.0), None), camera) is None
     assert lane_edges_m(LaneLines(line(340.0), line(560.0)), camera) is None
@@ -146,9 +173,11 @@ def test_pet_of_a_person_who_crosses_behind():
 
 def test_no_pet_without_a_crossing():
     ego = ego_path()
-    assert math.isnan(post_encroachment_s(ego, crossing(0.0, n=15), half_width_m=0.3))  # ends before the path
+    # ends before the path
+    assert math.isnan(post_encroachment_s(ego, crossing(0.0, n=15), half_width_m=0.3))
     assert math.isnan(post_encroachment_s(ego, crossing(0.0, n=22), half_width_m=0.3))  # ends on it
-    assert math.isnan(post_encroachment_s(ego, crossing(0.0, x_m=90.0), half_width_m=0.3))  # where nobody drove
+    # where nobody drove
+    assert math.isnan(post_encroachment_s(ego, crossing(0.0, x_m=90.0), half_width_m=0.3))
     assert math.isnan(post_encroachment_s(ego[:1], crossing(0.0), half_width_m=0.3))
     back = crossing(0.0, n=41)
     back[21:, 2] = back[20::-1, 2][:20]  # steps on the path and goes back

@@ -1,4 +1,5 @@
-"""Doubt about baseline, focal length, speed and camera height, from drawn drives of road users of known sizes."""
+"""Doubt about baseline, focal length, speed and camera height, from drawn drives of road users of
+known sizes."""
 
 import math
 
@@ -37,26 +38,35 @@ def check_of(
     is_steady=True,
     **given,
 ):
-    """The check after a drive with `n` cars; baseline, speed and focal length are wrong by `rig`, `speed` and `focal`.
+    """The check after a drive with `n` cars; baseline, speed and focal length are wrong by `rig`,
+    `speed` and `focal`.
 
     All distances by size are `sizes` times as long as they should be; None = drawn.
     """
     rng = np.random.default_rng(seed)
-    check = ScaleCheck(CAMERA, road_height_m=ROAD_HEIGHT_M, baseline_m=None if rig is None else 0.5, **given)
+    check = ScaleCheck(
+        CAMERA, road_height_m=ROAD_HEIGHT_M, baseline_m=None if rig is None else 0.5, **given
+    )
     true_m, own = rng.uniform(10, 40, n), np.exp(rng.normal(0, 0.08, n))
     common = math.exp(rng.normal(0, 0.05)) if sizes is None else sizes
     x_px = rng.uniform(300, 1000, n)
     lanes = None
     if lane_m is not None:
         slopes = (-lane_m / 2 / true_height_m, lane_m / 2 / true_height_m)
-        lines = [LaneLine(np.array([640 - slope * 360, slope, 0.0]), np.eye(3), 400.0, 700.0) for slope in slopes]
+        lines = [
+            LaneLine(np.array([640 - slope * 360, slope, 0.0]), np.eye(3), 400.0, 700.0)
+            for slope in slopes
+        ]
         lanes = LaneLines(*lines)
     for k in range(round(10 * seconds)):
         bottom = 360 + 1000 * (true_height_m / true_m + rng.normal(0, 0.002))
-        boxes = np.stack([x_px - 600 / true_m, bottom - 1500 / true_m, x_px + 600 / true_m, bottom], axis=1)
+        boxes = np.stack(
+            [x_px - 600 / true_m, bottom - 1500 / true_m, x_px + 600 / true_m, bottom], axis=1
+        )
         ids = np.arange(1, n + 1)
         tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
-        # angles below the horizon do not change with the focal length here: the height by size is divided by it
+        # angles below the horizon do not change with the focal length here: the height by size is
+        # divided by it
         by_size = true_m * common * own * np.exp(rng.normal(0, 0.03, n))
         stereo = None
         if rig is not None:
@@ -65,8 +75,12 @@ def check_of(
         has_speed = math.isfinite(true_mps)
         by_pair = None
         if rig is not None and has_speed:
-            by_pair = EgoMotion(true_mps * rig * focal * (1.0 if is_steady else rng.uniform(0.3, 1.0)), 0.2)
-        by_road = EgoMotion(true_mps * focal * ROAD_HEIGHT_M / true_height_m * math.exp(rng.normal(0, 0.02)), 0.2)
+            by_pair = EgoMotion(
+                true_mps * rig * focal * (1.0 if is_steady else rng.uniform(0.3, 1.0)), 0.2
+            )
+        by_road = EgoMotion(
+            true_mps * focal * ROAD_HEIGHT_M / true_height_m * math.exp(rng.normal(0, 0.02)), 0.2
+        )
         check.update(
             tracks,
             Ranges(ids, by_size, 0.1 * by_size),
@@ -100,12 +114,22 @@ def test_right_scales_are_not_doubted(sizes):
     """Cars of other countries, and a camera in a lorry, in a low car or on a robot."""
     for height_m in (0.4, 1.1, 1.5, 2.6):
         for seed in range(3):
-            assert check_of(1.0, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0).doubt is None
-            assert check_of(None, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0, speed=1).doubt is None
+            assert (
+                check_of(1.0, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0).doubt
+                is None
+            )
+            assert (
+                check_of(
+                    None, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0, speed=1
+                ).doubt
+                is None
+            )
 
 
 def test_few_of_many_right_rigs_are_doubted():
-    doubts = [check_of(1.0, seed=seed, n=6, seconds=2.0, true_mps=12.0).doubt for seed in range(100)]
+    doubts = [
+        check_of(1.0, seed=seed, n=6, seconds=2.0, true_mps=12.0).doubt for seed in range(100)
+    ]
     assert sum(doubt is not None for doubt in doubts) <= 1
 
 
@@ -123,7 +147,9 @@ def test_a_given_height_and_a_given_speed_find_small_errors(factor):
             assert dict(check.doubt.causes)["baseline"] == pytest.approx(factor, rel=0.12)
 
 
-@pytest.mark.parametrize(("factor", "text"), [(3.6, "km/h read as m/s"), (1 / 1.609, "miles per hour read as km/h")])
+@pytest.mark.parametrize(
+    ("factor", "text"), [(3.6, "km/h read as m/s"), (1 / 1.609, "miles per hour read as km/h")]
+)
 def test_speeds_in_another_unit_are_told_from_wrong_rigs(factor, text):
     for rig in (1.0, None):
         doubt = check_of(rig, true_mps=12.0, speed=factor).doubt
@@ -153,7 +179,8 @@ def test_speeds_of_no_car():
     assert doubt.factor > 2.0
     assert "baseline" in causes(doubt)
     assert check_of(1.0, n=2, true_mps=40.0, has_road=False).doubt is None
-    assert check_of(1.0, n=1, true_mps=160.0, is_steady=False, has_road=False).doubt is None  # unrelated images
+    # unrelated images
+    assert check_of(1.0, n=1, true_mps=160.0, is_steady=False, has_road=False).doubt is None
 
 
 def test_a_doubt_that_ends_is_remembered():
@@ -164,9 +191,16 @@ def test_a_doubt_that_ends_is_remembered():
     ids = np.arange(10, 40)
     for k in range(20, 40):
         true_m = rng.uniform(10, 40, 30)
-        boxes = np.stack([300 + 0 * true_m, 300 + 0 * true_m, 400 + 0 * true_m, 380 + 0 * true_m], axis=1)
+        boxes = np.stack(
+            [300 + 0 * true_m, 300 + 0 * true_m, 400 + 0 * true_m, 380 + 0 * true_m], axis=1
+        )
         tracks = Tracks(ids, boxes, np.full(30, CAR), np.ones(30), np.ones(30, np.bool_))
-        check.update(tracks, Ranges(ids, true_m, 0.1 * true_m), Ranges(ids, true_m, 0.02 * true_m), time_s=0.1 * k)
+        check.update(
+            tracks,
+            Ranges(ids, true_m, 0.1 * true_m),
+            Ranges(ids, true_m, 0.02 * true_m),
+            time_s=0.1 * k,
+        )
     assert check.doubt is None
     assert "The scale was in doubt from 0" in check.notes[0]
     assert "agrees with the drive" in check.notes[1]
@@ -193,7 +227,13 @@ def test_lane_lines_measure_the_height_of_the_camera():
 
 def test_a_sentence_names_the_causes_that_fit():
     sentence = ScaleDoubt(2.5, 0.06, 4, (("baseline", 2.5), ("speed", 1.61)), "sizes").sentence(0.5)
-    for part in ("2.50 times", "± 6 %", "0.2 m instead of 0.5 m", "read as inches", "2.5 times too large"):
+    for part in (
+        "2.50 times",
+        "± 6 %",
+        "0.2 m instead of 0.5 m",
+        "read as inches",
+        "2.5 times too large",
+    ):
         assert part in sentence
     assert "km/h read as miles per hour" in sentence
     assert "feet" not in sentence

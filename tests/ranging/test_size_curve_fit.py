@@ -14,7 +14,9 @@ def world(n=400, n_sequences=4, seed=0):
     sequence = np.arange(n) % n_sequences
     distance_m = rng.uniform(8, 80, n)
     height_m = 1.5 * (1 + 0.05 * np.array([1, -1, 1, -1])[sequence])
-    sizes = np.stack([1.7 / distance_m, height_m / distance_m], axis=1) * np.exp(rng.normal(0, 0.01, (n, 2)))
+    sizes = np.stack([1.7 / distance_m, height_m / distance_m], axis=1) * np.exp(
+        rng.normal(0, 0.01, (n, 2))
+    )
     return made_up_boxes("car", sizes, rng.uniform(-0.5, 0.5, n), distance_m, sequence=sequence)
 
 
@@ -32,7 +34,9 @@ def test_fit_to_a_single_view_can_be_loaded(tmp_path):
     """A truck seen from one side: only the width determines the distance."""
     distance_m = np.linspace(20, 21, 150)
     sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
-    samples = made_up_boxes("truck", sizes, np.zeros(150), distance_m, sequence=np.zeros(150, np.int64))
+    samples = made_up_boxes(
+        "truck", sizes, np.zeros(150), distance_m, sequence=np.zeros(150, np.int64)
+    )
     save_curves(fit_curves(samples, source=""), tmp_path / "c.json")
     assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
 

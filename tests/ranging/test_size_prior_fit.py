@@ -26,8 +26,12 @@ def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
     hwl = (MEAN_M * np.exp(rng.normal(0, SIGMA, (n_objects, 3))))[object_id]
     turn = np.where(rng.random(n) < 0.7, 0.0, np.pi / 2)
     bearing, distance_m = rng.uniform(-0.3, 0.3, n), rng.uniform(8, 60, n)
-    box = box_of_cuboid(np.log(hwl).T, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
-    sizes = np.exp(np.stack([box.log_width, box.log_height + 0.02 + rng.normal(0, 0.03, n)], axis=1))
+    box = box_of_cuboid(
+        np.log(hwl).T, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65
+    )
+    sizes = np.exp(
+        np.stack([box.log_width, box.log_height + 0.02 + rng.normal(0, 0.03, n)], axis=1)
+    )
     return made_up_boxes(
         name,
         sizes,
@@ -63,13 +67,17 @@ def test_few_objects_keep_the_spread():
 
 
 def test_variation_between_drives():
-    """Five drives whose cars differ by 8 % in height have a larger deviation of drives than equal ones."""
+    """Five drives whose cars differ by 8 % in height have a larger deviation of drives than equal
+    ones."""
     labels = labelled()
     factor = np.exp(0.08 * np.array([-1.2, 0.7, 1.4, -0.9, 0.0]))[labels.sequence]
     different = replace(
-        labels, size_hwl_m=labels.size_hwl_m * np.stack([factor, 1 + 0 * factor, 1 + 0 * factor], axis=1)
+        labels,
+        size_hwl_m=labels.size_hwl_m * np.stack([factor, 1 + 0 * factor, 1 + 0 * factor], axis=1),
     )
-    equal, unequal = (fit_size_priors(part, source="").priors["car"] for part in (labels, different))
+    equal, unequal = (
+        fit_size_priors(part, source="").priors["car"] for part in (labels, different)
+    )
     assert 0.01 < equal.drive_sigma < 0.035
     assert 0.045 < unequal.drive_sigma < 0.1
     assert unequal.log_sigma[0] > equal.log_sigma[0]
@@ -112,7 +120,9 @@ def test_tables_interpolate_the_geometry():
             camera_height_m=1.65,
         )
         np.testing.assert_allclose(seen[k], box.log_height, atol=0.02)
-        np.testing.assert_allclose(nodes.log_contact_ratio[k] - log_m, box.log_inverse_depth, atol=0.1)
+        np.testing.assert_allclose(
+            nodes.log_contact_ratio[k] - log_m, box.log_inverse_depth, atol=0.1
+        )
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +137,9 @@ def test_cross_validated_error_on_kitti(kitti, noise_px):
     boxes = kitti.with_noise(noise_px, seed=0) if noise_px else kitti
     plain = measured_by(("inverse-height", "log-linear", "height-5"), boxes, kitti)
     plain = {name: figures(boxes, column) for name, column in plain.items()}
-    column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px, region="europe")))
+    column = cross_validated(
+        boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px, region="europe"))
+    )
     mono = figures(boxes, column)
     key = "mean_relative_error_pct"
     for kind, fraction, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):

@@ -38,18 +38,29 @@ def flat(height_m, **more):
 
 def tracks_of(*boxes, class_id=CAR, observed=True):
     n = len(boxes)
-    return Tracks(np.arange(1, n + 1), np.array(boxes, float), np.full(n, class_id), np.ones(n), np.full(n, observed))
+    return Tracks(
+        np.arange(1, n + 1),
+        np.array(boxes, float),
+        np.full(n, class_id),
+        np.ones(n),
+        np.full(n, observed),
+    )
 
 
 def test_object_of_known_height_by_hand():
-    ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=0.0)
-    ranges = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)  # 1.5 m over 50 px at f = 1000 px: 30 m
+    ranger = SizeRanger(
+        CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=0.0
+    )
+    # 1.5 m over 50 px at f = 1000 px: 30 m
+    ranges = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert ranges.distance_m == pytest.approx([30.0])
     assert ranges.sigma_m == pytest.approx([3.0])
 
 
 def test_box_noise_widens_sigma_and_is_independent():
-    ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
+    ranger = SizeRanger(
+        CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0
+    )
     sized = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
     assert sized.sigma_systematic_m == pytest.approx([3.0])
@@ -77,7 +88,9 @@ def test_noise_of_a_detector_is_in_pixels_of_its_input():
     assert small.px == pytest.approx(hd.px / 2)  # images below its input are not reduced
     assert full_hd.systematic_px == pytest.approx(1.5 * hd.systematic_px)
     box, car = np.array([[300.0, 200, 360, 250]]), np.array([CAR])
-    sigma = measured_boxes(box, car, camera=CAMERA, noise=BoxNoise(0.0, systematic_px=2.0)).systematic_sigma
+    sigma = measured_boxes(
+        box, car, camera=CAMERA, noise=BoxNoise(0.0, systematic_px=2.0)
+    ).systematic_sigma
     assert sigma == pytest.approx(np.array([[2 / 60, 2 / 50]]))
 
 
@@ -94,10 +107,15 @@ def test_boxes_of_an_unknown_detector_are_less_certain_than_exact_ones():
 def test_detector_noise_grows_with_box_size():
     noise = BoxNoise(px=0.6, relative=0.01, relative_person=0.04)
     size_px = np.array([[80.0, 60.0], [80.0, 60.0]])
-    sigma_px = noise.sigma_px(size_px, np.array([SIZE_CLASSES.index("van"), SIZE_CLASSES.index("person")]))
-    assert sigma_px == pytest.approx(np.array([[1.0, np.hypot(0.6, 0.6)], [np.hypot(0.6, 3.2), np.hypot(0.6, 2.4)]]))
+    sigma_px = noise.sigma_px(
+        size_px, np.array([SIZE_CLASSES.index("van"), SIZE_CLASSES.index("person")])
+    )
+    assert sigma_px == pytest.approx(
+        np.array([[1.0, np.hypot(0.6, 0.6)], [np.hypot(0.6, 3.2), np.hypot(0.6, 2.4)]])
+    )
     far, near = (
-        measured_boxes(np.array([[0, 0, s, s]], float), np.array([CAR]), camera=CAMERA, noise=noise) for s in (10, 200)
+        measured_boxes(np.array([[0, 0, s, s]], float), np.array([CAR]), camera=CAMERA, noise=noise)
+        for s in (10, 200)
     )
     assert far.noise_variance[0, 0] > 10 * near.noise_variance[0, 0]
 
@@ -107,16 +125,22 @@ def test_unmeasurable_boxes_are_nan(curves):
     ranger = SizeRanger(CAMERA, curves)
     cut = tracks_of([300, -0.5, 360, 250], [300, 200, 360, 479.5], [300, 200, 360, 203])
     assert np.isnan(ranger.measure(cut, FRAME).distance_m).all()
-    assert np.isnan(ranger.measure(tracks_of([300, 200, 360, 250], observed=False), FRAME).distance_m).all()
+    assert np.isnan(
+        ranger.measure(tracks_of([300, 200, 360, 250], observed=False), FRAME).distance_m
+    ).all()
     only_cars = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
-    assert np.isnan(only_cars.measure(tracks_of([300, 200, 360, 250], class_id=0), FRAME).distance_m).all()
+    assert np.isnan(
+        only_cars.measure(tracks_of([300, 200, 360, 250], class_id=0), FRAME).distance_m
+    ).all()
     assert len(ranger.measure(Tracks.empty(), FRAME)) == 0
 
 
 def test_cut_side_excludes_the_width():
     curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
     whole, cut = (
-        SizeRanger(CAMERA, curves).measure(tracks_of([300, 200, 360, 250], [-0.5, 200, 59.5, 250]), FRAME).distance_m
+        SizeRanger(CAMERA, curves)
+        .measure(tracks_of([300, 200, 360, 250], [-0.5, 200, 59.5, 250]), FRAME)
+        .distance_m
     )
     assert whole != pytest.approx(30.0)
     assert cut == pytest.approx(30.0)
@@ -142,13 +166,17 @@ def test_width_of_a_box_with_a_hidden_side_is_not_used(nearer, is_hidden):
     boxes = tracks_of([300, 200, 360, 250], (HIDING | SHOWING)[nearer])
     assert have_hidden_sides(boxes.xyxy_px)[0] == is_hidden
     curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
-    distance_m = SizeRanger(CAMERA, curves, has_visible_boxes=True).measure(boxes, FRAME).distance_m[0]
+    distance_m = (
+        SizeRanger(CAMERA, curves, has_visible_boxes=True).measure(boxes, FRAME).distance_m[0]
+    )
     assert (distance_m == pytest.approx(30.0)) == is_hidden
-    assert SizeRanger(CAMERA, curves).measure(boxes, FRAME).distance_m[0] != pytest.approx(30.0)  # boxes of labels
+    # boxes of labels
+    assert SizeRanger(CAMERA, curves).measure(boxes, FRAME).distance_m[0] != pytest.approx(30.0)
 
 
 def test_packaged_priors_with_a_hidden_side():
-    """Of a car, a nearer one leaves a third visible: the distance remains that by height, and sigma grows."""
+    """Of a car, a nearer one leaves a third visible: the distance remains that by height, and sigma
+    grows."""
     whole = SizeRanger(CAMERA).measure(tracks_of([300, 200, 360, 250]), FRAME)
     ranger = SizeRanger(CAMERA, has_visible_boxes=True)
     parts = ranger.measure(tracks_of([300, 200, 320, 250], [320, 190, 440, 280]), FRAME)
@@ -173,7 +201,9 @@ def test_van_uses_the_curve_of_cars():
 def test_packaged_priors_decrease_with_size():
     ranger = SizeRanger(CAMERA)
     for class_id in range(len(SIZE_CLASSES)):
-        boxes = [[320 - s / 2, 240 - s / 2, 320 + s / 2, 240 + s / 2] for s in (5, 10, 20, 50, 100, 300)]
+        boxes = [
+            [320 - s / 2, 240 - s / 2, 320 + s / 2, 240 + s / 2] for s in (5, 10, 20, 50, 100, 300)
+        ]
         ranges_by_size = [ranger.measure(tracks_of(box, class_id=class_id), FRAME) for box in boxes]
         distance_m = np.concatenate([ranges.distance_m for ranges in ranges_by_size])
         assert (np.diff(distance_m) < 0).all(), SIZE_CLASSES[class_id]

@@ -19,7 +19,13 @@ def by_size(ids, distance_m, sigma=0.05):
 
 def tracks_of(*ids):
     n = len(ids)
-    return Tracks(np.array(ids), np.tile([100.0, 60, 200, 140], (n, 1)), np.full(n, 2), np.ones(n), np.ones(n, bool))
+    return Tracks(
+        np.array(ids),
+        np.tile([100.0, 60, 200, 140], (n, 1)),
+        np.full(n, 2),
+        np.ones(n),
+        np.ones(n, bool),
+    )
 
 
 def test_unknown_before_the_first_track():
@@ -39,7 +45,8 @@ def test_one_track_by_hand():
 
 
 def test_median_over_many_tracks():
-    """Sizes with a scatter of 10 % and every sixth match on the background: the error of K is within its sigma."""
+    """Sizes with a scatter of 10 % and every sixth match on the background: the error of K is
+    within its sigma."""
     rng = np.random.default_rng(5)
     scale = FocalBaseline()
     for _ in range(12):
@@ -82,7 +89,9 @@ def test_track_without_a_size_uses_the_common_scale():
     frame, tracks = Frame(0, 0.0, IMAGE, IMAGE), tracks_of(1, 2, 3)
     assert np.isnan(ranger.measure(tracks, frame).distance_m).all()
     assert (ranger.notes, ranger.summary()) == ((), {})
-    ranges = ranger.measure_with(tracks, frame, {"mono": by_size([1, 2, 3], [15.0, np.nan, np.nan])})
+    ranges = ranger.measure_with(
+        tracks, frame, {"mono": by_size([1, 2, 3], [15.0, np.nan, np.nan])}
+    )
     np.testing.assert_allclose(ranges.distance_m, [15.0, 30.0, np.nan])
     scale_sigma = ranger.scale.estimate()[1]
     assert ranges.sigma_m[1] == pytest.approx(30.0 * np.hypot(scale_sigma, np.hypot(0.1, 1.0) / 12))
@@ -97,5 +106,7 @@ def test_track_without_a_size_uses_the_common_scale():
 
 
 def test_nothing_is_measured_without_a_right_image():
-    ranges = SizeScaledRanger(FixedMatcher(24.0), focal_px=720.0).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
+    ranges = SizeScaledRanger(FixedMatcher(24.0), focal_px=720.0).measure(
+        tracks_of(1), Frame(0, 0.0, IMAGE, None)
+    )
     assert np.isnan(ranges.distance_m).all()

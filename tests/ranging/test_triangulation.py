@@ -21,19 +21,28 @@ RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 
 
 def tracks_of(*ids, box=(100, 60, 200, 140)):
     n = len(ids)
-    return Tracks(np.array(ids), np.tile(np.array(box, float), (n, 1)), np.full(n, 2), np.ones(n), np.ones(n, bool))
+    return Tracks(
+        np.array(ids),
+        np.tile(np.array(box, float), (n, 1)),
+        np.full(n, 2),
+        np.ones(n),
+        np.ones(n, bool),
+    )
 
 
 def test_depth_and_sigma_by_hand():
     triangulate = Triangulation(RIG, Alignment(residual_px=0.0))
-    ranges = triangulate.ranges(tracks_of(1, 2, 3), np.array([10.0, -1.0, np.nan]), np.array([0.1, 0.1, np.nan]))
+    ranges = triangulate.ranges(
+        tracks_of(1, 2, 3), np.array([10.0, -1.0, np.nan]), np.array([0.1, 0.1, np.nan])
+    )
     assert ranges.distance_m[0] == pytest.approx(50.0)  # 1000 px * 0.5 m / 10 px
     assert ranges.sigma_m[0] == pytest.approx(0.5)  # 50^2 / 500 * 0.1
     assert np.isnan(ranges.distance_m[1:]).all()
 
 
 def test_disparities_are_aligned_before_triangulation():
-    """The box centre is column 150, 9.5 px from the axis: the curvature term is (9.5 / 160)^2 of that at the edge."""
+    """The box centre is column 150, 9.5 px from the axis: the curvature term is (9.5 / 160)^2 of
+    that at the edge."""
     alignment = Alignment(offset_px=0.5, curvature_px=-1.6, residual_px=0.4)
     ranges = Triangulation(RIG, alignment).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]))
     disparity_px = 9.5 + 0.5 - 1.6 * (9.5 / 160) ** 2
@@ -54,7 +63,8 @@ def test_sigma_includes_an_unmeasured_alignment():
 
 
 class Recorder:
-    """A matcher that returns 10 px for every box and records the priors and the disparities by size."""
+    """A matcher that returns 10 px for every box and records the priors and the disparities by
+    size."""
 
     def __init__(self):
         self.priors = []
@@ -92,7 +102,9 @@ def test_full_range_is_searched_every_second():
 
 def test_predicted_boxes_are_not_measured():
     tracks = tracks_of(1, 2)
-    hidden = Tracks(tracks.track_id, tracks.xyxy_px, tracks.class_id, tracks.score, np.array([True, False]))
+    hidden = Tracks(
+        tracks.track_id, tracks.xyxy_px, tracks.class_id, tracks.score, np.array([True, False])
+    )
     matcher = Recorder()
     ranges = StereoRanger(RIG, matcher).measure(hidden, frame_at(0.0))
     np.testing.assert_allclose(ranges.distance_m, [50.0, np.nan])
@@ -100,7 +112,9 @@ def test_predicted_boxes_are_not_measured():
 
 
 def test_nothing_is_measured_without_a_right_image():
-    assert np.isnan(StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
+    assert np.isnan(
+        StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m
+    ).all()
     dense = DenseRanger(RIG)
     assert np.isnan(dense.measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
     dense.close()
@@ -134,20 +148,31 @@ def test_dense_sigma_includes_the_alignment():
 def test_unmatched_boxes_are_counted_by_reason():
     ranger = StereoRanger(RIG, PatchMatcher())
     for step in range(2):
-        assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()  # black images
+        # black images
+        assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()
     assert ranger.outcomes == {Outcome.NO_TEXTURE: 4}
 
 
 def test_disparities_by_size():
-    """500 px m at 25 m are 20 px; the relative sigma is that of the distance, and larger for boxes cut by a border."""
+    """500 px m at 25 m are 20 px; the relative sigma is that of the distance, and larger for boxes
+    cut by a border."""
     boxes = np.array(
-        [[100, 60, 200, 140], [0, 60, 90, 140], [230, 60, 319, 140], [100, 0, 200, 90], [100, 90, 200, 199]], float
+        [
+            [100, 60, 200, 140],
+            [0, 60, 90, 140],
+            [230, 60, 319, 140],
+            [100, 0, 200, 90],
+            [100, 90, 200, 199],
+        ],
+        float,
     )
     by_size = Ranges(np.arange(5), np.full(5, 25.0), np.full(5, 2.5))
     expected = disparities_by_size(by_size, boxes, RIG, (200, 320))
     np.testing.assert_allclose(expected.disparity_px, 20.0)
     np.testing.assert_allclose(expected.log_sigma, [0.1] + [np.hypot(0.1, 0.4)] * 4)
-    unknown = disparities_by_size(Ranges(np.array([1]), *np.full((2, 1), np.nan)), boxes[:1], RIG, (200, 320))
+    unknown = disparities_by_size(
+        Ranges(np.array([1]), *np.full((2, 1), np.nan)), boxes[:1], RIG, (200, 320)
+    )
     assert np.isnan(unknown.disparity_px).all()
 
 
@@ -165,7 +190,8 @@ def test_sizes_of_observed_tracks_are_passed_on():
 
 
 def test_stereo_measures_the_scale_of_the_drive():
-    """Sizes say 40 m where stereo measures 50 m: a factor of 1.25, of which each class gets a part."""
+    """Sizes say 40 m where stereo measures 50 m: a factor of 1.25, of which each class gets a
+    part."""
     scale = DriveScale()
     ranger = StereoRanger(RIG, Recorder())
     tracks = tracks_of(*range(1, 9))
@@ -173,7 +199,9 @@ def test_stereo_measures_the_scale_of_the_drive():
     for k in range(5):
         by_size = Ranges(tracks.track_id, by_size_m, 0.08 * by_size_m)
         mono = scale.corrected(by_size, tracks.class_id)
-        evidence = ranger.measure_at_scale(tracks, frame_at(0.1 * k), {"mono": mono}, scale).evidence
+        evidence = ranger.measure_at_scale(
+            tracks, frame_at(0.1 * k), {"mono": mono}, scale
+        ).evidence
         scale = scale.after([ScaleEvidence(tracks.class_id, by_size), evidence], 0.1 * k)
     assert 1.15 < mono.distance_m[0] / 40.0 < 1.25
 
@@ -196,16 +224,26 @@ def test_matched_boxes_are_counted_by_surfaces():
     np.testing.assert_array_equal(ranges.details["surfaces"], [1, 2, 2, np.nan])
     np.testing.assert_array_equal(ranges.details["probability"], [1.0, 0.9, 0.7, np.nan])
     without = ranger.measure(tracks_of(1, 2, 3, 4), replace(frame_at(0.2), right=None))
-    assert (len(without.details), without.distance_m.tolist()) == (0, pytest.approx([np.nan] * 4, nan_ok=True))
+    assert (len(without.details), without.distance_m.tolist()) == (
+        0,
+        pytest.approx([np.nan] * 4, nan_ok=True),
+    )
     assert ranger.summary()["stereo_surfaces"] == {"1": 2, "2": 4}
     assert ranger.matches.n_surfaces.tolist() == [1, 2, 2, 3]
-    assert StereoRanger(RIG, Recorder()).summary() == {"stereo_unmatched": {}, "stereo_surfaces": {}}
+    assert StereoRanger(RIG, Recorder()).summary() == {
+        "stereo_unmatched": {},
+        "stereo_surfaces": {},
+    }
 
 
 def test_results_of_some_boxes_are_replaced():
-    matches = PatchMatches.of(np.full(3, np.nan), np.full(3, np.nan), np.full(3, int(Outcome.NO_FIT)))
+    matches = PatchMatches.of(
+        np.full(3, np.nan), np.full(3, np.nan), np.full(3, int(Outcome.NO_FIT))
+    )
     assert (matches.n_surfaces.tolist(), np.isnan(matches.probability).all()) == ([0, 0, 0], True)
-    better = PatchMatches(np.array([9.0]), np.array([0.2]), np.array([0]), np.array([2]), np.array([0.8]))
+    better = PatchMatches(
+        np.array([9.0]), np.array([0.2]), np.array([0]), np.array([2]), np.array([0.8])
+    )
     matches.put(np.array([1]), better)
     np.testing.assert_equal(matches.disparity_px, [np.nan, 9.0, np.nan])
     np.testing.assert_equal(matches.probability, [np.nan, 0.8, np.nan])
@@ -213,6 +251,11 @@ def test_results_of_some_boxes_are_replaced():
 
 
 def test_expected_disparities_of_some_boxes():
-    expected = ExpectedDisparity(np.array([10.0, 20.0, 30.0]), np.array([0.1, 0.2, 0.3])).select(np.array([2, 0]))
-    assert (expected.disparity_px.tolist(), expected.log_sigma.tolist()) == ([30.0, 10.0], [0.3, 0.1])
+    expected = ExpectedDisparity(np.array([10.0, 20.0, 30.0]), np.array([0.1, 0.2, 0.3])).select(
+        np.array([2, 0])
+    )
+    assert (expected.disparity_px.tolist(), expected.log_sigma.tolist()) == (
+        [30.0, 10.0],
+        [0.3, 0.1],
+    )
     assert np.isnan(ExpectedDisparity.unknown(2).disparity_px).tolist() == [True, True]

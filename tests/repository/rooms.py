@@ -1,7 +1,8 @@
-"""The rooms of the package, what passes through each, and the imports that are allowed between them.
+"""The rooms of the package, what passes through each, and the imports that are allowed between
+them.
 
-`python -m tests.repository.rooms` prints the table of docs/project/architecture.md and the number of imports between
-rooms.
+`python -m tests.repository.rooms` prints the table of docs/project/architecture.md and the number
+of imports between rooms.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from scipy.sparse.csgraph import connected_components
 
 PROJECT = Path(__file__).resolve().parents[2]
 PRODUCT = ("detection", "tracking", "stereo", "ranging", "track_range")
-"""Folders of the product at the top of the repository; all but the last are imported as `track_range.NAME`."""
+"""Folders of the product at the top of the repository; all but the last are imported as
+`track_range.NAME`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +41,38 @@ class Room:
 def _rooms() -> dict[str, Room]:
     rooms: dict[str, Room] = {}
 
-    def add(name: str, passes: str, may_import: tuple[str, ...] | None = None, words: str = "all rooms above") -> None:
+    def add(
+        name: str,
+        passes: str,
+        may_import: tuple[str, ...] | None = None,
+        words: str = "all rooms above",
+    ) -> None:
         rooms[name] = Room(passes, tuple(rooms) if may_import is None else may_import, words)
 
-    add("foundation", "arrays, errors, options, registry, threads, files, robust statistics", (), "no other room")
-    add("detection", "images -> boxes, classes, lane lines; models; training", ("foundation",), "foundation")
-    add("stereo", "cameras, rigs, rectification, disparity, alignment, odometry", ("foundation",), "foundation")
-    add("tracking", "boxes -> identities; metrics", ("foundation", "detection"), "foundation, detection")
+    add(
+        "foundation",
+        "arrays, errors, options, registry, threads, files, robust statistics",
+        (),
+        "no other room",
+    )
+    add(
+        "detection",
+        "images -> boxes, classes, lane lines; models; training",
+        ("foundation",),
+        "foundation",
+    )
+    add(
+        "stereo",
+        "cameras, rigs, rectification, disparity, alignment, odometry",
+        ("foundation",),
+        "foundation",
+    )
+    add(
+        "tracking",
+        "boxes -> identities; metrics",
+        ("foundation", "detection"),
+        "foundation, detection",
+    )
     add("ranging", "tracks, geometry -> distances with sigma; fusion, filters, warning")
     add("recording", "files, bags, streams, telemetry, calibration files -> frames")
     add("calibration", "boards and drives -> rigs, alignment files, focal lengths")
@@ -79,7 +106,8 @@ def table() -> str:
 
 @cache
 def sources(project: Path = PROJECT) -> Mapping[str, Path]:
-    """File of each module of the product by its full name; the links in track_range are not followed."""
+    """File of each module of the product by its full name; the links in track_range are not
+    followed."""
     found = {}
     for folder in PRODUCT:
         for path in sorted((project / folder).rglob("*.py")):
@@ -93,9 +121,11 @@ def sources(project: Path = PROJECT) -> Mapping[str, Path]:
 
 
 def imported(text: str, modules: Mapping[str, object], *, has_strings: bool = True) -> set[str]:
-    """Those of `modules` that a file imports anywhere: also inside functions and under `if TYPE_CHECKING`.
+    """Those of `modules` that a file imports anywhere: also inside functions and under `if
+    TYPE_CHECKING`.
 
-    With `has_strings`, also those named by a string with a dot, with or without "track_range." and ":ATTRIBUTE".
+    With `has_strings`, also those named by a string with a dot, with or without "track_range." and
+    ":ATTRIBUTE".
     """
     found = set()
     for node in ast.walk(ast.parse(text)):
@@ -105,7 +135,12 @@ def imported(text: str, modules: Mapping[str, object], *, has_strings: bool = Tr
             assert node.level == 0, f"relative import of {node.module}"
             names = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {name if name in modules else str(node.module) for name in names}
-        elif has_strings and isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+        elif (
+            has_strings
+            and isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and "." in node.value
+        ):
             name = node.value.partition(":")[0]
             found |= {name, f"track_range.{name}"}
     return found & modules.keys()
@@ -116,7 +151,10 @@ def imports(project: Path = PROJECT, *, has_strings: bool = True) -> Mapping[str
     """Modules that each module imports; with `has_strings` also those of its tables of names."""
     modules = sources(project)
     texts = {name: path.read_text(encoding="utf-8") for name, path in modules.items()}
-    return {name: frozenset(imported(text, modules, has_strings=has_strings) - {name}) for name, text in texts.items()}
+    return {
+        name: frozenset(imported(text, modules, has_strings=has_strings) - {name})
+        for name, text in texts.items()
+    }
 
 
 def room_of(module: str) -> str:
@@ -135,24 +173,31 @@ def forbidden(graph: Mapping[str, frozenset[str]]) -> Iterator[str]:
 
 
 def cycles(graph: Mapping[str, frozenset[str]]) -> list[list[str]]:
-    """Modules of more than one folder that import each other in a circle: strongly connected components."""
+    """Modules of more than one folder that import each other in a circle: strongly connected
+    components."""
     names = sorted(graph)
     number = {name: index for index, name in enumerate(names)}
-    pairs = [(number[name], number[other]) for name in names for other in graph[name] if other in number]
+    pairs = [
+        (number[name], number[other]) for name in names for other in graph[name] if other in number
+    ]
     rows, columns = np.array(pairs, int).reshape(-1, 2).T
     matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
     _, component = connected_components(matrix, connection="strong")
     groups: dict[int, list[str]] = defaultdict(list)
     for name, group in zip(names, component.tolist(), strict=True):
         groups[group].append(name)
-    return [group for group in groups.values() if len({name.rpartition(".")[0] for name in group}) > 1]
+    return [
+        group for group in groups.values() if len({name.rpartition(".")[0] for name in group}) > 1
+    ]
 
 
 def counts(graph: Mapping[str, frozenset[str]]) -> Mapping[str, Counter[str]]:
     """Number of imports from each room to each other one."""
     found: dict[str, Counter[str]] = defaultdict(Counter)
     for module, others in graph.items():
-        found[room_of(module)].update(room_of(other) for other in others if room_of(other) != room_of(module))
+        found[room_of(module)].update(
+            room_of(other) for other in others if room_of(other) != room_of(module)
+        )
     return found
 
 

@@ -43,19 +43,31 @@ def _imported_modules(path):
 
 def may_import(path, names):
     """Whether the text of a file has a line that may import one of these top-level packages."""
-    return re.search(rf"^\s*(from|import)\s.*\b({'|'.join(names)})\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return re.search(
+        rf"^\s*(from|import)\s.*\b({'|'.join(names)})\b",
+        path.read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
 
 
 @pytest.mark.parametrize("room", rooms.ROOMS)
 def test_imports_of_each_room_point_to_rooms_before_it(room):
-    graph = {name: others for name, others in rooms.imports().items() if rooms.room_of(name) == room}
+    graph = {
+        name: others for name, others in rooms.imports().items() if rooms.room_of(name) == room
+    }
     assert graph
     assert list(rooms.forbidden(graph)) == []
 
 
 def test_every_module_is_in_a_room():
-    assert {rooms.room_of(name) for name in rooms.imports() if name not in rooms.FRONT_DOOR} == set(rooms.ROOMS)
-    folders = {path.name for path in (PROJECT / "track_range").iterdir() if path.is_dir() and path.name[0] != "_"}
+    assert {rooms.room_of(name) for name in rooms.imports() if name not in rooms.FRONT_DOOR} == set(
+        rooms.ROOMS
+    )
+    folders = {
+        path.name
+        for path in (PROJECT / "track_range").iterdir()
+        if path.is_dir() and path.name[0] != "_"
+    }
     assert folders == set(rooms.ROOMS)
 
 
@@ -66,7 +78,8 @@ def test_the_table_orders_the_rooms():
 
 
 def test_no_cycle_between_modules_of_different_folders():
-    # a registry names the modules of its entries, which import the protocol beside it, by strings for this reason
+    # a registry names the modules of its entries, which import the protocol beside it, by strings
+    # for this reason
     assert rooms.cycles(rooms.imports(has_strings=False)) == []
 
 
@@ -87,13 +100,19 @@ TABLE = {"a": "track_range.views.video_writer:Writer", "b": "run.run"}
 def test_forbidden_imports_and_cycles_are_seen():
     graph = {
         "track_range.detection.boxes": frozenset({"track_range.ranging.ranges"}),
-        "track_range.ranging.ranges": frozenset({"track_range.ranging.fusion.fusion", "track_range.tracking.tracks"}),
+        "track_range.ranging.ranges": frozenset(
+            {"track_range.ranging.fusion.fusion", "track_range.tracking.tracks"}
+        ),
         "track_range.ranging.fusion.fusion": frozenset({"track_range.ranging.ranges"}),
         "track_range.tracking.tracks": frozenset({"track_range.tracking.registry"}),
         "track_range.tracking.registry": frozenset({"track_range.tracking.tracks"}),
     }
-    assert list(rooms.forbidden(graph)) == ["track_range.detection.boxes imports track_range.ranging.ranges"]
-    assert rooms.cycles(graph) == [["track_range.ranging.fusion.fusion", "track_range.ranging.ranges"]]
+    assert list(rooms.forbidden(graph)) == [
+        "track_range.detection.boxes imports track_range.ranging.ranges"
+    ]
+    assert rooms.cycles(graph) == [
+        ["track_range.ranging.fusion.fusion", "track_range.ranging.ranges"]
+    ]
 
 
 def test_documented_table_is_the_tested_one():
@@ -103,16 +122,30 @@ def test_documented_table_is_the_tested_one():
 def test_nothing_imports_tests_or_benchmarks():
     outside = {"tests", "benchmarks", *PACKAGES[:4]}
     files = [path for path in sources(*PACKAGES) if may_import(path, outside)]
-    users = [str(path) for path in files for name in imported_modules(path) if name.split(".")[0] in outside]
+    users = [
+        str(path)
+        for path in files
+        for name in imported_modules(path)
+        if name.split(".")[0] in outside
+    ]
     assert users == []
 
 
 def test_only_tests_of_benchmarks_import_them():
     tests = PROJECT / "tests"
-    files = [path for path in sorted(tests.rglob("*.py")) if not path.is_relative_to(tests / "benchmarks")]
+    files = [
+        path
+        for path in sorted(tests.rglob("*.py"))
+        if not path.is_relative_to(tests / "benchmarks")
+    ]
     assert len(files) > 100
     files = [path for path in files if may_import(path, ["benchmarks"])]
-    users = [str(path) for path in files for name in imported_modules(path) if name.split(".")[0] == "benchmarks"]
+    users = [
+        str(path)
+        for path in files
+        for name in imported_modules(path)
+        if name.split(".")[0] == "benchmarks"
+    ]
     assert users == []
 
 
@@ -132,8 +165,15 @@ def test_packages_are_typed(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_folders_are_small_enough_to_read(package):
     for folder in {path.parent for path in sources(package)}:
-        entries = [path.name for path in folder.iterdir() if path.name not in ("__pycache__", "__init__.py")]
-        assert len(entries) <= (20 if folder.name == "track_range" else 18), (folder, sorted(entries))
+        entries = [
+            path.name
+            for path in folder.iterdir()
+            if path.name not in ("__pycache__", "__init__.py")
+        ]
+        assert len(entries) <= (20 if folder.name == "track_range" else 18), (
+            folder,
+            sorted(entries),
+        )
 
 
 def test_no_two_public_classes_share_a_name():
@@ -159,12 +199,18 @@ def test_packages_neither_assert_nor_swallow_everything():
 
 READS_YAML_OR_JSON = {
     "track_range/foundation/files/structured_text.py": "the reader of all YAML and JSON files",
-    "track_range/foundation/files/folder_lock.py": "lock files, at most a few hundred bytes, ignored if damaged",
-    "detection/models/metadata.py": "Ultralytics writes class names as a Python literal; the size is limited",
+    "track_range/foundation/files/folder_lock.py": "lock files, at most a few hundred bytes, "
+    "ignored if damaged",
+    "detection/models/metadata.py": "Ultralytics writes class names as a Python literal; the size "
+    "is limited",
 }
 """Files that call a parser of YAML, JSON or Python literals, and the reason."""
 
-_PARSERS = {"yaml": {"load", "safe_load", "load_all", "parse"}, "json": {"load", "loads"}, "ast": {"literal_eval"}}
+_PARSERS = {
+    "yaml": {"load", "safe_load", "load_all", "parse"},
+    "json": {"load", "loads"},
+    "ast": {"literal_eval"},
+}
 
 
 def calls_parser(path):
@@ -185,6 +231,9 @@ def test_one_reader_of_yaml_and_json():
 
 
 def test_links_are_followed_by_real_path():
-    """`Path.resolve` raises RuntimeError for a loop of links (Python 3.11); `real_path` does not."""
-    users = [str(path) for path in sources(*PACKAGES) if ".resolve(" in path.read_text(encoding="utf-8")]
+    """`Path.resolve` raises RuntimeError for a loop of links (Python 3.11); `real_path` does
+    not."""
+    users = [
+        str(path) for path in sources(*PACKAGES) if ".resolve(" in path.read_text(encoding="utf-8")
+    ]
     assert users == []

@@ -1,4 +1,5 @@
-"""The wheel, and the wheel built from the sdist: one top-level name, and a program that runs from anywhere."""
+"""The wheel, and the wheel built from the sdist: one top-level name, and a program that runs from
+anywhere."""
 
 import os
 import subprocess
@@ -16,7 +17,16 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 def build_into(folder, source, kind):
-    command = [sys.executable, "-m", "build", "--no-isolation", f"--{kind}", "--outdir", str(folder), str(source)]
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--no-isolation",
+        f"--{kind}",
+        "--outdir",
+        str(folder),
+        str(source),
+    ]
     subprocess.run(command, check=True, capture_output=True, env=environment())
     return next(folder.glob("*.whl" if kind == "wheel" else "*.tar.gz"))
 
@@ -71,17 +81,22 @@ def installed(wheels, tmp_path_factory):
     site = Path(sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)}))
     with zipfile.ZipFile(wheels["sdist"]) as archive:
         archive.extractall(site)
-    libraries = sysconfig.get_path("purelib")  # .pth files in there are not followed: not the editable install
+    # .pth files in there are not followed: not the editable install
+    libraries = sysconfig.get_path("purelib")
     (site / "libraries.pth").write_text(f"{libraries}\n")
     return python
 
 
 def run_python(python, *arguments, cwd):
-    return subprocess.run([python, *arguments], cwd=cwd, env=environment(), capture_output=True, text=True)
+    return subprocess.run(
+        [python, *arguments], cwd=cwd, env=environment(), capture_output=True, text=True
+    )
 
 
 def test_packages_import_from_a_foreign_folder(installed, tmp_path):
-    code = "import track_range, track_range.detection, track_range.stereo; print(track_range.__file__)"
+    code = (
+        "import track_range, track_range.detection, track_range.stereo; print(track_range.__file__)"
+    )
     done = run_python(installed, "-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert Path(done.stdout.strip()).is_relative_to(installed.parents[1])

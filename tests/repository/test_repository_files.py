@@ -31,7 +31,9 @@ def test_pre_commit_hooks():
 def test_workflow_jobs():
     jobs = document(WORKFLOW)["jobs"]
     assert {job["runs-on"].split("-")[0] for job in jobs.values()} == {"ubuntu", "macos", "windows"}
-    commands = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()}
+    commands = {
+        name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()
+    }
     assert commands["linux"][-1].startswith(".ci/run")
     assert "make test" in commands["macos"]
     assert any("core.symlinks true" in command for command in commands["windows"])
@@ -41,7 +43,11 @@ def test_workflow_jobs():
 
 def test_windows_runs_the_fast_tier():
     tests = document(WORKFLOW)["jobs"]["windows"]["steps"][-1]["run"]
-    slow_tiers = next(line for line in (PROJECT / "Makefile").read_text().splitlines() if line.startswith("SLOW_TIERS"))
+    slow_tiers = next(
+        line
+        for line in (PROJECT / "Makefile").read_text().splitlines()
+        if line.startswith("SLOW_TIERS")
+    )
     assert f'-m "not ({slow_tiers.partition(":=")[2].strip()})"' in tests
 
 
@@ -51,10 +57,14 @@ def test_issue_form(name):
     assert {"name", "description", "body"} <= set(form)
     ids = [field["id"] for field in form["body"]]
     assert len(set(ids)) == len(ids)
-    assert all(field["type"] == "textarea" and field["attributes"]["label"] for field in form["body"])
+    assert all(
+        field["type"] == "textarea" and field["attributes"]["label"] for field in form["body"]
+    )
 
 
 def test_bug_form_asks_for_the_doctor():
-    fields = {field["id"]: field for field in document(PROJECT / ".github/ISSUE_TEMPLATE/bug.yml")["body"]}
+    fields = {
+        field["id"]: field for field in document(PROJECT / ".github/ISSUE_TEMPLATE/bug.yml")["body"]
+    }
     assert "track-range doctor" in fields["doctor"]["attributes"]["description"]
     assert fields["doctor"]["validations"]["required"]

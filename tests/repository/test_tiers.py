@@ -36,7 +36,10 @@ def test_training(): ...
 
 def counts(**changes):
     """Counts of one passed test per tier, with some replaced."""
-    return {tier: dict.fromkeys(OUTCOMES, 0) | {"passed": 1, "reasons": {}} | changes.get(tier, {}) for tier in TIERS}
+    return {
+        tier: dict.fromkeys(OUTCOMES, 0) | {"passed": 1, "reasons": {}} | changes.get(tier, {})
+        for tier in TIERS
+    }
 
 
 def table(tmp_path, content, *options):
@@ -50,10 +53,25 @@ def table(tmp_path, content, *options):
 def test_run_with_workers(tmp_path):
     (tmp_path / "test_four.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    command = [sys.executable, "-m", "pytest", "-p", "tests.tiers", "-p", "no:cacheprovider", "--numprocesses", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "tests.tiers",
+        "-p",
+        "no:cacheprovider",
+        "--numprocesses",
+        "1",
+    ]
     environment = os.environ | {"PYTHONPATH": str(PROJECT)}
     done = subprocess.run(
-        [*command, "--tiers-file=t.json"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [*command, "--tiers-file=t.json"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 1, done.stderr
     counted = json.loads((tmp_path / "t.json").read_text())

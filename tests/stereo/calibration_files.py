@@ -1,6 +1,8 @@
-"""Calibrations as cameras, programs and data sets write them: one row per kind, which writes its files to a folder.
+"""Calibrations as cameras, programs and data sets write them: one row per kind, which writes its
+files to a folder.
 
-Each row states the rig that has to be read from its files, so that tests and the benchmark compare all its values.
+Each row states the rig that has to be read from its files, so that tests and the benchmark compare
+all its values.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from track_range.stereo.rig_formats.rig_yaml import save_rig
 SIZE = (672, 376)
 """Width and height of the images of most rows, those of ZED's smallest mode."""
 
-Write = Callable[[Path, StereoRig], Path]  # writes the files of a rig to a folder; the result is the path to give
+# writes the files of a rig to a folder; the result is the path to give
+Write = Callable[[Path, StereoRig], Path]
 
 
 def motion(rotation: Sequence[float], translation_m: Sequence[float]) -> FloatArray:
@@ -45,7 +48,10 @@ RAW = StereoRig(
 
 def with_coefficients(rig: StereoRig, n: int) -> StereoRig:
     """The rig with the first `n` coefficients of the distortion, or zeros."""
-    left, right = (replace(camera, distortion=(*camera.distortion, *[0.0] * n)[:n]) for camera in (rig.left, rig.right))
+    left, right = (
+        replace(camera, distortion=(*camera.distortion, *[0.0] * n)[:n])
+        for camera in (rig.left, rig.right)
+    )
     return replace(rig, left=left, right=right)
 
 
@@ -55,7 +61,9 @@ PARALLEL = StereoRig.rectified(PinholeCamera(400.5, 400.5, 340.25, 190.5, *SIZE)
 
 def with_lens(lens: str, left: tuple[float, ...], right: tuple[float, ...]) -> StereoRig:
     return replace(
-        RAW, left=replace(RAW.left, distortion=left, lens=lens), right=replace(RAW.right, distortion=right, lens=lens)
+        RAW,
+        left=replace(RAW.left, distortion=left, lens=lens),
+        right=replace(RAW.right, distortion=right, lens=lens),
     )
 
 
@@ -80,10 +88,13 @@ def both(rig: StereoRig) -> tuple[tuple[PinholeCamera, FloatArray], ...]:
 
 
 def rectification(rig: StereoRig) -> dict[str, FloatArray]:
-    """OpenCV's R1, R2, P1, P2 and Q; the principal point is rounded, since its last digits vary from call to call."""
+    """OpenCV's R1, R2, P1, P2 and Q; the principal point is rounded, since its last digits vary
+    from call to call."""
     r, t = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
     distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in (rig.left, rig.right)]
-    found = cv2.stereoRectify(rig.left.matrix, distortion[0], rig.right.matrix, distortion[1], rig.left.size_px, r, t)
+    found = cv2.stereoRectify(
+        rig.left.matrix, distortion[0], rig.right.matrix, distortion[1], rig.left.size_px, r, t
+    )
     r1, r2, p1, p2, q = (np.array(matrix, np.float64) for matrix in found[:5])
     p1[:2, 2], p2[:2, 2], q[:2, 3] = p1[:2, 2].round(3), p2[:2, 2].round(3), q[:2, 3].round(3)
     return {"R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q}
@@ -119,7 +130,9 @@ NAMES = (  # of K, D, K, D, R, T; dots nest
 
 def named(names: str, rig: StereoRig, units_per_m: float = 1.0) -> dict[str, Any]:
     """K, D, K, D, R and T (3, 1) by these names; dots nest."""
-    arrays = [part for camera, _ in both(rig) for part in (camera.matrix, np.array([camera.distortion]))]
+    arrays = [
+        part for camera, _ in both(rig) for part in (camera.matrix, np.array([camera.distortion]))
+    ]
     content: dict[str, Any] = {}
     rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:] * units_per_m
     for name, array in zip(names.split(), (*arrays, rotation, translation), strict=True):
@@ -146,7 +159,9 @@ def text(path: Path, content: str) -> Path:
     return path
 
 
-def of_names(folder: Path, rig: StereoRig, *, names: str, file: str, units_per_m: float = 1.0, **more: Any) -> Path:
+def of_names(
+    folder: Path, rig: StereoRig, *, names: str, file: str, units_per_m: float = 1.0, **more: Any
+) -> Path:
     """Matrices by name in JSON, YAML or XML of OpenCV, or .npz."""
     content, path = named(names, rig, units_per_m) | more, folder / file
     if path.suffix == ".json":
@@ -171,7 +186,9 @@ def printed(folder: Path, rig: StereoRig) -> Path:
 
 def rectified_only(folder: Path, rig: StereoRig, *, keys: str) -> Path:
     """Only some of the matrices of stereoRectify, such as in a file of remap tables."""
-    content: dict[str, Any] = {key: value for key, value in rectification(rig).items() if key in keys.split()}
+    content: dict[str, Any] = {
+        key: value for key, value in rectification(rig).items() if key in keys.split()
+    }
     np.savez(folder / "maps.npz", left_map_x=np.zeros((48, 64), np.float32), **content)
     return folder / "maps.npz"
 
@@ -183,14 +200,20 @@ def cameras_and_rectification(folder: Path, rig: StereoRig) -> Path:
 
 def intrinsics_and_extrinsics(folder: Path, rig: StereoRig) -> Path:
     content = named(NAMES[1], rig)
-    storage(folder / "extrinsics.yml", {key: content.pop(key) for key in ("R", "T")} | rectification(rig))
+    storage(
+        folder / "extrinsics.yml",
+        {key: content.pop(key) for key in ("R", "T")} | rectification(rig),
+    )
     return storage(folder / "intrinsics.yml", content)
 
 
 def left_right_and_extrinsics(folder: Path, rig: StereoRig) -> Path:
     content = named(NAMES[1], rig)
     for side, number in (("left", 1), ("right", 2)):
-        storage(folder / f"{side}.yml", {"camera_matrix": content[f"M{number}"], "dist_coeff": content[f"D{number}"]})
+        storage(
+            folder / f"{side}.yml",
+            {"camera_matrix": content[f"M{number}"], "dist_coeff": content[f"D{number}"]},
+        )
     storage(folder / "extrinsics.yml", {"R": content["R"], "T": content["T"]})
     return folder / "left.yml"
 
@@ -248,7 +271,8 @@ def zed(folder: Path, rig: StereoRig) -> Path:
 
 
 def oak_content(rig: StereoRig) -> dict[str, Any]:
-    """Sockets 1 (left) and 2 (right) with their transforms to the colour camera, socket 0; centimetres."""
+    """Sockets 1 (left) and 2 (right) with their transforms to the colour camera, socket 0;
+    centimetres."""
 
     def camera(model: PinholeCamera, to_colour: FloatArray | None) -> dict[str, Any]:
         xyz = np.zeros(3) if to_colour is None else 100 * to_colour[:3, 3]
@@ -286,7 +310,10 @@ def realsense(folder: Path, rig: StereoRig) -> Path:
             f"{scale * camera.fx_px}\n  Fy:         \t{scale * camera.fy_px}\n  Distortion: \tBrown Conrady\n"
             f"  Coeffs:     \t{'  '.join(map(repr, camera.distortion or (0.0,) * 5))}  \n"
             "  FOV (deg):  \t89.63 x 58.79\n\n"
-            for scale, width, height in ((2, 2 * camera.width_px, 2 * camera.height_px), (1, *camera.size_px))
+            for scale, width, height in (
+                (2, 2 * camera.width_px, 2 * camera.height_px),
+                (1, *camera.size_px),
+            )
         ]
     r, t = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
     rows = "".join(f"   {line(row)}\n" for row in r)
@@ -300,12 +327,24 @@ def realsense(folder: Path, rig: StereoRig) -> Path:
 def realsense_json(folder: Path, rig: StereoRig) -> Path:
     content: dict[str, Any] = {}
     for name, (camera, _) in zip(("infrared1", "infrared2"), both(rig), strict=True):
-        numbers = (camera.width_px, camera.height_px, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-        content[name] = dict(zip(("width", "height", "fx", "fy", "ppx", "ppy"), numbers, strict=True))
+        numbers = (
+            camera.width_px,
+            camera.height_px,
+            camera.fx_px,
+            camera.fy_px,
+            camera.cx_px,
+            camera.cy_px,
+        )
+        content[name] = dict(
+            zip(("width", "height", "fx", "fy", "ppx", "ppy"), numbers, strict=True)
+        )
         content[name]["coeffs"] = list(camera.distortion or (0.0,) * 5)
     transform = rig.right_from_left
     content["extrinsics"] = {
-        "infrared1_to_infrared2": {"rotation": listed(transform[:3, :3]), "translation": listed(transform[:3, 3])}
+        "infrared1_to_infrared2": {
+            "rotation": listed(transform[:3, :3]),
+            "translation": listed(transform[:3, 3]),
+        }
     }
     return text(folder / "rs.json", json.dumps(content))
 
@@ -377,9 +416,14 @@ def vins_camera(camera: PinholeCamera) -> str:
         "omni": ("MEI", ("gamma1", "gamma2", "u0", "v0"), ("xi", "k1", "k2", "p1", "p2")),
         "kannala-brandt": ("KANNALA_BRANDT", ("mu", "mv", "u0", "v0"), ("k2", "k3", "k4", "k5")),
     }[camera.lens]
-    values = [f"   {name}: {value!r}\n" for name, value in zip(coefficients, camera.distortion, strict=True)]
+    values = [
+        f"   {name}: {value!r}\n"
+        for name, value in zip(coefficients, camera.distortion, strict=True)
+    ]
     mirror = f"mirror_parameters:\n{values.pop(0)}" if model == "MEI" else ""
-    projection = "".join(f"   {name}: {value!r}\n" for name, value in zip(names, focal, strict=True))
+    projection = "".join(
+        f"   {name}: {value!r}\n" for name, value in zip(names, focal, strict=True)
+    )
     blocks = "" if model == "KANNALA_BRANDT" else f"distortion_parameters:\n{''.join(values)}"
     inside = "".join(values) if model == "KANNALA_BRANDT" else ""
     return (
@@ -389,9 +433,13 @@ def vins_camera(camera: PinholeCamera) -> str:
 
 
 def vins(folder: Path, rig: StereoRig) -> Path:
-    parts = ['%YAML:1.0\n\nnum_of_cam: 2\ncam0_calib: "left.yaml"\ncam1_calib: "right.yaml"\nestimate_extrinsic: 1\n']
+    parts = [
+        '%YAML:1.0\n\nnum_of_cam: 2\ncam0_calib: "left.yaml"\ncam1_calib: "right.yaml"\nestimate_extrinsic: 1\n'
+    ]
     for number, (camera, transform) in enumerate(both(rig)):
-        parts.append(opencv_matrix(f"body_T_cam{number}", BODY_FROM_LEFT @ np.linalg.inv(transform)))
+        parts.append(
+            opencv_matrix(f"body_T_cam{number}", BODY_FROM_LEFT @ np.linalg.inv(transform))
+        )
         text(folder / ("left.yaml", "right.yaml")[number], vins_camera(camera))
     return text(folder / "config.yaml", "".join(parts))
 
@@ -404,12 +452,18 @@ def orb_focal(name: str, camera: PinholeCamera) -> str:
 
 
 def orb(folder: Path, rig: StereoRig, *, form: str) -> Path:
-    """Settings of ORB-SLAM2 (with LEFT.K, or bf alone) and of ORB-SLAM3 (Stereo.T_c1_c2, or Stereo.b)."""
+    """Settings of ORB-SLAM2 (with LEFT.K, or bf alone) and of ORB-SLAM3 (Stereo.T_c1_c2, or
+    Stereo.b)."""
     left, width, height = rig.left, *rig.left.size_px
-    size, lens = f"Camera.width: {width}\nCamera.height: {height}\n", "KannalaBrandt8" if left.is_wide else "PinHole"
+    size, lens = (
+        f"Camera.width: {width}\nCamera.height: {height}\n",
+        "KannalaBrandt8" if left.is_wide else "PinHole",
+    )
     if form == "LEFT":
         found, parts = rectification(rig), []
-        for number, (side, (camera, _)) in enumerate(zip(("LEFT", "RIGHT"), both(rig), strict=True), start=1):
+        for number, (side, (camera, _)) in enumerate(
+            zip(("LEFT", "RIGHT"), both(rig), strict=True), start=1
+        ):
             parts.append(f"{side}.height: {height}\n{side}.width: {width}\n")
             for name, values in {
                 "D": np.array([camera.distortion]),
@@ -419,16 +473,27 @@ def orb(folder: Path, rig: StereoRig, *, form: str) -> Path:
             }.items():
                 parts.append(opencv_matrix(f"{side}.{name}", values))
         p = found["P2"]
-        body = orb_focal("Camera", rectified(rig).left) + size + f"Camera.bf: {float(-p[0, 3])!r}\n" + "".join(parts)
+        body = (
+            orb_focal("Camera", rectified(rig).left)
+            + size
+            + f"Camera.bf: {float(-p[0, 3])!r}\n"
+            + "".join(parts)
+        )
     elif form == "bf":
         body = orb_focal("Camera", left) + f"Camera.bf: {left.fx_px * rig.baseline_m!r}\n"
     elif form == "b":
-        lens, body = "Rectified", orb_focal("Camera1", left) + size + f"Stereo.b: {rig.baseline_m!r}\n"
+        lens, body = (
+            "Rectified",
+            orb_focal("Camera1", left) + size + f"Stereo.b: {rig.baseline_m!r}\n",
+        )
     else:
         body = orb_focal("Camera1", left) + orb_focal("Camera2", rig.right) + size
-        body += opencv_matrix("Stereo.T_c1_c2", np.asarray(np.linalg.inv(rig.right_from_left), np.float64))
+        body += opencv_matrix(
+            "Stereo.T_c1_c2", np.asarray(np.linalg.inv(rig.right_from_left), np.float64)
+        )
     return text(
-        folder / "settings.yaml", f'%YAML:1.0\n\nFile.version: "1.0"\nCamera.type: "{lens}"\n{body}Viewer.PointSize:2\n'
+        folder / "settings.yaml",
+        f'%YAML:1.0\n\nFile.version: "1.0"\nCamera.type: "{lens}"\n{body}Viewer.PointSize:2\n',
     )
 
 
@@ -479,7 +544,9 @@ def ros_files(folder: Path, rig: StereoRig) -> Path:
 
 
 def ros_echo(folder: Path, rig: StereoRig) -> Path:
-    return text(folder / "echo.yaml", "---\n".join(yaml.safe_dump(message) for message in camera_info(rig)))
+    return text(
+        folder / "echo.yaml", "---\n".join(yaml.safe_dump(message) for message in camera_info(rig))
+    )
 
 
 def ost(folder: Path, rig: StereoRig) -> Path:
@@ -488,9 +555,18 @@ def ost(folder: Path, rig: StereoRig) -> Path:
     ]
     for side, message in zip(("left", "right"), camera_info(rig), strict=True):
         parts.append(f"\n[narrow_stereo/{side}]\n")
-        for name, key, n in (("camera matrix", "k", 3), ("distortion", "d", 1), ("rectification", "r", 3)):
-            parts.append(f"\n{name}\n" + "".join(f"{line(row)}\n" for row in np.reshape(message[key], (n, -1))))
-        parts.append("\nprojection\n" + "".join(f"{line(row)}\n" for row in np.reshape(message["p"], (3, 4))))
+        for name, key, n in (
+            ("camera matrix", "k", 3),
+            ("distortion", "d", 1),
+            ("rectification", "r", 3),
+        ):
+            parts.append(
+                f"\n{name}\n"
+                + "".join(f"{line(row)}\n" for row in np.reshape(message[key], (n, -1)))
+            )
+        parts.append(
+            "\nprojection\n" + "".join(f"{line(row)}\n" for row in np.reshape(message["p"], (3, 4)))
+        )
     return text(folder / "ost.txt", "".join(parts))
 
 
@@ -498,11 +574,15 @@ def kitti(folder: Path, rig: StereoRig, *, form: str) -> Path:
     """KITTI's calib.txt with P2 and P3, or the two lines alone."""
     p2 = np.column_stack((rig.left.matrix, [44.85, 0.2163, 0.002745]))
     p3 = np.column_stack((rig.left.matrix, rig.left.matrix @ rig.right_from_left[:3, 3] + p2[:, 3]))
-    return text(folder / "calib.txt", "".join(form.format(n=n) + line(p) + "\n" for n, p in ((2, p2), (3, p3))))
+    return text(
+        folder / "calib.txt",
+        "".join(form.format(n=n) + line(p) + "\n" for n, p in ((2, p2), (3, p3))),
+    )
 
 
 def cam_to_cam(folder: Path, rig: StereoRig, *, numbers: tuple[str, str]) -> Path:
-    """KITTI raw's calib_cam_to_cam.txt, and DrivingStereo's; the rectified images have another size."""
+    """KITTI raw's calib_cam_to_cam.txt, and DrivingStereo's; the rectified images have another
+    size."""
     reference = motion([0.0, 0.0, 0.0], [0.06, 0.0, 0.0])
     lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
     for number, (camera, transform), offset in zip(numbers, both(rig), (40.0, 4.0), strict=True):
@@ -553,7 +633,14 @@ def cityscapes(folder: Path, rig: StereoRig) -> Path:
     names = ("fx", "fy", "u0", "v0")
     numbers = (rig.left.fx_px, rig.left.fy_px, rig.left.cx_px, rig.left.cy_px)
     content = {
-        "extrinsic": {"baseline": rig.baseline_m, "pitch": 0.038, "roll": 0.0, "x": 1.7, "y": 0.1, "yaw": -0.02},
+        "extrinsic": {
+            "baseline": rig.baseline_m,
+            "pitch": 0.038,
+            "roll": 0.0,
+            "x": 1.7,
+            "y": 0.1,
+            "yaw": -0.02,
+        },
         "intrinsic": dict(zip(names, numbers, strict=True)),
     }
     return text(folder / "camera.json", json.dumps(content))
@@ -561,7 +648,9 @@ def cityscapes(folder: Path, rig: StereoRig) -> Path:
 
 def virtual_kitti(folder: Path, rig: StereoRig) -> Path:
     left = rig.left
-    rows = "".join(f"0 {n} {line([left.fx_px, left.fy_px, left.cx_px, left.cy_px])}\n" for n in (0, 1))
+    rows = "".join(
+        f"0 {n} {line([left.fx_px, left.fy_px, left.cx_px, left.cy_px])}\n" for n in (0, 1)
+    )
     return text(folder / "intrinsic.txt", f"frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n{rows}")
 
 
@@ -582,14 +671,18 @@ class Calibration(NamedTuple):
     rig: StereoRig = RAW
 
 
-def parallel(focal_px: float, centre_px: tuple[float, float], size_px: tuple[int, int], baseline_m: float) -> StereoRig:
+def parallel(
+    focal_px: float, centre_px: tuple[float, float], size_px: tuple[int, int], baseline_m: float
+) -> StereoRig:
     return StereoRig.rectified(PinholeCamera(focal_px, focal_px, *centre_px, *size_px), baseline_m)
 
 
 def rectified(rig: StereoRig) -> StereoRig:
     """The pair of the images that stereoRectify makes of those of a rig."""
     p = rectification(rig)["P1"]
-    return parallel(float(p[0, 0]), (float(p[0, 2]), float(p[1, 2])), rig.left.size_px, rig.baseline_m)
+    return parallel(
+        float(p[0, 0]), (float(p[0, 2]), float(p[1, 2])), rig.left.size_px, rig.baseline_m
+    )
 
 
 _SHIFTED = replace(PARALLEL, right=replace(PARALLEL.right, cx_px=350.25))
@@ -668,7 +761,9 @@ def differences(read: StereoRig, expected: StereoRig) -> dict[str, float]:
     lenses = [(one.lens, one.size_px, len(one.distortion)) == (other.lens, other.size_px, len(other.distortion))
               for one, other in pairs]  # fmt: skip
     lens = [
-        float(np.abs(np.subtract(one.distortion, other.distortion)).max(initial=0.0)) if is_equal else np.inf
+        float(np.abs(np.subtract(one.distortion, other.distortion)).max(initial=0.0))
+        if is_equal
+        else np.inf
         for is_equal, (one, other) in zip(lenses, pairs, strict=True)
     ]
     motions = np.abs(read.right_from_left - expected.right_from_left)

@@ -1,4 +1,5 @@
-"""A tiny set in KITTI 2015's layout: noise shifted by whole pixels, so that disparities are exact."""
+"""A tiny set in KITTI 2015's layout: noise shifted by whole pixels, so that disparities are
+exact."""
 
 from __future__ import annotations
 
@@ -23,10 +24,14 @@ CALIBRATION = (
 
 def noise(seed: int, *, height_px: int = HEIGHT_PX, width_px: int = WIDTH_PX) -> np.ndarray:
     grey = np.random.default_rng(seed).normal(size=(height_px, width_px))
-    return cv2.normalize(cv2.GaussianBlur(grey, (0, 0), 1.2), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    return cv2.normalize(cv2.GaussianBlur(grey, (0, 0), 1.2), None, 0, 255, cv2.NORM_MINMAX).astype(
+        np.uint8
+    )
 
 
-def write_pair(folder: Path, name: str, *, seed: int = 0, offset_px: int = 0, cars: Sequence[Car] = CARS) -> None:
+def write_pair(
+    folder: Path, name: str, *, seed: int = 0, offset_px: int = 0, cars: Sequence[Car] = CARS
+) -> None:
     """One pair; the true disparities of cars are `offset_px` larger than those of the images."""
     wall = noise(seed, width_px=WIDTH_PX + BACKGROUND_PX)
     left, right = wall[:, :WIDTH_PX].copy(), wall[:, BACKGROUND_PX:].copy()
@@ -47,7 +52,9 @@ def write_pair(folder: Path, name: str, *, seed: int = 0, offset_px: int = 0, ca
         cv2.imwrite(str(folder / part / f"{name}.png"), image)
 
 
-def write_set(folder: Path, names: Sequence[str] = ("000000_10", "000001_10"), *, offset_px: int = 0) -> Path:
+def write_set(
+    folder: Path, names: Sequence[str] = ("000000_10", "000001_10"), *, offset_px: int = 0
+) -> Path:
     """A set of pairs with its calibration."""
     for number, name in enumerate(names):
         write_pair(folder, name, seed=number, offset_px=offset_px)

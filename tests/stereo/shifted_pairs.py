@@ -1,4 +1,5 @@
-"""Pairs of random textures with exact disparities: shifted, tilted, or one in front of the other."""
+"""Pairs of random textures with exact disparities: shifted, tilted, or one in front of the
+other."""
 
 from __future__ import annotations
 
@@ -12,7 +13,9 @@ HEIGHT, WIDTH = 140, 400
 _OVERSAMPLING = 8
 
 
-def texture(seed: int, *, height: int = HEIGHT, width: int = WIDTH, blur_px: float = 1.2) -> FloatArray:
+def texture(
+    seed: int, *, height: int = HEIGHT, width: int = WIDTH, blur_px: float = 1.2
+) -> FloatArray:
     """Smooth random grey values, 0..255."""
     noise = np.random.default_rng(seed).normal(size=(height, width))
     smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
@@ -20,9 +23,14 @@ def texture(seed: int, *, height: int = HEIGHT, width: int = WIDTH, blur_px: flo
 
 
 def shifted(image: FloatArray, shift_px: float) -> FloatArray:
-    """The image moved to the left by a fraction of a pixel, exactly: a phase ramp in Fourier space."""
+    """The image moved to the left by a fraction of a pixel, exactly: a phase ramp in Fourier
+    space."""
     frequency = np.fft.rfftfreq(image.shape[1])
-    return np.fft.irfft(np.fft.rfft(image, axis=1) * np.exp(2j * np.pi * frequency * shift_px), image.shape[1], axis=1)
+    return np.fft.irfft(
+        np.fft.rfft(image, axis=1) * np.exp(2j * np.pi * frequency * shift_px),
+        image.shape[1],
+        axis=1,
+    )
 
 
 def to_u8(image: FloatArray) -> Image:
@@ -48,18 +56,33 @@ def pair(
     return with_noise(left, shifted(left, disparity_px), noise, seed)
 
 
-def tilted_pair(disparity_px: float, slope: float, *, at_px: float, seed: int = 0) -> tuple[Image, Image]:
-    """An oblique wall: the disparity grows by `slope` per column and is `disparity_px` at column `at_px`."""
+def tilted_pair(
+    disparity_px: float, slope: float, *, at_px: float, seed: int = 0
+) -> tuple[Image, Image]:
+    """An oblique wall: the disparity grows by `slope` per column and is `disparity_px` at column
+    `at_px`."""
     left = texture(seed)
-    oversampled = np.fft.irfft(np.fft.rfft(left, axis=1), WIDTH * _OVERSAMPLING, axis=1) * _OVERSAMPLING
+    oversampled = (
+        np.fft.irfft(np.fft.rfft(left, axis=1), WIDTH * _OVERSAMPLING, axis=1) * _OVERSAMPLING
+    )
     columns = np.arange(WIDTH, dtype=np.float64)
     source = np.interp(columns, columns - disparity_px - slope * (columns - at_px), columns)
-    right = np.stack([np.interp(source * _OVERSAMPLING, np.arange(WIDTH * _OVERSAMPLING), row) for row in oversampled])
+    right = np.stack(
+        [
+            np.interp(source * _OVERSAMPLING, np.arange(WIDTH * _OVERSAMPLING), row)
+            for row in oversampled
+        ]
+    )
     return to_u8(left), to_u8(right)
 
 
 def pair_of_two(
-    front: npt.NDArray[np.bool_], *, front_px: int, behind_px: int, seed: int = 0, noise: float = 2.0
+    front: npt.NDArray[np.bool_],
+    *,
+    front_px: int,
+    behind_px: int,
+    seed: int = 0,
+    noise: float = 2.0,
 ) -> tuple[Image, Image]:
     """A pair with a near surface in the mask `front` of the left image, in front of a far one."""
     near, far = texture(seed), texture(seed + 500)

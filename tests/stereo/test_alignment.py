@@ -19,7 +19,10 @@ def test_column_from_axis() -> None:
 def test_offset_curvature_and_sigma_by_hand() -> None:
     alignment = Alignment(offset_px=0.5, curvature_px=1.0, residual_px=0.3)
     disparity, sigma = alignment.corrected(
-        np.array([10.0, 10.0, np.nan]), np.array([0.4, 0.0, np.nan]), x_px=np.array([600.0, 300.0, 0.0]), camera=CAMERA
+        np.array([10.0, 10.0, np.nan]),
+        np.array([0.4, 0.0, np.nan]),
+        x_px=np.array([600.0, 300.0, 0.0]),
+        camera=CAMERA,
     )
     assert disparity[:2].tolist() == [10.5, 10.75]  # u = 0 and -1/2
     assert sigma[:2].tolist() == [0.5, 0.3]
@@ -28,14 +31,18 @@ def test_offset_curvature_and_sigma_by_hand() -> None:
 
 
 def test_default_alignment() -> None:
-    disparity, sigma = Alignment().corrected(np.array([7.0]), np.zeros(1), x_px=np.zeros(1), camera=CAMERA)
+    disparity, sigma = Alignment().corrected(
+        np.array([7.0]), np.zeros(1), x_px=np.zeros(1), camera=CAMERA
+    )
     assert (disparity[0], sigma[0]) == (7.0, UNCORRECTED_SIGMA_PX)
     assert not Alignment().is_measured
     assert "not measured" in Alignment().sentence()
 
 
 def measured(offset_px: float, sigma_px: float, **more: float) -> Alignment:
-    return Alignment(offset_px=offset_px, offset_sigma_px=sigma_px, source="this drive, 16 frames", **more)
+    return Alignment(
+        offset_px=offset_px, offset_sigma_px=sigma_px, source="this drive, 16 frames", **more
+    )
 
 
 def test_sentences() -> None:
@@ -66,7 +73,9 @@ def test_significance_of_offset_and_curvature(alignment: Alignment, is_clear: bo
 
 @settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(0.01, 0.3), st.floats(0.0, 0.4))
-def test_withheld_correction_is_part_of_the_residual(offset_px: float, sigma_px: float, residual_px: float) -> None:
+def test_withheld_correction_is_part_of_the_residual(
+    offset_px: float, sigma_px: float, residual_px: float
+) -> None:
     alignment = measured(offset_px, sigma_px, residual_px=residual_px).if_clear()
     if not alignment.is_correcting:
         assert alignment.residual_px == pytest.approx(
@@ -75,6 +84,8 @@ def test_withheld_correction_is_part_of_the_residual(offset_px: float, sigma_px:
         assert alignment.offset_sigma_px == sigma_px
 
 
-@pytest.mark.parametrize(("row_offset_px", "moved_px"), [(0.0, 0.0), (0.3, 0.0), (-0.31, -0.31), (2.5, 2.5)])
+@pytest.mark.parametrize(
+    ("row_offset_px", "moved_px"), [(0.0, 0.0), (0.3, 0.0), (-0.31, -0.31), (2.5, 2.5)]
+)
 def test_small_row_offsets_are_not_corrected(row_offset_px: float, moved_px: float) -> None:
     assert Alignment(row_offset_px=row_offset_px).row_correction_px == moved_px

@@ -1,4 +1,5 @@
-"""Bundles of synthetic points: derivatives, the true error within its sigma, and drives without enough data."""
+"""Bundles of synthetic points: derivatives, the true error within its sigma, and drives without
+enough data."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ def drive(
     fraction_moving: float = 0.0,
     noise_px: float = NOISE_PX,
 ) -> Observations:
-    """A drive through a street of random points; moving points keep their distance from the vehicle."""
+    """A drive through a street of random points; moving points keep their distance from the
+    vehicle."""
     rng = np.random.default_rng(seed)
     z_m = rng.uniform(5.0, 90.0, n_points)
     side_m = rng.uniform(3.0, 20.0, n_points) * rng.choice([-1.0, 1.0], n_points)
@@ -49,20 +51,26 @@ def drive(
     frames, points, pixels = [], [], []
     for frame in range(n_frames):
         rotation = cv2.Rodrigues(np.array([0.0, -yaw_step_rad * frame, 0.0]))[0]
-        camera_m = (world_m - [0.0, 0.0, step_m * frame] + is_moving[:, None] * [0.0, 0.0, step_m * frame]) @ rotation.T
+        camera_m = (
+            world_m - [0.0, 0.0, step_m * frame] + is_moving[:, None] * [0.0, 0.0, step_m * frame]
+        ) @ rotation.T
         left_px = CAMERA.project(camera_m)
         u = (left_px[:, 0] - CAMERA.cx_px) / 600.0
         disparity_px = CAMERA.fx_px * RIG.baseline_m / camera_m[:, 2]
         right_px = left_px[:, 0] - disparity_px + offset_px + curvature_px * u**2
         with np.errstate(invalid="ignore"):
-            inside = (left_px > 0).all(axis=1) & (left_px < [1200, 360]).all(axis=1) & (right_px > 0)
+            inside = (
+                (left_px > 0).all(axis=1) & (left_px < [1200, 360]).all(axis=1) & (right_px > 0)
+            )
         seen = np.flatnonzero(inside & (camera_m[:, 2] > 4.0))
         frames.append(np.full(len(seen), frame))
         points.append(seen)
         pixels.append(np.column_stack([left_px[seen], right_px[seen]]))
     xyx_px = np.concatenate(pixels)
     return Observations(
-        np.concatenate(frames), np.concatenate(points), xyx_px + rng.normal(0.0, noise_px, xyx_px.shape)
+        np.concatenate(frames),
+        np.concatenate(points),
+        xyx_px + rng.normal(0.0, noise_px, xyx_px.shape),
     )
 
 
@@ -91,7 +99,9 @@ def test_derivatives_equal_finite_differences() -> None:
     for axis in range(3):
         vector = small * np.eye(3)[axis]
         rotated = np.stack([np.eye(3), cv2.Rodrigues(vector)[0] @ rotation])
-        assert changed(replace(bundle, rotation=rotated)) == pytest.approx(linear.by_pose[:, :, axis], abs=2e-3)
+        assert changed(replace(bundle, rotation=rotated)) == pytest.approx(
+            linear.by_pose[:, :, axis], abs=2e-3
+        )
         shifted = bundle.translation_m + np.stack([np.zeros(3), vector])
         assert changed(replace(bundle, translation_m=shifted)) == pytest.approx(
             linear.by_pose[:, :, 3 + axis], abs=2e-3
@@ -101,7 +111,9 @@ def test_derivatives_equal_finite_differences() -> None:
         )
     for axis in range(3):
         error_px = bundle.error_px + small * np.eye(3)[axis]
-        assert changed(replace(bundle, error_px=error_px)) == pytest.approx(linear.by_error[:, :, axis], abs=1e-6)
+        assert changed(replace(bundle, error_px=error_px)) == pytest.approx(
+            linear.by_error[:, :, axis], abs=1e-6
+        )
 
 
 def test_exact_result_without_noise() -> None:
@@ -113,22 +125,30 @@ def test_exact_result_without_noise() -> None:
 
 
 @pytest.mark.parametrize("frames", [(5,), (5, 6), (13,)])
-def test_frames_without_points_keep_their_poses_and_the_others_are_fitted(frames: tuple[int, ...]) -> None:
+def test_frames_without_points_keep_their_poses_and_the_others_are_fitted(
+    frames: tuple[int, ...],
+) -> None:
     initial = initial_bundle(drive(2, offset_px=0.5), RIG)
     assert initial is not None
     is_kept = ~np.isin(initial.observed.frame, frames)
-    fit = fit_bundle(Observations(*(part[is_kept] for part in initial.observed)), initial.bundle, RIG)
+    fit = fit_bundle(
+        Observations(*(part[is_kept] for part in initial.observed)), initial.bundle, RIG
+    )
     assert fit.bundle.error_px == pytest.approx([0.5, 0.0, 0.0], abs=0.05)
     assert fit.noise_px == pytest.approx(NOISE_PX, rel=0.1)
     for frame in frames:
         np.testing.assert_array_equal(fit.bundle.rotation[frame], initial.bundle.rotation[frame])
-        np.testing.assert_array_equal(fit.bundle.translation_m[frame], initial.bundle.translation_m[frame])
+        np.testing.assert_array_equal(
+            fit.bundle.translation_m[frame], initial.bundle.translation_m[frame]
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("offset_px", "curvature_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
 def test_known_error_within_two_sigma(offset_px: float, curvature_px: float) -> None:
-    estimate = combine([segment(drive(3, offset_px=offset_px, curvature_px=curvature_px))], (OFFSET, CURVATURE))
+    estimate = combine(
+        [segment(drive(3, offset_px=offset_px, curvature_px=curvature_px))], (OFFSET, CURVATURE)
+    )
     assert np.abs(estimate.error_px[:2] - [offset_px, curvature_px]) == pytest.approx(
         [0.0, 0.0], abs=2 * estimate.sigma_px.max()
     )
@@ -148,7 +168,10 @@ def test_sigma_matches_errors() -> None:
 
 
 def test_combination_of_two_segments() -> None:
-    one, other = segment(drive(30, offset_px=0.4, n_points=400)), segment(drive(31, offset_px=0.4, n_points=400))
+    one, other = (
+        segment(drive(30, offset_px=0.4, n_points=400)),
+        segment(drive(31, offset_px=0.4, n_points=400)),
+    )
     alone = [combine([part], (OFFSET,)) for part in (one, other)]
     both = combine([one, other], (OFFSET,))
     low, high = sorted(estimate.error_px[0] for estimate in alone)
@@ -160,12 +183,15 @@ def test_combination_of_two_segments() -> None:
 
 @pytest.mark.parametrize("fraction_moving", [pytest.param(0.1, marks=pytest.mark.slow), 0.25])
 def test_moving_objects_have_no_influence(fraction_moving: float) -> None:
-    estimate = combine([segment(drive(4, offset_px=0.5, fraction_moving=fraction_moving))], (OFFSET,))
+    estimate = combine(
+        [segment(drive(4, offset_px=0.5, fraction_moving=fraction_moving))], (OFFSET,)
+    )
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.03)
 
 
 def test_half_of_the_points_on_vehicles_ahead() -> None:
-    """The static scene moves faster than vehicles that keep their distance, also if half of the points are on them."""
+    """The static scene moves faster than vehicles that keep their distance, also if half of the
+    points are on them."""
     estimate = combine([segment(drive(4, offset_px=0.5, fraction_moving=0.5))], (OFFSET,))
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.05)
 
@@ -178,8 +204,13 @@ def test_scene_that_moves_with_the_vehicle_is_refused() -> None:
 def test_unmodelled_errors_increase_the_spread() -> None:
     seen = drive(5, offset_px=0.5)
     u = (seen.xyx_px[:, 0] - CAMERA.cx_px) / 600.0
-    tilted = seen._replace(xyx_px=seen.xyx_px + np.column_stack([0 * u, 0 * u, 0.6 * np.sin(3 * u)]))
-    plain, with_error = combine([segment(seen)], (OFFSET, CURVATURE)), combine([segment(tilted)], (OFFSET, CURVATURE))
+    tilted = seen._replace(
+        xyx_px=seen.xyx_px + np.column_stack([0 * u, 0 * u, 0.6 * np.sin(3 * u)])
+    )
+    plain, with_error = (
+        combine([segment(seen)], (OFFSET, CURVATURE)),
+        combine([segment(tilted)], (OFFSET, CURVATURE)),
+    )
     assert with_error.spread_px > 0.15 > 3 * plain.spread_px
     assert with_error.sigma_px[0] > 2 * plain.sigma_px[0]
 

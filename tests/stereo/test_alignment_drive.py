@@ -1,4 +1,5 @@
-"""Alignment from drives: rendered drives with a known error, stationary vehicles, and KITTI's drives."""
+"""Alignment from drives: rendered drives with a known error, stationary vehicles, and KITTI's
+drives."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ N_RENDERED = 13
 @cache
 def rendered() -> tuple[tuple[Image, Image], ...]:
     renderer = Renderer(make_scene(0, seconds=2.0), RIG)
-    return tuple((renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_RENDERED))
+    return tuple(
+        (renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_RENDERED)
+    )
 
 
 def moved(image: Image, x_px: float, y_px: float) -> Image:
@@ -35,13 +38,16 @@ def moved(image: Image, x_px: float, y_px: float) -> Image:
     shift = np.array([[1.0, 0.0, x_px], [0.0, 1.0, y_px]])
     size = (image.shape[1], image.shape[0])
     return np.asarray(
-        cv2.warpAffine(image, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8
+        cv2.warpAffine(image, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE),
+        np.uint8,
     )
 
 
 def frames(*, x_px: float = 0.0, y_px: float = 0.0, step_s: float = 0.1) -> Iterator[Frame]:
     for index, (left, right) in enumerate(rendered()):
-        yield Frame(index, index * step_s, left, moved(right, x_px, y_px) if x_px or y_px else right)
+        yield Frame(
+            index, index * step_s, left, moved(right, x_px, y_px) if x_px or y_px else right
+        )
 
 
 def estimated(drive_frames: Iterator[Frame], rig: StereoRig = RIG) -> Alignment:
@@ -71,7 +77,9 @@ def test_frames_too_close_in_time_are_skipped() -> None:
 
 
 def test_a_gap_in_time_ends_a_segment() -> None:
-    frame_list = [Frame(f.index, f.time_s + (2.0 if f.index >= 6 else 0.0), f.left, f.right) for f in frames()]
+    frame_list = [
+        Frame(f.index, f.time_s + (2.0 if f.index >= 6 else 0.0), f.left, f.right) for f in frames()
+    ]
     assert not estimated(iter(frame_list)).is_measured
 
 
@@ -82,7 +90,9 @@ def test_stationary_vehicle_gives_only_row_offset() -> None:
     def noisy(image: Image) -> Image:
         return np.clip(image + rng.normal(0.0, 2.0, image.shape), 0, 255).astype(np.uint8)
 
-    alignment = estimated(Frame(i, i / 10, noisy(left), noisy(moved(right, 0.0, 0.6))) for i in range(12))
+    alignment = estimated(
+        Frame(i, i / 10, noisy(left), noisy(moved(right, 0.0, 0.6))) for i in range(12)
+    )
     assert alignment.source == "not enough data in this drive (the vehicle is stationary)"
     assert alignment.row_offset_px == pytest.approx(0.6, abs=0.05)
     assert not alignment.is_clear
@@ -102,8 +112,13 @@ def test_a_cut_starts_a_new_segment() -> None:
     """An unannounced cut between two drives: each half is too short, and they are not joined."""
     frame_list = list(frames())[:6]
     rng = np.random.default_rng(2)
-    noise = [cv2.GaussianBlur(rng.integers(0, 256, (188, 620, 3), dtype=np.uint8), (0, 0), 2.0) for _ in range(6)]
-    alignment = estimated(iter([*frame_list, *(Frame(6 + i, 0.6 + i / 10, n, n) for i, n in enumerate(noise))]))
+    noise = [
+        cv2.GaussianBlur(rng.integers(0, 256, (188, 620, 3), dtype=np.uint8), (0, 0), 2.0)
+        for _ in range(6)
+    ]
+    alignment = estimated(
+        iter([*frame_list, *(Frame(6 + i, 0.6 + i / 10, n, n) for i, n in enumerate(noise))])
+    )
     assert alignment.source.startswith("not enough data")
 
 
@@ -137,8 +152,12 @@ def test_feature_tracks() -> None:
 
 def video_frames(folder: Path) -> tuple[Iterator[Frame], StereoRig]:
     videos = [cv2.VideoCapture(str(folder / f"{side}.mp4")) for side in ("left", "right")]
-    size = tuple(int(videos[0].get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    rig, _ = load_rig(folder / "calib.txt", size_px=(size[0], size[1]), is_grey="odometry" in str(folder))
+    size = tuple(
+        int(videos[0].get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
+    rig, _ = load_rig(
+        folder / "calib.txt", size_px=(size[0], size[1]), is_grey="odometry" in str(folder)
+    )
 
     def frame_list() -> Iterator[Frame]:
         for index in range(16):
@@ -150,10 +169,15 @@ def video_frames(folder: Path) -> tuple[Iterator[Frame], StereoRig]:
 
 @pytest.mark.parametrize(
     ("name", "offset_px", "curvature_px"),
-    [("kitti_stereo/0003", 0.45, 1.6), ("kitti_stereo/0005", 0.45, 1.5), ("kitti_odometry/gray51", 0.1, 1.0)],
+    [
+        ("kitti_stereo/0003", 0.45, 1.6),
+        ("kitti_stereo/0005", 0.45, 1.5),
+        ("kitti_odometry/gray51", 0.1, 1.0),
+    ],
 )
 def test_kitti_drives(shared_data: Path, name: str, offset_px: float, curvature_px: float) -> None:
-    """0003 and 0005 are from one day, with 0.4 to 0.5 px by labels and lidar; the third is from another day."""
+    """0003 and 0005 are from one day, with 0.4 to 0.5 px by labels and lidar; the third is from
+    another day."""
     alignment = estimated(*video_frames(shared_data / name))
     assert alignment.offset_px == pytest.approx(offset_px, abs=0.1)
     assert alignment.curvature_px == pytest.approx(curvature_px, abs=0.4)

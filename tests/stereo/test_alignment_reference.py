@@ -1,4 +1,5 @@
-"""Alignment from known disparities: by hand, with outliers and groups, and on KITTI's labelled cars."""
+"""Alignment from known disparities: by hand, with outliers and groups, and on KITTI's labelled
+cars."""
 
 from __future__ import annotations
 
@@ -26,8 +27,11 @@ def fit(measured_px: FloatArray, true_px: FloatArray, **more: npt.NDArray[np.gen
     return fit_reference(measured_px, true_px, camera=CAMERA, seed=1, **given)
 
 
-def cars(n: int, *, seed: int, curvature_px: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measured and true disparities, 0.5 px (and the curvature) apart, and columns; noise grows with disparity."""
+def cars(
+    n: int, *, seed: int, curvature_px: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Measured and true disparities, 0.5 px (and the curvature) apart, and columns; noise grows
+    with disparity."""
     rng = np.random.default_rng(seed)
     true_px, x_px = rng.uniform(6.0, 60.0, n), rng.uniform(0.0, 1200.0, n)
     error_px = 0.5 + curvature_px * ((x_px - 600.0) / 600.0) ** 2
@@ -35,10 +39,12 @@ def cars(n: int, *, seed: int, curvature_px: float = 0.0) -> tuple[FloatArray, F
 
 
 def test_five_objects_by_hand() -> None:
-    # weights 1/10 1/10 1/10 1/20 1/40, sum 0.375: the weighted median is between the second and third error
+    # weights 1/10 1/10 1/10 1/20 1/40, sum 0.375: the weighted median is between the second and
+    # third error
     measured_px = np.array([10.0, 10.0, 10.0, 20.0, 40.0])
     alignment = fit(measured_px, measured_px + np.array([0.3, 0.4, 0.5, 0.9, 2.0]))
-    # cumulated to the middle of each: 0.05 0.15 0.25 0.325 0.3625; half of the sum, 0.1875, is between 0.4 and 0.5
+    # cumulated to the middle of each: 0.05 0.15 0.25 0.325 0.3625; half of the sum, 0.1875, is
+    # between 0.4 and 0.5
     assert alignment.offset_px == pytest.approx(0.4 + 0.1 * 0.0375 / 0.1)
     assert alignment.curvature_px == 0.0
 
@@ -121,8 +127,12 @@ def test_kitti_cars_read_up_to_half_a_pixel_low(shared_data: Path) -> None:
     rows = []
     for number, pair in enumerate(read_pairs(shared_data / "kitti2015")):
         no_prior_px = np.full(len(pair.true_px), np.nan)
-        found_px = PatchMatcher().match(pair.left, pair.right, pair.xyxy_px, no_prior_px).disparity_px
-        rows += [np.column_stack([found_px, pair.true_px, pair.x_px, np.full(len(found_px), number)])]
+        found_px = (
+            PatchMatcher().match(pair.left, pair.right, pair.xyxy_px, no_prior_px).disparity_px
+        )
+        rows += [
+            np.column_stack([found_px, pair.true_px, pair.x_px, np.full(len(found_px), number)])
+        ]
         camera = pair.rig.left
     measured_px, true_px, x_px, groups = np.concatenate(rows).T
     alignment = fit_reference(measured_px, true_px, x_px=x_px, camera=camera, groups=groups, seed=0)

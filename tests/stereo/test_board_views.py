@@ -70,7 +70,9 @@ def test_images_without_a_board():
         finder = BoardFinder(board)
         assert finder.find(grey, "v") == RejectedView("v", "no complete board found")
         assert not finder.may_contain_board(grey)
-    assert BoardFinder(CHESS).find(np.zeros((4, 4), np.uint8), "v") == RejectedView("v", "no complete board found")
+    assert BoardFinder(CHESS).find(np.zeros((4, 4), np.uint8), "v") == RejectedView(
+        "v", "no complete board found"
+    )
 
 
 @pytest.mark.parametrize("marker_id", [None, np.zeros((0, 1), np.int32)])
@@ -82,8 +84,12 @@ def test_no_marker_in_both_forms_of_opencv(marker_id):
 
 def test_may_contain_board():
     at = pose((10, 20, 5), (0, 0, 0.5))
-    assert BoardFinder(CHESS).may_contain_board(cv2.resize(drawn(IDEAL_CAMERA, at), None, fx=2, fy=2))
-    assert BoardFinder(CHARUCO).may_contain_board(drawn(CAMERA, pose((0, 0, 0), (0, 0, 0.7), CHARUCO), board=CHARUCO))
+    assert BoardFinder(CHESS).may_contain_board(
+        cv2.resize(drawn(IDEAL_CAMERA, at), None, fx=2, fy=2)
+    )
+    assert BoardFinder(CHARUCO).may_contain_board(
+        drawn(CAMERA, pose((0, 0, 0), (0, 0, 0.7), CHARUCO), board=CHARUCO)
+    )
 
 
 def test_edge_width_grows_with_blur():
@@ -96,7 +102,9 @@ def test_edge_width_grows_with_blur():
     assert soft == pytest.approx(np.sqrt(2 * np.pi) * 2.0, rel=0.25)
 
 
-@pytest.mark.parametrize(("board", "n_quarters"), [(ChessBoard(8, 6, 0.03), 2), (ChessBoard(7, 7, 0.02), 1)])
+@pytest.mark.parametrize(
+    ("board", "n_quarters"), [(ChessBoard(8, 6, 0.03), 2), (ChessBoard(7, 7, 0.02), 1)]
+)
 def test_ambiguous_boards_are_aligned_in_a_pair(board, n_quarters):
     true, at = rig(), pose((10, 20, 5), (0, 0, 0.6), board)
     left = exact_view(true.left, at, "l", board=board)
@@ -117,7 +125,9 @@ def test_unambiguous_boards_are_not_reordered():
 def test_common_corners_of_a_pair():
     at = pose((10, 20, 5), (0, 0, 0.7), CHARUCO)
     left, right = (exact_view(CAMERA, at, name, board=CHARUCO) for name in "lr")
-    both = common_corners(left.of_corners(np.arange(20)), right.of_corners(np.arange(10, 35)), CHARUCO)
+    both = common_corners(
+        left.of_corners(np.arange(20)), right.of_corners(np.arange(10, 35)), CHARUCO
+    )
     assert [view.corner_id.tolist() for view in both] == [list(range(10, 20))] * 2
     assert np.array_equal(both[0].xyz_m, CHARUCO.corners_m[10:20])
 
@@ -136,4 +146,5 @@ def test_count_board_sizes_and_markers():
 
 def test_the_real_boards(real_mono):
     rejected = {view.name for view in real_mono if isinstance(view, RejectedView)}
-    assert rejected == {"calibration1.jpg", "calibration5.jpg"}  # the board is partly outside the image
+    # the board is partly outside the image
+    assert rejected == {"calibration1.jpg", "calibration5.jpg"}

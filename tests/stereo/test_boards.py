@@ -8,14 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.stereo.calibration.boards import CharucoBoard, ChessBoard, board_of, charuco_detectors, dictionaries
+from track_range.stereo.calibration.boards import (
+    CharucoBoard,
+    ChessBoard,
+    board_of,
+    charuco_detectors,
+    dictionaries,
+)
 
 
 def test_chessboard_specification():
     board = board_of("9x6", 20)
     assert board == ChessBoard(9, 6, 0.02)
     assert board.corners_m.shape == (54, 3)
-    assert np.allclose(board.corners_m[[0, 8, 9, 53]], [[0, 0, 0], [0.16, 0, 0], [0, 0.02, 0], [0.16, 0.1, 0]])
+    assert np.allclose(
+        board.corners_m[[0, 8, 9, 53]], [[0, 0, 0], [0.16, 0, 0], [0, 0.02, 0], [0.16, 0.1, 0]]
+    )
     assert board_of(board.name, 20) == board
 
 

@@ -1,4 +1,5 @@
-"""Calibration of known cameras, rejection of bad views, and sets of views that do not determine the camera."""
+"""Calibration of known cameras, rejection of bad views, and sets of views that do not determine the
+camera."""
 
 from __future__ import annotations
 
@@ -18,7 +19,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 def within(result, true: PinholeCamera, n_sigmas: float) -> bool:
     names = ("fx_px", "fy_px", "cx_px", "cy_px")
-    return all(abs(getattr(result.camera, n) - getattr(true, n)) < n_sigmas * getattr(result.std, n) for n in names)
+    return all(
+        abs(getattr(result.camera, n) - getattr(true, n)) < n_sigmas * getattr(result.std, n)
+        for n in names
+    )
 
 
 @pytest.mark.slow
@@ -36,7 +40,10 @@ def test_known_camera_within_its_sigma(seed):
 @pytest.mark.slow
 def test_known_camera_from_rendered_images():
     finder = BoardFinder(ChessBoard(9, 6, 0.03))
-    views = [finder.find(drawn(CAMERA, at, seed=i), str(i)) for i, at in enumerate(varied_poses(10, seed=3))]
+    views = [
+        finder.find(drawn(CAMERA, at, seed=i), str(i))
+        for i, at in enumerate(varied_poses(10, seed=3))
+    ]
     result = calibrate_camera([view for view in views if isinstance(view, BoardView)])
     assert within(result, CAMERA, 3)
     assert result.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.005)
@@ -96,7 +103,12 @@ def test_too_few_views(views, key_word):
 @pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (0, 25, 0)])
 def test_parallel_boards_are_refused(rotation_deg):
     rng = np.random.default_rng(0)
-    poses = [pose(rotation_deg, (x, y, z)) for x in (-0.1, 0.0, 0.1) for y in (-0.05, 0.05) for z in (0.5, 0.7)]
+    poses = [
+        pose(rotation_deg, (x, y, z))
+        for x in (-0.1, 0.0, 0.1)
+        for y in (-0.05, 0.05)
+        for z in (0.5, 0.7)
+    ]
     views = [exact_view(CAMERA, at, "v", noise_px=0.05, rng=rng) for at in poses]
     with pytest.raises(CalibrationError, match="focal length"):
         calibrate_camera(views)
@@ -104,7 +116,9 @@ def test_parallel_boards_are_refused(rotation_deg):
 
 def test_hardly_tilted_boards_are_refused():
     rng = np.random.default_rng(1)
-    poses = [pose((*rng.uniform(-6, 6, 2), 0), (*rng.uniform(-0.05, 0.05, 2), 0.6)) for _ in range(8)]
+    poses = [
+        pose((*rng.uniform(-6, 6, 2), 0), (*rng.uniform(-0.05, 0.05, 2), 0.6)) for _ in range(8)
+    ]
     views = [exact_view(CAMERA, at, "v", noise_px=0.4, rng=rng) for at in poses]
     with pytest.raises(CalibrationError, match="focal length"):
         calibrate_camera(views)
@@ -124,9 +138,12 @@ def test_many_views_are_left_out_in_twenty_groups():
 
 
 def curvature_px(xy_px: np.ndarray) -> float:
-    """Root mean square distance of the points (rows, columns, 2) of each row from a straight line."""
+    """Root mean square distance of the points (rows, columns, 2) of each row from a straight
+    line."""
     flat = xy_px - xy_px.mean(axis=1, keepdims=True)
-    return float(np.sqrt(np.mean([np.linalg.svd(row, compute_uv=False)[1] ** 2 / len(row) for row in flat])))
+    return float(
+        np.sqrt(np.mean([np.linalg.svd(row, compute_uv=False)[1] ** 2 / len(row) for row in flat]))
+    )
 
 
 def test_the_real_camera(real_mono, shared_data):
@@ -134,12 +151,16 @@ def test_the_real_camera(real_mono, shared_data):
     assert len(result.fits) == 18
     assert result.rms_px < 0.9
     assert abs(result.camera.fx_px - 1157) < 15
-    # Lines become straight in a view that was not used, since its lowest row of corners is outside the image.
+    # Lines become straight in a view that was not used, since its lowest row of corners is outside
+    # the image.
     image = cv2.imread(str(shared_data / "chessboards" / "mono9x6" / "calibration1.jpg"))
     rows = ChessBoard(9, 5, 0.02)
     before = BoardFinder(rows).find(image, "before").xy_px.reshape(5, 9, 2)
     after = cv2.undistortPoints(
-        before.reshape(-1, 1, 2), result.camera.matrix, np.array(result.camera.distortion), P=result.camera.matrix
+        before.reshape(-1, 1, 2),
+        result.camera.matrix,
+        np.array(result.camera.distortion),
+        P=result.camera.matrix,
     ).reshape(5, 9, 2)
     assert curvature_px(before) > 2.0
     assert curvature_px(after) < 0.5

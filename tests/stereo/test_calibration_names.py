@@ -1,4 +1,5 @@
-"""Calibrations by the names of their values: names, containers, units, directions and sizes, all with known values."""
+"""Calibrations by the names of their values: names, containers, units, directions and sizes, all
+with known values."""
 
 from __future__ import annotations
 
@@ -16,7 +17,10 @@ from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 
 K1 = np.array([[543.75, 0.0, 335.5], [0.0, 546.25, 236.75], [0.0, 0.0, 1.0]])
 K2 = np.array([[556.0, 0.0, 315.5], [0.0, 557.25, 240.875], [0.0, 0.0, 1.0]])
-D1, D2 = np.array([[0.05, -0.15, -0.0015, 0.0037, 0.39]]), np.array([[0.07, -0.16, 0.0001, -0.0004, 0.14]])
+D1, D2 = (
+    np.array([[0.05, -0.15, -0.0015, 0.0037, 0.39]]),
+    np.array([[0.07, -0.16, 0.0001, -0.0004, 0.14]]),
+)
 R = np.asarray(cv2.Rodrigues(np.array([-0.05, -0.03, 0.01]))[0])
 T = np.array([[-0.09], [0.002], [0.0145]])
 BASELINE_M = float(np.linalg.norm(T))
@@ -82,17 +86,25 @@ def test_containers(tmp_path):
     check(load_calibration(tmp_path / "undistortion_map_left.npy"))
     printed = tmp_path / "printed.txt"
     with np.printoptions(precision=17, floatmode="unique"):
-        lines = [f"{name}:\n{matrix}" for name, matrix in values(NAMES[0]).items() if name in NAMES[0].split()]
+        lines = [
+            f"{name}:\n{matrix}"
+            for name, matrix in values(NAMES[0]).items()
+            if name in NAMES[0].split()
+        ]
     printed.write_text("Calibration done\n" + "\n".join(lines))
     check(load_calibration(printed))
     script = "\n".join(
-        f"{name} = np.array({matrix.tolist()})" for name, matrix in values(NAMES[4]).items() if name[0] in "mdRT"
+        f"{name} = np.array({matrix.tolist()})"
+        for name, matrix in values(NAMES[4]).items()
+        if name[0] in "mdRT"
     )
     printed.write_text("import numpy as np\n" + script)
     check(load_calibration(printed))
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1.0, "metres"), (100.0, "centimetres"), (1000.0, "millimetres")])
+@pytest.mark.parametrize(
+    ("factor", "word"), [(1.0, "metres"), (100.0, "centimetres"), (1000.0, "millimetres")]
+)
 def test_unit_by_the_length_of_t(tmp_path, factor, word):
     path = storage(tmp_path / "stereo.yml", values(NAMES[0], T * factor))
     assert any(word in note for note in check(load_calibration(path)))
@@ -114,12 +126,14 @@ def test_units_in_doubt_and_given(tmp_path):
     assert rig.baseline_m == pytest.approx(BASELINE_M / 2.5)
     assert not any("metres" in note for note in notes)
     storage(path, values(NAMES[0], T * 1000))
-    assert load_calibration(path, metres_per_unit=0.01)[0].baseline_m == pytest.approx(BASELINE_M * 10)
+    assert load_calibration(path, metres_per_unit=0.01)[0].baseline_m == pytest.approx(
+        BASELINE_M * 10
+    )
     named = {**plain(values(NAMES[0], T * 30)), "units": "inches"}
     path.with_suffix(".json").write_text(json.dumps({**named, "units": "mm"}))
-    assert load_calibration(path.with_suffix(".json"), metres_per_unit=0.1)[0].baseline_m == pytest.approx(
-        BASELINE_M * 3
-    )
+    assert load_calibration(path.with_suffix(".json"), metres_per_unit=0.1)[
+        0
+    ].baseline_m == pytest.approx(BASELINE_M * 3)
 
 
 def test_rotation_vector_and_row(tmp_path):
@@ -174,8 +188,22 @@ def test_poses_of_both_cameras(tmp_path):
     world = np.asarray(cv2.Rodrigues(np.array([0.3, 0.2, 0.1]))[0])
     offset = np.array([[1.0], [2.0], [3.0]])
     content = {
-        "cam1": {"K": K1, "dist_coeffs": D1, "R": world, "T": offset, "img_width": 640, "img_height": 480},
-        "cam2": {"K": K2, "dist_coeffs": D2, "R": R @ world, "T": R @ offset + T, "img_width": 640, "img_height": 480},
+        "cam1": {
+            "K": K1,
+            "dist_coeffs": D1,
+            "R": world,
+            "T": offset,
+            "img_width": 640,
+            "img_height": 480,
+        },
+        "cam2": {
+            "K": K2,
+            "dist_coeffs": D2,
+            "R": R @ world,
+            "T": R @ offset + T,
+            "img_width": 640,
+            "img_height": 480,
+        },
     }
     (tmp_path / "cameras.json").write_text(json.dumps(plain(content)))
     loaded = load_calibration(tmp_path / "cameras.json")
@@ -220,7 +248,9 @@ def matlab(pair: bool) -> dict[str, Any]:
 
     cameras = {"CameraParameters1": camera(K1, D1), "CameraParameters2": camera(K2, D2)}
     return {
-        "stereoParams": cameras | {"RotationOfCamera2": R.T, "TranslationOfCamera2": 1000 * T.T} if pair else cameras
+        "stereoParams": cameras | {"RotationOfCamera2": R.T, "TranslationOfCamera2": 1000 * T.T}
+        if pair
+        else cameras
     }
 
 
@@ -238,7 +268,11 @@ def test_matlab_struct(tmp_path, compressed):
 def test_bouguets_toolbox(tmp_path):
     content = {"om": cv2.Rodrigues(R)[0], "T": 1000 * T, "nx": 640.0, "ny": 480.0}
     for side, k, d in (("left", K1, D1), ("right", K2, D2)):
-        content |= {f"fc_{side}": k[[0, 1], [0, 1]][:, None], f"cc_{side}": k[:2, 2:], f"kc_{side}": d.T}
+        content |= {
+            f"fc_{side}": k[[0, 1], [0, 1]][:, None],
+            f"cc_{side}": k[:2, 2:],
+            f"kc_{side}": d.T,
+        }
     savemat(tmp_path / "Calib_Results_stereo.mat", content)
     loaded = load_calibration(tmp_path / "Calib_Results_stereo.mat")
     check(loaded)
@@ -248,7 +282,10 @@ def test_bouguets_toolbox(tmp_path):
 @pytest.mark.parametrize(
     ("content", "key_word"),
     [
-        ({"Left_Stereo_Map_x": np.zeros((4, 4)), "Right_Stereo_Map_x": np.zeros((4, 4))}, "remap tables"),
+        (
+            {"Left_Stereo_Map_x": np.zeros((4, 4)), "Right_Stereo_Map_x": np.zeros((4, 4))},
+            "remap tables",
+        ),
         ({"K1": K1, "D1": D1, "R": R, "T": T}, "no M2, D2"),
         ({"K1": K1, "K2": K2, "R": R, "T": T}, "distortion coefficients D1"),
         ({"speed": np.ones((2, 2))}, "found the keys speed"),
@@ -278,9 +315,13 @@ def test_pickles_and_other_files_are_not_opened(tmp_path):
 
 
 def test_unit_in_a_name(tmp_path):
-    names = "left_camera_matrix left_distortion right_camera_matrix right_distortion R_left_to_right T_left_to_right_mm"
+    names = (
+        "left_camera_matrix left_distortion right_camera_matrix right_distortion R_left_to_right "
+        "T_left_to_right_mm"
+    )
     (tmp_path / "a.json").write_text(json.dumps(plain(values(names, 400 * T))))
-    assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(0.4 * BASELINE_M)  # 37 mm, not 37 cm
+    # 37 mm, not 37 cm
+    assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(0.4 * BASELINE_M)
     content = plain(values(NAMES[0])) | {"baseline_mm": 1000 * BASELINE_M}
     (tmp_path / "a.json").write_text(json.dumps(content))
     check(load_calibration(tmp_path / "a.json"))
@@ -290,8 +331,15 @@ def test_unit_in_a_name(tmp_path):
 
 
 def test_poses_by_flat_names_are_no_rectification(tmp_path):
-    content = values("camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right R T")
-    content |= {"rot_matrix_left": np.eye(3), "t_left": np.zeros(3), "rot_matrix_right": R, "t_right": T.ravel()}
+    content = values(
+        "camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right R T"
+    )
+    content |= {
+        "rot_matrix_left": np.eye(3),
+        "t_left": np.zeros(3),
+        "rot_matrix_right": R,
+        "t_right": T.ravel(),
+    }
     (tmp_path / "a.json").write_text(json.dumps(plain(content)))
     assert len(check(load_calibration(tmp_path / "a.json"))) == 1
 
@@ -323,6 +371,8 @@ def test_wide_baselines_are_noted(tmp_path):
 def test_reprojection_matrix_alone(tmp_path):
     rig, notes = load_calibration(storage(tmp_path / "q.yml", {"Q": rectification()["Q"]}))
     p1 = rectification()["P1"]
-    assert (rig.left.fx_px, rig.left.cx_px, rig.left.cy_px) == pytest.approx((p1[0, 0], p1[0, 2], p1[1, 2]))
+    assert (rig.left.fx_px, rig.left.cx_px, rig.left.cy_px) == pytest.approx(
+        (p1[0, 0], p1[0, 2], p1[1, 2])
+    )
     assert rig.baseline_m == pytest.approx(BASELINE_M)
     assert "rectified" in notes[0]

@@ -13,16 +13,23 @@ from track_range.stereo.matching.window_matches import census, window_costs
 
 
 def slow_bits(grey: Grey) -> list[list[list[bool]]]:
-    """Whether each of the 24 neighbours is brighter, of the pixels of a tile (H, W) without its margin."""
+    """Whether each of the 24 neighbours is brighter, of the pixels of a tile (H, W) without its
+    margin."""
     values = grey.tolist()
     neighbours = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if (y, x) != (0, 0)]
     rows, columns = (range(MARGIN_PX, side - MARGIN_PX) for side in grey.shape)
-    return [[[values[y + dy][x + dx] > values[y][x] for dy, dx in neighbours] for x in columns] for y in rows]
+    return [
+        [[values[y + dy][x + dx] > values[y][x] for dy, dx in neighbours] for x in columns]
+        for y in rows
+    ]
 
 
 def slow_costs(tiles: BoxTiles, box: int) -> FloatArray:
     """C(w, d), (D, G), of one box; NaN where a column of the window is outside the right image."""
-    left, right = np.array(slow_bits(tiles.left[:, :, box])), np.array(slow_bits(tiles.right[:, :, box]))
+    left, right = (
+        np.array(slow_bits(tiles.left[:, :, box])),
+        np.array(slow_bits(tiles.right[:, :, box])),
+    )
     seen = tiles.is_seen[MARGIN_PX:-MARGIN_PX, box]
     cell_height, cell_width = tiles.shape.cell_hw
     cost = np.full((tiles.n_disparities, 49), np.nan)
@@ -38,7 +45,8 @@ def slow_costs(tiles: BoxTiles, box: int) -> FloatArray:
 
 
 def test_census_of_one_window() -> None:
-    window = np.arange(25, dtype=np.uint8).reshape(5, 5, 1)  # the 12 pixels after the centre are brighter
+    # the 12 pixels after the centre are brighter
+    window = np.arange(25, dtype=np.uint8).reshape(5, 5, 1)
     assert census(window).shape == (1, 1, 1)
     assert int(census(window)[0, 0, 0]).bit_count() == 12
     assert int(census(np.full((5, 5, 1), 7, np.uint8))[0, 0, 0]) == 0
@@ -59,9 +67,18 @@ def test_only_the_order_of_grey_values_counts() -> None:
 
 @pytest.mark.parametrize("shape", [FINE, COARSE])
 @pytest.mark.parametrize(("first_px", "n_disparities"), [(0.0, 21), (4.0, 9), (-4.0, 5)])
-def test_costs_equal_brute_force_also_at_borders(shape: TileShape, first_px: float, n_disparities: int) -> None:
-    boxes = (EXACT_BOX, (-0.5, -0.5, 60.0, 40.0), (380.0, 90.0, 399.5, 139.5), (20.0, 60.0, 120.0, 75.0))
-    tiles = tiles_of(pair(11.3, noise=4.0), *boxes, first_px=first_px, n_disparities=n_disparities, shape=shape)
+def test_costs_equal_brute_force_also_at_borders(
+    shape: TileShape, first_px: float, n_disparities: int
+) -> None:
+    boxes = (
+        EXACT_BOX,
+        (-0.5, -0.5, 60.0, 40.0),
+        (380.0, 90.0, 399.5, 139.5),
+        (20.0, 60.0, 120.0, 75.0),
+    )
+    tiles = tiles_of(
+        pair(11.3, noise=4.0), *boxes, first_px=first_px, n_disparities=n_disparities, shape=shape
+    )
     fast = window_costs(tiles)
     assert fast.shape == (n_disparities, 49, 4)
     slow = np.stack([slow_costs(tiles, i) for i in range(4)], axis=2)

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, exact_view, pose, varied_poses
-from track_range.stereo.calibration.coverage import coverage_of, is_static, most_different, view_shape
+from track_range.stereo.calibration.coverage import (
+    coverage_of,
+    is_static,
+    most_different,
+    view_shape,
+)
 
 
 def covered(poses):
@@ -60,7 +65,9 @@ def test_the_shape_of_a_frontal_board():
     x, y, size, skew = view_shape(exact_view(CAMERA, pose((0, 0, 0), (0, 0, 0.8)), "v"))
     assert (x, y) == (pytest.approx(315 / 640, abs=0.005), pytest.approx(183 / 360, abs=0.005))
     # 8 x 5 squares of 0.03 m at 0.8 m
-    assert size == pytest.approx(math.sqrt(0.24 * 520 / 0.8 * 0.15 * 523 / 0.8 / (640 * 360)), rel=0.03)
+    assert size == pytest.approx(
+        math.sqrt(0.24 * 520 / 0.8 * 0.15 * 523 / 0.8 / (640 * 360)), rel=0.03
+    )
     assert skew < 0.02
     tilted = view_shape(exact_view(CAMERA, pose((0, 40, 0), (0, 0, 0.8)), "v"))
     assert tilted[3] == pytest.approx(1 - math.cos(math.radians(40)), abs=0.05)
@@ -79,4 +86,6 @@ def test_is_static():
     still = [exact_view(CAMERA, pose((0, 0, 0), (0.001 * i, 0, 0.6)), str(i)) for i in range(4)]
     assert is_static(still)
     assert not is_static([*still, exact_view(CAMERA, pose((0, 0, 0), (0.03, 0, 0.6)), "far")])
-    assert not is_static([still[0].of_corners(np.arange(10)), still[1].of_corners(np.arange(20, 30))])
+    assert not is_static(
+        [still[0].of_corners(np.arange(10)), still[1].of_corners(np.arange(20, 30))]
+    )

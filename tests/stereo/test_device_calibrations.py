@@ -1,4 +1,5 @@
-"""Calibrations of devices, data sets and SLAM programs, with values by hand; and those of other people."""
+"""Calibrations of devices, data sets and SLAM programs, with values by hand; and those of other
+people."""
 
 from __future__ import annotations
 
@@ -62,10 +63,13 @@ def test_zed(tmp_path):
     assert (rig.left.fx_px, rig.left.cy_px, rig.right.fy_px) == (700, 360, 703)
     assert rig.left.distortion == (-0.17, 0.02, 0.001, -0.002, 0.003)
     assert rig.right_from_left[:3, 3] == pytest.approx([-0.12, -0.0005, 0.00025])
-    assert rig.right_from_left[:3, :3] == pytest.approx(cv2.Rodrigues(np.array([0.002, 0.01, -0.003]))[0])
+    assert rig.right_from_left[:3, :3] == pytest.approx(
+        cv2.Rodrigues(np.array([0.002, 0.01, -0.003]))[0]
+    )
     assert "millimetres" in notes[0]
     assert load_rig(path, size_px=(672, 376))[0].right.fx_px == 351
-    assert load_rig(path, size_px=(640, 360))[0].left.fx_px == 350  # resized from 1280x720, the next larger one
+    # resized from 1280x720, the next larger one
+    assert load_rig(path, size_px=(640, 360))[0].left.fx_px == 350
     assert load_calibration(path)[0].left.size_px == (1280, 720)
     path.write_text(ZED.replace("fx=700", "fx=x"))
     with pytest.raises(RigError, match="LEFT_CAM_HD"):
@@ -96,14 +100,18 @@ def oak(**changes: Any) -> dict[str, Any]:
 
 def test_oak(tmp_path):
     path = tmp_path / "calib.json"
-    path.write_text(json.dumps(oak(stereoRectificationData={"leftCameraSocket": 1, "rightCameraSocket": 2})))
+    path.write_text(
+        json.dumps(oak(stereoRectificationData={"leftCameraSocket": 1, "rightCameraSocket": 2}))
+    )
     rig, notes = load_rig(path, size_px=(1280, 800))
     assert (rig.left.fx_px, rig.right.fx_px, len(rig.left.distortion)) == (800, 810, 14)
-    assert rig.right_from_left[:3, 3] == pytest.approx([-0.075, 0, 0])  # -3.75 - 3.75 cm by way of the colour camera
+    # -3.75 - 3.75 cm by way of the colour camera
+    assert rig.right_from_left[:3, 3] == pytest.approx([-0.075, 0, 0])
     assert "0.0750 m from its calibrated" in notes[0]
     assert "0.09 m" in notes[0]
     rig, notes = load_rig(path, size_px=(640, 360))
-    assert (rig.left.fx_px, rig.left.cy_px) == (400, (400 - 40 + 0.5) / 2 - 0.5)  # 40 of 800 rows, then half the size
+    # 40 of 800 rows, then half the size
+    assert (rig.left.fx_px, rig.left.cy_px) == (400, (400 - 40 + 0.5) / 2 - 0.5)
     assert any("lack rows" in note for note in notes)
     content = oak()
     content["cameraData"][0][1]["cameraType"] = 1
@@ -233,7 +241,10 @@ def test_euroc(tmp_path, names):
 def vins_camera(number: int, model: str) -> str:
     lens, projection = {
         "PINHOLE": ("", "fx: {f}\n   fy: 457\n   cx: 367\n   cy: 248"),
-        "MEI": ("mirror_parameters:\n   xi: 0.8\n", "gamma1: {f}\n   gamma2: 457\n   u0: 367\n   v0: 248"),
+        "MEI": (
+            "mirror_parameters:\n   xi: 0.8\n",
+            "gamma1: {f}\n   gamma2: 457\n   u0: 367\n   v0: 248",
+        ),
         "KANNALA_BRANDT": (
             "",
             "k2: 0.01\n   k3: 0.002\n   k4: 0.0\n   k5: 0.0\n   mu: {f}\n   mv: 457\n   u0: 367\n   v0: 248",
@@ -249,31 +260,56 @@ def vins_camera(number: int, model: str) -> str:
 
 @pytest.mark.parametrize("model", ["PINHOLE", "MEI", "KANNALA_BRANDT"])
 def test_vins(tmp_path, model):
-    lines = ["%YAML:1.0", "", "num_of_cam: 2", 'cam0_calib: "a.yaml"', 'cam1_calib: "b.yaml"', "estimate_extrinsic: 1"]
+    lines = [
+        "%YAML:1.0",
+        "",
+        "num_of_cam: 2",
+        'cam0_calib: "a.yaml"',
+        'cam1_calib: "b.yaml"',
+        "estimate_extrinsic: 1",
+    ]
     for number in "01":
         data = ", ".join(f"{value!r}" for value in BODY_FROM[number].ravel().tolist())
-        lines += [f"body_T_cam{number}: !!opencv-matrix", "   rows: 4", "   cols: 4", "   dt: d", f"   data: [{data}]"]
+        lines += [
+            f"body_T_cam{number}: !!opencv-matrix",
+            "   rows: 4",
+            "   cols: 4",
+            "   dt: d",
+            f"   data: [{data}]",
+        ]
     (tmp_path / "config.yaml").write_text("\n".join(lines) + "\n")
     for number, name in enumerate(("a.yaml", "b.yaml")):
         (tmp_path / name).write_text(vins_camera(number, model))
     for name in ("config.yaml", "a.yaml", "b.yaml"):
         rig, notes = load_calibration(tmp_path / name)
         check_body(rig)
-        assert rig.left.lens == {"PINHOLE": "pinhole", "MEI": "omni", "KANNALA_BRANDT": "kannala-brandt"}[model]
+        assert (
+            rig.left.lens
+            == {"PINHOLE": "pinhole", "MEI": "omni", "KANNALA_BRANDT": "kannala-brandt"}[model]
+        )
         assert "initial guess" in notes[0]
 
 
 def orb(*lines: str) -> str:
-    return '%YAML:1.0\n\nFile.version: "1.0"\n' + "".join(f"{line}\n" for line in (*lines, "Viewer.PointSize:2"))
+    return '%YAML:1.0\n\nFile.version: "1.0"\n' + "".join(
+        f"{line}\n" for line in (*lines, "Viewer.PointSize:2")
+    )
 
 
 def focal(name: str, focal_px: float, *coefficients: str) -> list[str]:
-    return [f"{name}.fx: {focal_px}", f"{name}.fy: {focal_px}", f"{name}.cx: 367.0", f"{name}.cy: 248.0", *coefficients]
+    return [
+        f"{name}.fx: {focal_px}",
+        f"{name}.fy: {focal_px}",
+        f"{name}.cx: 367.0",
+        f"{name}.cy: 248.0",
+        *coefficients,
+    ]
 
 
 SIZE = ["Camera.width: 752", "Camera.height: 480"]
-TRANSFORM = "Stereo.T_c1_c2: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n   data:[" + ", ".join(
-    map(repr, np.linalg.inv(RIGHT_FROM_LEFT).ravel().tolist())
+TRANSFORM = (
+    "Stereo.T_c1_c2: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n   data:["
+    + ", ".join(map(repr, np.linalg.inv(RIGHT_FROM_LEFT).ravel().tolist()))
 )
 
 
@@ -285,19 +321,31 @@ def test_orb_slam(tmp_path):
     assert "metres" in notes[0]
     path.write_text(orb(*focal("Camera1", 718.856), *SIZE, "Stereo.b: 0.53716"))
     rig, _ = load_calibration(path)
-    assert (rig.baseline_m, rig.left.size_px, rig.is_rectified) == (pytest.approx(0.53716), (752, 480), True)
+    assert (rig.baseline_m, rig.left.size_px, rig.is_rectified) == (
+        pytest.approx(0.53716),
+        (752, 480),
+        True,
+    )
     distorted = [
-        f"Camera{n}.{key}: {value}" for n in "12" for key, value in (("k1", -0.2), ("k2", 0.02), ("p1", 0), ("p2", 0))
+        f"Camera{n}.{key}: {value}"
+        for n in "12"
+        for key, value in (("k1", -0.2), ("k2", 0.02), ("p1", 0), ("p2", 0))
     ]
-    path.write_text(orb(*focal("Camera1", 458), *focal("Camera2", 459), *distorted, *SIZE, TRANSFORM + "]"))
+    path.write_text(
+        orb(*focal("Camera1", 458), *focal("Camera2", 459), *distorted, *SIZE, TRANSFORM + "]")
+    )
     check_body(load_calibration(path)[0])
     fisheye = [f"Camera{n}.k{k}: 0.001" for n in "12" for k in "1234"]
     kind = 'Camera.type: "KannalaBrandt8"'
-    path.write_text(orb(kind, *focal("Camera1", 458), *focal("Camera2", 459), *fisheye, *SIZE, TRANSFORM + "]"))
+    path.write_text(
+        orb(kind, *focal("Camera1", 458), *focal("Camera2", 459), *fisheye, *SIZE, TRANSFORM + "]")
+    )
     rig, _ = load_calibration(path)
     check_body(rig)
     assert rig.left.lens == "kannala-brandt"
-    path.write_text(orb(*focal("Camera", 517), "Camera.k1: 0.26", "Camera.bf: 40.0", "DepthMapFactor: 5000.0"))
+    path.write_text(
+        orb(*focal("Camera", 517), "Camera.k1: 0.26", "Camera.bf: 40.0", "DepthMapFactor: 5000.0")
+    )
     assert not isinstance(load_calibration(path)[0], StereoRig)  # a depth camera
 
 
@@ -361,7 +409,9 @@ def ost(x: float, names: tuple[str, ...]) -> str:
         )
 
     blocks = [block(name, x if number else 0.0) for number, name in enumerate(names)]
-    return "# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n1280\n\nheight\n720\n\n" + "".join(blocks)
+    return "# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n1280\n\nheight\n720\n\n" + "".join(
+        blocks
+    )
 
 
 def test_ost(tmp_path):
@@ -372,7 +422,9 @@ def test_ost(tmp_path):
     assert rig.left.distortion == (-0.1, 0.01, 0.0, 0.0, 0.0)
     path.write_text(ost(0.0, ("narrow_stereo",)))
     assert load_calibration(path)[0].size_px == (1280, 720)
-    path.write_text(ost(-384.0, ("a", "b")).replace("640.0 0.0\n0.0 900.0", "640.0 -384.0\n0.0 900.0"))
+    path.write_text(
+        ost(-384.0, ("a", "b")).replace("640.0 0.0\n0.0 900.0", "640.0 -384.0\n0.0 900.0")
+    )
     with pytest.raises(RigError, match="-384 in both"):
         load_rig(path, size_px=(1280, 720))
 
@@ -417,7 +469,9 @@ SHARED = (  # file, baseline in metres (None = refused), a word of the notes or 
 
 @pytest.mark.real
 @pytest.mark.parametrize(("name", "baseline_m", "word"), SHARED)
-def test_calibrations_of_other_people(shared_data: Path, name: str, baseline_m: float | None, word: str) -> None:
+def test_calibrations_of_other_people(
+    shared_data: Path, name: str, baseline_m: float | None, word: str
+) -> None:
     path = shared_data / "calibrations" / name
     if baseline_m is None:
         with pytest.raises(RigError, match=word):

@@ -1,4 +1,5 @@
-"""Calibration of fisheye cameras: known cameras within their sigma, real pairs, moved boards, and the block solver."""
+"""Calibration of fisheye cameras: known cameras within their sigma, real pairs, moved boards, and
+the block solver."""
 
 from __future__ import annotations
 
@@ -26,12 +27,15 @@ RIGHT = PinholeCamera(232.0, 231.5, 318.0, 244.0, 640, 480, (0.015, -0.01, 0.01,
 
 
 def facing_poses(n: int, *, largest_deg: float = 60.0, seed: int = 0) -> list[np.ndarray]:
-    """Boards in directions up to an angle from the axis, tilted by up to 35 degrees against them."""
+    """Boards in directions up to an angle from the axis, tilted by up to 35 degrees against
+    them."""
     rng = np.random.default_rng(seed)
     poses = []
     for _ in range(n):
         theta, phi = np.radians(largest_deg) * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-        direction = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+        direction = np.array(
+            [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]
+        )
         axis = np.array([-np.sin(phi), np.cos(phi), 0.0])
         towards = cv2.Rodrigues(theta * axis)[0]
         at = pose((*rng.uniform(-35, 35, 2), rng.uniform(-15, 15)), (0.0, 0.0, 0.0))
@@ -42,9 +46,14 @@ def facing_poses(n: int, *, largest_deg: float = 60.0, seed: int = 0) -> list[np
     return poses
 
 
-def views_of(camera: PinholeCamera, poses, *, noise_px: float = 0.1, seed: int = 0, name: str = "view"):
+def views_of(
+    camera: PinholeCamera, poses, *, noise_px: float = 0.1, seed: int = 0, name: str = "view"
+):
     rng = np.random.default_rng(seed)
-    return [exact_view(camera, at, f"{name}{i}", noise_px=noise_px, rng=rng) for i, at in enumerate(poses)]
+    return [
+        exact_view(camera, at, f"{name}{i}", noise_px=noise_px, rng=rng)
+        for i, at in enumerate(poses)
+    ]
 
 
 def test_exact_corners_give_the_camera_exactly_without_an_initial_focal_length():
@@ -67,7 +76,9 @@ def test_focal_length_is_found_for_lenses_from_telephoto_to_330_degrees(focal_px
 
 def test_corners_beyond_90_degrees():
     poses = facing_poses(14, largest_deg=80)
-    views = views_of(replace(FISHEYE, fx_px=150.0, fy_px=150.0, distortion=(0.01, 0.0, 0.0, 0.0)), poses)
+    views = views_of(
+        replace(FISHEYE, fx_px=150.0, fy_px=150.0, distortion=(0.01, 0.0, 0.0, 0.0)), poses
+    )
     camera = fit_fisheye(views)[0]
     assert min(camera.recorded_rays(view.xy_px)[:, 2].min() for view in views) < 0
     assert camera.fx_px == pytest.approx(150.0, rel=0.01)
@@ -83,13 +94,17 @@ def test_pose_of_a_board():
 def test_known_camera_within_its_sigma(seed):
     result = calibrate_camera(views_of(FISHEYE, facing_poses(16, seed=seed), seed=seed), lens=LENS)
     for name in ("fx_px", "fy_px", "cx_px", "cy_px"):
-        assert abs(getattr(result.camera, name) - getattr(FISHEYE, name)) < 4 * getattr(result.std, name)
+        assert abs(getattr(result.camera, name) - getattr(FISHEYE, name)) < 4 * getattr(
+            result.std, name
+        )
     assert result.std.fx_px < 0.02 * FISHEYE.fx_px
     assert 0.11 < result.rms_px < 0.142  # noise of 0.1 px in x and y, reduced by the fit
     assert result.camera.lens == LENS
 
 
-def known_pairs(n: int, *, moved: tuple[int, ...] = ()) -> tuple[StereoRig, list[tuple[BoardView, BoardView]]]:
+def known_pairs(
+    n: int, *, moved: tuple[int, ...] = ()
+) -> tuple[StereoRig, list[tuple[BoardView, BoardView]]]:
     """Pairs of a known rig; in the `moved` ones the board moved by 6 mm between the images."""
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = cv2.Rodrigues(np.array([0.01, -0.02, 0.015]))[0]
@@ -98,7 +113,10 @@ def known_pairs(n: int, *, moved: tuple[int, ...] = ()) -> tuple[StereoRig, list
     steps = [np.array([0.0, 0.006, 0.0]) if i in moved else np.zeros(3) for i in range(n)]
     later = [np.block([[np.eye(3), step[:, None]], [np.zeros(3), 1.0]]) for step in steps]
     right_poses = [right_from_left @ step @ at for step, at in zip(later, poses, strict=True)]
-    left, right = views_of(FISHEYE, poses, name="left"), views_of(RIGHT, right_poses, seed=1, name="right")
+    left, right = (
+        views_of(FISHEYE, poses, name="left"),
+        views_of(RIGHT, right_poses, seed=1, name="right"),
+    )
     return StereoRig(FISHEYE, RIGHT, right_from_left), list(zip(left, right, strict=True))
 
 
@@ -139,7 +157,9 @@ def test_block_solver_against_scipy():
     solution = solve_blocks(residuals_of, np.full(5, 9), np.full(2, 0.1), np.full((5, 2), 0.1))
     assert np.allclose(solution.common, expected.x[:2], atol=1e-5)
     assert np.allclose(solution.view_parameters.ravel(), expected.x[2:], atol=1e-5)
-    covariance = np.linalg.inv(expected.jac.T @ expected.jac)[:2, :2] * (2 * expected.cost) / (45 - 12)
+    covariance = (
+        np.linalg.inv(expected.jac.T @ expected.jac)[:2, :2] * (2 * expected.cost) / (45 - 12)
+    )
     assert np.allclose(solution.covariance, covariance, rtol=1e-2)
 
 
@@ -150,7 +170,10 @@ def test_the_real_fisheye_rig(shared_data):
     pairs = []
     for number in range(1, 22):
         found = [
-            finder.find(cv2.imread(str(shared_data / "fisheye" / side / f"{side}{number}.jpg")), f"{side}{number}")
+            finder.find(
+                cv2.imread(str(shared_data / "fisheye" / side / f"{side}{number}.jpg")),
+                f"{side}{number}",
+            )
             for side in ("left", "right")
         ]
         assert all(isinstance(view, BoardView) for view in found)

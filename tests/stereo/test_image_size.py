@@ -1,4 +1,5 @@
-"""Calibrations of images of another size: what is assumed, what speaks against it, and by which factor."""
+"""Calibrations of images of another size: what is assumed, what speaks against it, and by which
+factor."""
 
 import dataclasses
 from pathlib import Path
@@ -32,11 +33,14 @@ def test_a_calibration_without_a_size(size_px, factor):
     camera, notes = fitted_to_size(KITTI, size_px, "calib.txt")
     assert camera == dataclasses.replace(KITTI, width_px=size_px[0], height_px=size_px[1])
     assert f"no image size; it is taken to be {size_px[0]}x{size_px[1]} px" in notes[0]
-    assert [other.factor for other in size_alternatives(KITTI, size_px)][:1] == ([] if factor is None else [factor])
+    assert [other.factor for other in size_alternatives(KITTI, size_px)][:1] == (
+        [] if factor is None else [factor]
+    )
     assert len(notes) == (1 if factor is None else 2)
     if factor is not None:
         shown = ("1242x375", f"{721.5377 / factor:.0f} px instead of 722 px", f"{factor:.2f} times")
-        advice = "--size 1242x375" if size_px == (931, 281) else "fy 616 px"  # 1024x320 has another aspect
+        # 1024x320 has another aspect
+        advice = "--size 1242x375" if size_px == (931, 281) else "fy 616 px"
         assert all(text in notes[1] for text in (*shown, advice))
 
 
@@ -48,18 +52,25 @@ def test_half_of_kitti_is_refused_with_the_size_that_fits():
 @pytest.mark.parametrize(("scale", "factor"), [(0.5, 0.5), (0.75, 0.75), (1.5, 1.5)])
 def test_a_matrix_that_did_not_follow_the_resolution(scale, factor):
     wrong = PinholeCamera(
-        HD.fx_px * scale, HD.fy_px * scale, (HD.cx_px + 0.5) * scale - 0.5, (HD.cy_px + 0.5) * scale - 0.5, 1280, 720
+        HD.fx_px * scale,
+        HD.fy_px * scale,
+        (HD.cx_px + 0.5) * scale - 0.5,
+        (HD.cy_px + 0.5) * scale - 0.5,
+        1280,
+        720,
     )
     shown = [other.factor for other in size_alternatives(wrong, (1280, 720))]
     assert shown[0] == pytest.approx(factor)
     assert "focal length is in doubt" in fitted_to_size(wrong, (1280, 720), "info.yaml")[1][0]
-    assert size_alternatives(wrong, (640, 360))[0].factor == pytest.approx(factor)  # the images are resized, too
+    # the images are resized, too
+    assert size_alternatives(wrong, (640, 360))[0].factor == pytest.approx(factor)
     loaded = calibration_of(StereoRig.rectified(wrong, 0.5), ((1280, 720),))
     assert loaded.focal_sigma == pytest.approx(max(abs(1 - 1 / other) for other in shown))
 
 
 def test_a_matrix_of_twice_the_resolution_is_refused_with_the_size_that_fits():
-    wrong = dataclasses.replace(HD, width_px=640, height_px=360)  # camera_info with the size of resized images
+    # camera_info with the size of resized images
+    wrong = dataclasses.replace(HD, width_px=640, height_px=360)
     with pytest.raises(RigError, match="as in images of about 1310x698 px; correct the image size"):
         check_camera(wrong, "info.yaml")
 
@@ -73,7 +84,9 @@ def test_resized_or_cropped_is_stated_and_not_in_doubt():
     assert (loaded.focal_sigma, loaded.alternatives) == (0.0, ())
 
 
-@pytest.mark.parametrize(("focal_px", "n_notes"), [(250.0, 1), (300.0, 0), (1150.0, 0), (3600.0, 0), (3700.0, 1)])
+@pytest.mark.parametrize(
+    ("focal_px", "n_notes"), [(250.0, 1), (300.0, 0), (1150.0, 0), (3600.0, 0), (3700.0, 1)]
+)
 def test_unusual_fields_of_view(focal_px, n_notes):
     notes = field_notes(
         PinholeCamera.of_focal_length(focal_px, (1280, 720)), "--focal-px"
@@ -81,8 +94,10 @@ def test_unusual_fields_of_view(focal_px, n_notes):
     assert len(notes) == n_notes
 
 
-SQUEEZED = PinholeCamera(575.0, 1150.0, 470.0, 530.0, 960, 1080)  # 1080N: every other column is left out
-SQUARE = PinholeCamera(1150.0, 1150.0, 940.5, 530.0, 1920, 1080)  # pixel edges map to pixel edges: 2 (470 + 0.5) - 0.5
+# 1080N: every other column is left out
+SQUEEZED = PinholeCamera(575.0, 1150.0, 470.0, 530.0, 960, 1080)
+# pixel edges map to pixel edges: 2 (470 + 0.5) - 0.5
+SQUARE = PinholeCamera(1150.0, 1150.0, 940.5, 530.0, 1920, 1080)
 
 
 def test_images_of_other_than_square_pixels_are_resampled():
@@ -93,13 +108,16 @@ def test_images_of_other_than_square_pixels_are_resampled():
     one, pair = Undistorter(SQUEEZED), Rectifier(StereoRig.rectified(SQUEEZED, 0.5))
     assert one.camera == pair.rig.left == pair.rig.right == SQUARE
     assert pair.rig.baseline_m == 0.5
-    assert np.allclose(one.left_boxes(np.array([[100.0, 50.0, 200.0, 90.0]])), [[200.5, 50.0, 400.5, 90.0]])
+    assert np.allclose(
+        one.left_boxes(np.array([[100.0, 50.0, 200.0, 90.0]])), [[200.5, 50.0, 400.5, 90.0]]
+    )
     image = np.zeros((1080, 960, 3), np.uint8)
     image[:, 300:302] = 200
     assert one.undistort(image)[500, [600, 601, 602, 603], 0].min() > 100
     left, right = pair.rectify(image, np.roll(image, -20, axis=1))
     assert np.flatnonzero(left[500, :, 0] > 100).mean() == 601.5
-    assert np.flatnonzero(right[500:501, :][0] > 100).mean() == 561.5  # a disparity of 20 stored pixels is one of 40
+    # a disparity of 20 stored pixels is one of 40
+    assert np.flatnonzero(right[500:501, :][0] > 100).mean() == 561.5
 
 
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0, 0.0)])
@@ -126,4 +144,6 @@ def test_rectification_of_squeezed_pairs_keeps_the_view(distortion):
 def test_principal_points_of_real_calibrations_are_not_doubted(shared_data: Path, name, size_px):
     cameras, _ = load_calibration(shared_data / name)
     assert isinstance(cameras, StereoRig)
-    assert size_alternatives(cameras.left, size_px) == size_alternatives(cameras.right, size_px) == ()
+    assert (
+        size_alternatives(cameras.left, size_px) == size_alternatives(cameras.right, size_px) == ()
+    )

@@ -38,7 +38,8 @@ cam1:
 
 
 def chain(**changes: Any) -> dict[str, Any]:
-    """The chain with replaced values of cam1 (or of cam0 with the prefix cam0_); None removes a key."""
+    """The chain with replaced values of cam1 (or of cam0 with the prefix cam0_); None removes a
+    key."""
     content = yaml.safe_load(CHAIN)
     for key, value in changes.items():
         name, block = (key[5:], "cam0") if key.startswith("cam0_") else (key, "cam1")
@@ -50,13 +51,19 @@ def chain(**changes: Any) -> dict[str, Any]:
 
 def written(folder: Path, content: object) -> Path:
     path = folder / "camchain.yaml"
-    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(
+        content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8"
+    )
     return path
 
 
 def test_the_pair_of_a_chain(tmp_path):
     rig, notes = load_rig(written(tmp_path, CHAIN), size_px=SIZE)
-    assert (rig.left.fx_px, rig.left.cy_px, rig.left.distortion) == (458.654, 248.375, (-0.28, 0.07, 0.0002, 1.8e-05))
+    assert (rig.left.fx_px, rig.left.cy_px, rig.left.distortion) == (
+        458.654,
+        248.375,
+        (-0.28, 0.07, 0.0002, 1.8e-05),
+    )
     assert (rig.right.width_px, rig.right.height_px) == SIZE
     assert rig.baseline_m == pytest.approx(0.110004, abs=1e-6)
     assert rig.right_from_left[0, 2] == 0.004472
@@ -144,7 +151,8 @@ WIDE = {
 @pytest.mark.parametrize("lens", list(WIDE))
 def test_wide_lenses(tmp_path, lens):
     camera, _ = load_camera(
-        written(tmp_path, chain(**{f"cam0_{key}": value for key, value in WIDE[lens].items()})), size_px=SIZE
+        written(tmp_path, chain(**{f"cam0_{key}": value for key, value in WIDE[lens].items()})),
+        size_px=SIZE,
     )
     assert camera.lens == lens
     focal_px, coefficients = WIDE[lens]["intrinsics"][-4:], WIDE[lens]["distortion_coeffs"]
@@ -175,7 +183,10 @@ def test_wrong_wide_lenses(tmp_path, lens, changes, key_word):
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("name", "size_px", "lens", "baseline_m"),
-    [("tum_vi", (512, 512), "kannala-brandt", 0.10109), ("euroc_mav", (752, 480), "pinhole", 0.11008)],
+    [
+        ("tum_vi", (512, 512), "kannala-brandt", 0.10109),
+        ("euroc_mav", (752, 480), "pinhole", 0.11008),
+    ],
 )
 def test_files_of_openvins(shared_data, name, size_px, lens, baseline_m):
     rig, _ = load_rig(shared_data / "fisheye" / "kalibr" / f"{name}.yaml", size_px=size_px)

@@ -30,7 +30,9 @@ def test_pairs_of_a_set(tmp_path: Path) -> None:
     assert (first.name, second.name) == ("000002_10", "000007_10")
     assert first.left.shape == first.right.shape == (120, 360, 3)
     assert not np.array_equal(first.left, second.left)
-    assert first.xyxy_px.tolist() == [[x1 - 0.5, y1 - 0.5, x2 + 0.5, y2 + 0.5] for x1, y1, x2, y2, _ in CARS]
+    assert first.xyxy_px.tolist() == [
+        [x1 - 0.5, y1 - 0.5, x2 + 0.5, y2 + 0.5] for x1, y1, x2, y2, _ in CARS
+    ]
     assert first.true_px.tolist() == [20.0, 30.0]
     assert first.x_px.tolist() == [129.5, 259.5]
     assert (first.rig.left.fx_px, first.rig.baseline_m) == (FOCAL_PX, pytest.approx(BASELINE_M))
@@ -40,7 +42,9 @@ def test_pairs_of_a_set(tmp_path: Path) -> None:
 def test_parent_folder_and_calibration_per_pair(tmp_path: Path) -> None:
     root = write_set(tmp_path / "training")
     (root / "calib_cam_to_cam").mkdir()
-    other = CALIBRATION.replace("P2", "P_rect_02").replace("P3", "P_rect_03").replace("300.0", "310.0")
+    other = (
+        CALIBRATION.replace("P2", "P_rect_02").replace("P3", "P_rect_03").replace("300.0", "310.0")
+    )
     (root / "calib_cam_to_cam/000001.txt").write_text(other)
     assert is_kitti_2015(tmp_path)
     assert [pair.rig.left.fx_px for pair in read_pairs(tmp_path)] == [300.0, 310.0]
@@ -68,7 +72,9 @@ def test_grey_images_and_row_offset(tmp_path: Path) -> None:
     plain = next(read_pairs(tmp_path))
     assert np.array_equal(plain.left[:, :, 0], plain.left[:, :, 2])
     shifted = next(read_pairs(tmp_path, row_offset_px=2.0))
-    assert np.array_equal(np.asarray(shifted.right[10:50, 20:80]), np.asarray(plain.right)[12:52, 20:80, 0])
+    assert np.array_equal(
+        np.asarray(shifted.right[10:50, 20:80]), np.asarray(plain.right)[12:52, 20:80, 0]
+    )
     assert np.array_equal(shifted.left, plain.left)
 
 
@@ -80,13 +86,15 @@ def test_instances_by_hand() -> None:
     truth[16, 15:25], truth[17, 15:24] = 7.0, 7.0
     instance[10:30, 40:60] = 3  # 99 known pixels
     truth[15:24, 45:56] = 9.0
-    instance[40:50, 10:30] = 5  # all known: half of the inner half at 5, more of it at 6, the rest at 40
+    # all known: half of the inner half at 5, more of it at 6, the rest at 40
+    instance[40:50, 10:30] = 5
     truth[40:50, 10:30] = 40.0
     truth[42:48, 14:26] = 6.0
     truth[43:45, 15:25] = 5.0
     boxes, true_px = labelled_instances(truth, instance)
     assert boxes.tolist() == [[9.5, 39.5, 29.5, 49.5]]
-    assert true_px.tolist() == [6.0]  # rows 42 .. 47, columns 15 .. 24 (2.5 and 5 px cut off): 40 of 6, 20 of 5
+    # rows 42 .. 47, columns 15 .. 24 (2.5 and 5 px cut off): 40 of 6, 20 of 5
+    assert true_px.tolist() == [6.0]
     truth[18, 15] = 7.0  # the twentieth pixel of the first
     truth[15, 40] = 9.0  # the hundredth of the second
     boxes, true_px = labelled_instances(truth, instance)
@@ -145,7 +153,9 @@ def test_an_image_that_cannot_be_opened(tmp_path: Path) -> None:
 def test_missing_folder_and_truth(tmp_path: Path) -> None:
     with pytest.raises(PairFileError, match="no such folder"):
         pair_names(tmp_path / "nowhere")
-    with pytest.raises(PairFileError, match="no image_2 and no image_3 and no disp_occ_0 and no obj_map"):
+    with pytest.raises(
+        PairFileError, match="no image_2 and no image_3 and no disp_occ_0 and no obj_map"
+    ):
         pair_names(tmp_path)
     write_set(tmp_path)
     for truth in (tmp_path / "disp_occ_0").iterdir():
@@ -160,7 +170,8 @@ def test_missing_or_unrectified_calibration(tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"calib_cam_to_cam/000000\.txt"):
         list(read_pairs(tmp_path))
     camera = (
-        "{fx_px: 300, fy_px: 300, cx_px: 180, cy_px: 60, width_px: 360, height_px: 120, distortion: [0.1, 0, 0, 0]}"
+        "{fx_px: 300, fy_px: 300, cx_px: 180, cy_px: 60, width_px: 360, height_px: 120, "
+        "distortion: [0.1, 0, 0, 0]}"
     )
     motion = "{rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.5, 0, 0]}"
     text = f"track_range_rig: 1\nleft: {camera}\nright: {camera}\nright_from_left: {motion}\n"

@@ -43,7 +43,12 @@ def test_kitti_by_hand(tmp_path: Path) -> None:
     path = written(tmp_path, KITTI, "calib.txt")
     rig, notes = load_rig(path, size_px=SIZE)
     assert rig.left.fx_px == 1000
-    assert (rig.left.cx_px, rig.left.cy_px, rig.left.width_px, rig.left.height_px) == (650, 350, 1280, 720)
+    assert (rig.left.cx_px, rig.left.cy_px, rig.left.width_px, rig.left.height_px) == (
+        650,
+        350,
+        1280,
+        720,
+    )
     assert rig.baseline_m == pytest.approx(0.5)
     assert rig.is_rectified
     assert len(notes) == 1
@@ -86,7 +91,9 @@ def test_kitti_raw_has_the_image_size(tmp_path: Path) -> None:
         ("kitti2015", (1242, 375), 0.53273),
     ],
 )
-def test_real_kitti_files(shared_data: Path, name: str, size_px: tuple[int, int], baseline_m: float) -> None:
+def test_real_kitti_files(
+    shared_data: Path, name: str, size_px: tuple[int, int], baseline_m: float
+) -> None:
     rig, _ = load_rig(shared_data / name / "calib.txt", size_px=size_px)
     assert rig.baseline_m == pytest.approx(baseline_m, abs=1e-4)
     assert rig.is_rectified
@@ -122,7 +129,8 @@ def test_principal_point_check_without_image_size(tmp_path: Path) -> None:
         (KITTI.replace("-450", "50"), "found 0 m"),
         (KITTI.replace("-450", "50").replace("350 3", "350 -500"), "above"),
         (KITTI.replace("-450", "550"), "swap"),
-        ("P2: 1000 0 640\n" + KITTI, "P2: expected 12 numbers, found 3"),  # also lines that a later one overrides
+        # also lines that a later one overrides
+        ("P2: 1000 0 640\n" + KITTI, "P2: expected 12 numbers, found 3"),
         ("S_rect_02: 0 0\nS_rect_02: 1280 720\n" + KITTI, "S_rect_02: expected a width"),
     ],
 )
@@ -133,7 +141,9 @@ def test_wrong_kitti_files(tmp_path: Path, text: str, key_word: str) -> None:
 LEFT_LINE, RIGHT_LINE = (f"1000 0 640 {x} 0 1000 360 0 0 0 1 0\n" for x in (0, -540))
 
 
-@pytest.mark.parametrize(("text", "line"), [(LEFT_LINE + RIGHT_LINE, 1), ("\n" + RIGHT_LINE + LEFT_LINE, 2)])
+@pytest.mark.parametrize(
+    ("text", "line"), [(LEFT_LINE + RIGHT_LINE, 1), ("\n" + RIGHT_LINE + LEFT_LINE, 2)]
+)
 def test_two_lines_without_names(tmp_path: Path, text: str, line: int) -> None:
     rig, notes = load_rig(written(tmp_path, text), size_px=SIZE)
     assert rig.is_rectified
@@ -167,7 +177,8 @@ def test_wrong_lines_without_names(tmp_path: Path, text: str, key_word: str) -> 
 
 
 def raw_file(rig: StereoRig) -> str:
-    """KITTI raw's calib_cam_to_cam.txt of a pair, where camera 0 is 0.06 m to the right of camera 2."""
+    """KITTI raw's calib_cam_to_cam.txt of a pair, where camera 0 is 0.06 m to the right of camera
+    2."""
     reference = np.eye(4)
     reference[0, 3] = 0.06
     lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
@@ -196,7 +207,9 @@ def raw_pair() -> StereoRig:
     right_from_left[:3, :3], _ = cv2.Rodrigues(np.array([0.001, -0.02, 0.022]))
     right_from_left[:3, 3] = (-0.53, 0.006, -0.009)
     left = PinholeCamera(960.0, 957.0, 696.0, 224.0, 1392, 512, (-0.37, 0.2, 0.001, 0.0006, -0.07))
-    right = PinholeCamera(904.0, 902.0, 696.0, 224.0, 1392, 512, (-0.36, 0.18, 0.0006, -0.0004, -0.05))
+    right = PinholeCamera(
+        904.0, 902.0, 696.0, 224.0, 1392, 512, (-0.36, 0.18, 0.0006, -0.0004, -0.05)
+    )
     return StereoRig(left, right, right_from_left)
 
 
@@ -207,7 +220,9 @@ def test_raw_file_by_image_size(tmp_path: Path) -> None:
     assert rig.baseline_m == pytest.approx(0.5)
     assert len(notes) == 1
     assert "P_rect_02" in notes[0]
-    assert left_from_reference_m(path, is_grey=False, size_px=(1242, 375))[0] == pytest.approx(40 / 700)
+    assert left_from_reference_m(path, is_grey=False, size_px=(1242, 375))[0] == pytest.approx(
+        40 / 700
+    )
     rig, notes = load_rig(path, size_px=(1392, 512))
     assert (rig.left, rig.right) == (raw_pair().left, raw_pair().right)
     assert np.allclose(rig.right_from_left, raw_pair().right_from_left, atol=1e-8)
@@ -254,8 +269,14 @@ def test_copied_matrices_with_comments_and_brackets(tmp_path: Path, text: str) -
     ("text", "message"),
     [
         (f"{LEFT.rpartition(' ')[0]}\n{RIGHT}", "line 1: expected 12 numbers, found 11"),
-        (f"{LEFT}\n{RIGHT.replace('2.199', 'nan')}", "line 2: expected a projection matrix of 12 finite numbers"),
-        ("R_02: 1 0 0 0 1 0 0 0 1\nT_02: 0 0 0\n", "expected the projection matrices P_rect_02 and P_rect_03"),
+        (
+            f"{LEFT}\n{RIGHT.replace('2.199', 'nan')}",
+            "line 2: expected a projection matrix of 12 finite numbers",
+        ),
+        (
+            "R_02: 1 0 0 0 1 0 0 0 1\nT_02: 0 0 0\n",
+            "expected the projection matrices P_rect_02 and P_rect_03",
+        ),
     ],
 )
 def test_damaged_lines_without_names(tmp_path: Path, text: str, message: str) -> None:

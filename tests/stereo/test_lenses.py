@@ -1,4 +1,5 @@
-"""Lens models: inverse of each other, equal to OpenCV's, hand-worked values, and limits of what they image."""
+"""Lens models: inverse of each other, equal to OpenCV's, hand-worked values, and limits of what
+they image."""
 
 from __future__ import annotations
 
@@ -28,9 +29,14 @@ ANGLES_DEG = {PINHOLE: 40.0, "kannala-brandt": 100.0, "double-sphere": 100.0, "o
 
 def directions(largest_deg: float) -> np.ndarray:
     theta, phi = (
-        part.ravel() for part in np.meshgrid(np.radians(np.linspace(0, largest_deg, 31)), np.linspace(0, 2 * np.pi, 24))
+        part.ravel()
+        for part in np.meshgrid(
+            np.radians(np.linspace(0, largest_deg, 31)), np.linspace(0, 2 * np.pi, 24)
+        )
     )
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    return np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1
+    )
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
@@ -44,20 +50,32 @@ def test_undistortion_inverts_distortion(name):
 @given(st.tuples(*[st.floats(-0.02, 0.02)] * 4), st.floats(0.0, 1.4), st.floats(0, 6.28))
 def test_kannala_brandt_inverse_for_any_coefficients(k, theta, phi):
     theta = min(theta, largest_angle_rad(k))
-    ray = np.array([[math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]])
-    assert np.allclose(LENSES[KANNALA_BRANDT].undistort(LENSES[KANNALA_BRANDT].distort(ray, k), k), ray, atol=1e-5)
+    ray = np.array(
+        [[math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]]
+    )
+    assert np.allclose(
+        LENSES[KANNALA_BRANDT].undistort(LENSES[KANNALA_BRANDT].distort(ray, k), k), ray, atol=1e-5
+    )
 
 
 def test_kannala_brandt_equals_opencvs_fisheye():
     rays = directions(80)
-    expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(TUM_VI))[0]
-    assert np.allclose(LENSES[KANNALA_BRANDT].distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9)
+    expected = cv2.fisheye.projectPoints(
+        rays[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(TUM_VI)
+    )[0]
+    assert np.allclose(
+        LENSES[KANNALA_BRANDT].distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9
+    )
 
 
 def test_pinhole_equals_opencvs_projection():
     rays = directions(40)
-    expected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), np.array(EXAMPLES[PINHOLE]))[0]
-    assert np.allclose(LENSES[PINHOLE].distort(rays, EXAMPLES[PINHOLE]), expected.reshape(-1, 2), atol=1e-9)
+    expected = cv2.projectPoints(
+        rays, np.zeros(3), np.zeros(3), np.eye(3), np.array(EXAMPLES[PINHOLE])
+    )[0]
+    assert np.allclose(
+        LENSES[PINHOLE].distort(rays, EXAMPLES[PINHOLE]), expected.reshape(-1, 2), atol=1e-9
+    )
 
 
 def test_double_sphere_by_hand():
@@ -86,7 +104,9 @@ def test_what_a_lens_does_not_image_is_nan(name):
     behind = np.array([[0.0, 0.01, -1.0]])
     if name == "kannala-brandt":
         falling = (0.0, -0.1, 0.0, 0.0)  # the polynomial falls beyond 68 degrees
-        assert np.degrees(largest_angle_rad(falling)) == pytest.approx(np.degrees((1 / 0.5) ** 0.25), abs=0.1)
+        assert np.degrees(largest_angle_rad(falling)) == pytest.approx(
+            np.degrees((1 / 0.5) ** 0.25), abs=0.1
+        )
         assert np.isnan(lens.distort(behind, falling)).all()
         assert np.isnan(lens.undistort(np.array([[5.0, 0.0]]), falling)).all()
     else:
@@ -95,7 +115,9 @@ def test_what_a_lens_does_not_image_is_nan(name):
 
 def test_outside_the_image_circle_is_nan():
     assert np.isnan(LENSES["double-sphere"].undistort(np.array([[9.0, 0.0]]), (0.5, 0.7))).all()
-    assert np.isnan(LENSES["omni"].undistort(np.array([[9.0, 0.0]]), (1.5, 0.0, 0.0, 0.0, 0.0))).all()
+    assert np.isnan(
+        LENSES["omni"].undistort(np.array([[9.0, 0.0]]), (1.5, 0.0, 0.0, 0.0, 0.0))
+    ).all()
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
@@ -109,7 +131,9 @@ def test_recorded_pixels_of_a_camera(name):
     camera = PinholeCamera(200.0, 210.0, 320.0, 240.0, 640, 480, EXAMPLES[name], name)
     rays = directions(ANGLES_DEG[name])
     assert np.allclose(camera.recorded_rays(camera.recorded_px(rays)), rays, atol=1e-7)
-    assert camera.recorded_px(np.array([[0.0, 0.0, 3.0]])).tolist() == [pytest.approx([320.0, 240.0])]
+    assert camera.recorded_px(np.array([[0.0, 0.0, 3.0]])).tolist() == [
+        pytest.approx([320.0, 240.0])
+    ]
     assert camera.is_wide == (name != PINHOLE)
     assert camera.is_distorted
     assert not camera.without_distortion().is_distorted

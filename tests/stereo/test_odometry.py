@@ -37,14 +37,24 @@ def static_scene(motion, n=200, seed=0, noise=NOISE):
 
 def fitted(rays, rho, now):
     return fit_motion(
-        rays, rho, now, noise=NOISE, inverse_depth_noise=0.15 / (360 * 0.54), rng=np.random.default_rng(0)
+        rays,
+        rho,
+        now,
+        noise=NOISE,
+        inverse_depth_noise=0.15 / (360 * 0.54),
+        rng=np.random.default_rng(0),
     )
 
 
 def epipolar_fit(rays, now):
     ahead = np.array([0.0, 0.0, -1.0])
     return fit_epipolar(
-        rays, now, direction=ahead, direction_variance=np.full(2, 0.05**2), noise=NOISE, max_residual=5 * NOISE
+        rays,
+        now,
+        direction=ahead,
+        direction_variance=np.full(2, 0.05**2),
+        noise=NOISE,
+        max_residual=5 * NOISE,
     )
 
 
@@ -132,7 +142,9 @@ def test_horizon_error_from_strips(offset_rad, speed_mps):
 
 
 def test_horizon_error_of_few_strips_is_unknown():
-    assert horizon_error(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 1.65) is None
+    assert (
+        horizon_error(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 1.65) is None
+    )
 
 
 def textured_pair(seed=0):
@@ -180,7 +192,10 @@ def test_frame_without_right_image_is_unknown():
     left = textured_pair()
     right = np.roll(left, -12, axis=1)
     rights = [right, right, None, right, right]
-    speeds_mps = [odometry.update(Frame(i, i / 10, left, image), NO_BOXES).speed_mps for i, image in enumerate(rights)]
+    speeds_mps = [
+        odometry.update(Frame(i, i / 10, left, image), NO_BOXES).speed_mps
+        for i, image in enumerate(rights)
+    ]
     assert np.isfinite(speeds_mps[1])
     assert np.isnan([speeds_mps[0], *speeds_mps[2:4]]).all()
     assert np.isfinite(speeds_mps[4])
@@ -198,7 +213,10 @@ def test_speed_of_rendered_drive(scenario):
         left, right = (renderer.render(k / 10, side=side) for side in ("left", "right"))
         motion = stereo.update(Frame(k, k / 10, left, right), boxes)
         if k > 0:
-            error_mps, true_mps = motion.speed_mps - scene.speed_mps(k / 10), scene.speed_mps(k / 10)
+            error_mps, true_mps = (
+                motion.speed_mps - scene.speed_mps(k / 10),
+                scene.speed_mps(k / 10),
+            )
             assert abs(error_mps) < 0.15 + 0.03 * true_mps
             errors.append(error_mps / motion.speed_sigma_mps)
     assert 0.001 < float(np.median(np.abs(errors))) < 2.5
@@ -206,7 +224,8 @@ def test_speed_of_rendered_drive(scenario):
 
 @pytest.mark.slow
 def test_yaw_rate_in_curve_with_lane_lines():
-    """Corners on the lane lines of a curve stay in place in the image, which would hide a quarter of the yaw rate."""
+    """Corners on the lane lines of a curve stay in place in the image, which would hide a quarter
+    of the yaw rate."""
     scene = make_scenario("city", seed=1, seconds=6)
     renderer = Renderer(scene, kitti_like_rig(width_px=620, height_px=188))
     motion, errors, yaw_rad_s = ImageMotionEstimator(renderer.rig.left), [], []
@@ -231,7 +250,8 @@ def test_expected_travel_moves_the_direction():
 
 @pytest.mark.slow
 def test_horizon_of_a_rendered_drive_with_hills():
-    """Within 2 px of the true horizon after 2 s, on average, with hills, pitch, and a camera that is pitched down."""
+    """Within 2 px of the true horizon after 2 s, on average, with hills, pitch, and a camera that
+    is pitched down."""
     scene = replace(make_scenario("highway", seed=40, seconds=4.0), camera_pitch_rad=-0.015)
     renderer = Renderer(scene, kitti_like_rig())
     camera, height_m = renderer.rig.left, scene.camera_height_m
@@ -241,7 +261,11 @@ def test_horizon_of_a_rendered_drive_with_hills():
         ground.update(Frame(k, 0.1 * k, renderer.render(0.1 * k), None), boxes)
         z = np.array(scene.ego_z_m(0.1 * k))
         climb_rad = float(scene.road.climb_rad(z))
-        normal = scene.pose(0.1 * k).camera_from_world @ [0.0, math.cos(climb_rad), math.sin(climb_rad)]
+        normal = scene.pose(0.1 * k).camera_from_world @ [
+            0.0,
+            math.cos(climb_rad),
+            math.sin(climb_rad),
+        ]
         errors_px.append(camera.fy_px * (ground.view.horizon + normal[2] / normal[1]))
         true = (scene.road.climb_rad(z + 1) - scene.road.climb_rad(z - 1)) / 2
         curvatures.append((ground.view.curvature_per_m, float(true)))
@@ -252,7 +276,8 @@ def test_horizon_of_a_rendered_drive_with_hills():
 
 
 def test_points_that_the_camera_has_passed_are_not_static():
-    """A step of 100 m takes all points, at up to 60 m, behind the camera, where their errors are limited."""
+    """A step of 100 m takes all points, at up to 60 m, behind the camera, where their errors are
+    limited."""
     rays, rho, _ = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, -1.0])))
     passed = RigidMotion(np.eye(3), np.array([0.0, 0.0, -100.0]))
     now = passed.moved(rays, rho)

@@ -33,7 +33,9 @@ def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
     return message
 
 
-def opencv_files(folder: Path, *, baseline: float = 0.12, size: tuple[int, int] | None = None) -> tuple[Path, Path]:
+def opencv_files(
+    folder: Path, *, baseline: float = 0.12, size: tuple[int, int] | None = None
+) -> tuple[Path, Path]:
     """The two files that OpenCV's stereo_calib sample writes."""
     intrinsics, extrinsics = folder / "intrinsics.yml", folder / "extrinsics.yml"
     storage = cv2.FileStorage(str(intrinsics), cv2.FILE_STORAGE_WRITE)
@@ -103,17 +105,27 @@ def test_incomplete_opencv_files(tmp_path: Path) -> None:
         assert key_word in refused(path)
         path.unlink()
     text = intrinsics.read_text() + extrinsics.read_text().split("---\n", 1)[1]
-    vector = text.replace("R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 1\n   cols: 4")
+    vector = text.replace(
+        "R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 1\n   cols: 4"
+    )
     head, tail = vector.split("R: !!opencv-matrix", 1)
     data_from, data_to = tail.index("data: ["), tail.index("]")
-    vector = head + "R: !!opencv-matrix" + tail[:data_from] + "data: [ 0., 0.01, 0., 1. " + tail[data_to:]
+    vector = (
+        head
+        + "R: !!opencv-matrix"
+        + tail[:data_from]
+        + "data: [ 0., 0.01, 0., 1. "
+        + tail[data_to:]
+    )
     assert "9 numbers in R" in refused(written(alone, vector, "both.yml"))
 
 
 @pytest.mark.parametrize("missing", ["M2", "D2", "R", "T"])
 def test_opencv_pair_without_a_matrix(tmp_path: Path, missing: str) -> None:
     for path in opencv_files(tmp_path):
-        path.write_text(path.read_text().replace(f"{missing}: !!opencv-matrix", f"X{missing}: !!opencv-matrix"))
+        path.write_text(
+            path.read_text().replace(f"{missing}: !!opencv-matrix", f"X{missing}: !!opencv-matrix")
+        )
     for name in ("intrinsics.yml", "extrinsics.yml"):
         with pytest.raises(RigError, match=rf"{name}: .*found no {missing};"):
             load_camera(tmp_path / name, size_px=SIZE)
@@ -138,7 +150,8 @@ def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:
 
 
 def fisheye_file(path: Path, names: tuple[str, str], *, flag: int | None) -> Path:
-    """A rig of cv::fisheye with camera matrices under these names and, with a flag, the key fisheye_model."""
+    """A rig of cv::fisheye with camera matrices under these names and, with a flag, the key
+    fisheye_model."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for name, number in zip(names, "12", strict=True):
         storage.write(name, np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]))
@@ -171,9 +184,10 @@ def test_fisheye_files(tmp_path, names, flag, lens):
 def test_fisheye_of_the_calibration_sample(tmp_path):
     path = written(
         tmp_path,
-        "%YAML:1.0\n---\nimage_width: 1280\nimage_height: 720\nfisheye_model: 1\n"
-        "camera_matrix: !!opencv-matrix {rows: 3, cols: 3, dt: d, data: [400., 0., 640., 0., 400., 360., 0., 0., 1.]}\n"
-        "distortion_coefficients: !!opencv-matrix {rows: 4, cols: 1, dt: d, data: [0.1, 0., 0., 0.]}\n",
+        "%YAML:1.0\n---\nimage_width: 1280\nimage_height: 720\nfisheye_model: 1\ncamera_matrix: "
+        "!!opencv-matrix {rows: 3, cols: 3, dt: d, data: [400., 0., 640., 0., 400., 360., 0., 0., "
+        "1.]}\ndistortion_coefficients: !!opencv-matrix {rows: 4, cols: 1, dt: d, data: [0.1, 0., "
+        "0., 0.]}\n",
         "camera.yml",
     )
     assert load_camera(path, size_px=SIZE)[0].lens == "kannala-brandt"
@@ -181,10 +195,14 @@ def test_fisheye_of_the_calibration_sample(tmp_path):
 
 def test_wide_lenses_are_written_as_fisheye_or_refused(tmp_path):
     rig = StereoRig.rectified(
-        PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.1, 0.0, 0.0, 0.0), "kannala-brandt"), 0.2
+        PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.1, 0.0, 0.0, 0.0), "kannala-brandt"),
+        0.2,
     )
     save_opencv(rig, tmp_path / "rig.yml")
     again, _ = load_rig(tmp_path / "rig.yml", size_px=SIZE)
     assert (again.left, again.right) == (rig.left, rig.right)
     with pytest.raises(RigError, match="double-sphere"):
-        save_opencv(PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.0, 0.5), "double-sphere"), tmp_path / "ds.yml")
+        save_opencv(
+            PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.0, 0.5), "double-sphere"),
+            tmp_path / "ds.yml",
+        )

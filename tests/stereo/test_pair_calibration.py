@@ -41,7 +41,10 @@ def test_exact_pairs_have_no_row_error():
 
 @pytest.mark.slow
 def test_outlier_pair_is_rejected():
-    moved = (PAIRS[3][0], dataclasses.replace(PAIRS[3][1], xy_px=PAIRS[3][1].xy_px + np.array([0.0, 4.0])))
+    moved = (
+        PAIRS[3][0],
+        dataclasses.replace(PAIRS[3][1], xy_px=PAIRS[3][1].xy_px + np.array([0.0, 4.0])),
+    )
     result = calibrate_pair([*PAIRS[:3], moved, *PAIRS[4:]])
     assert [view.name for view in result.rejected] == [PAIRS[3][0].name]
     assert result.rig.baseline_m == pytest.approx(TRUE.baseline_m, rel=0.005)
@@ -74,13 +77,16 @@ def test_rolled_or_vertically_arranged_cameras():
     poses = [fit.board_to_camera for fit in calibrate_pair(PAIRS).left.fits]
     for true, key_word in ((rolled, "rotation"), (above, "side by side")):
         pairs = [
-            (exact_view(true.left, at, "l"), exact_view(true.right, true.right_from_left @ at, "r")) for at in poses
+            (exact_view(true.left, at, "l"), exact_view(true.right, true.right_from_left @ at, "r"))
+            for at in poses
         ]
         assert key_word in refused(pairs)
 
 
 def test_implausible_baseline():
-    small = [tuple(dataclasses.replace(view, xyz_m=view.xyz_m / 100) for view in pair) for pair in PAIRS]
+    small = [
+        tuple(dataclasses.replace(view, xyz_m=view.xyz_m / 100) for view in pair) for pair in PAIRS
+    ]
     assert "0.0012 m" in refused(small)
 
 
@@ -95,7 +101,10 @@ def test_too_few_and_static_pairs():
     assert "4;" in refused(PAIRS[:4])
     assert "same position" in refused(PAIRS[:1] * 6)
     flat = [pose((0, 0, 0), (x, 0, z)) for x in (-0.05, 0.0, 0.05) for z in (0.5, 0.7)]
-    pairs = [(exact_view(TRUE.left, at, "l"), exact_view(TRUE.right, TRUE.right_from_left @ at, "r")) for at in flat]
+    pairs = [
+        (exact_view(TRUE.left, at, "l"), exact_view(TRUE.right, TRUE.right_from_left @ at, "r"))
+        for at in flat
+    ]
     assert "tilt" in refused(pairs)
 
 
@@ -108,5 +117,6 @@ def test_the_real_rig(shared_data):
     assert len(result.fits) >= 13
     assert result.rms_px < 0.26
     assert result.row_error_px < result.held_out_row_error_px < 0.25
-    assert result.rig.baseline_m == pytest.approx(0.0776, abs=0.001)  # of squares of 20 mm; it scales with them
+    # of squares of 20 mm; it scales with them
+    assert result.rig.baseline_m == pytest.approx(0.0776, abs=0.001)
     assert result.baseline_std_m < 0.01 * result.rig.baseline_m

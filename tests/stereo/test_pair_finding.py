@@ -1,4 +1,5 @@
-"""Explanations of faulty pairs: a rendered drive with each fault, and KITTI's drives and pairs in both orders."""
+"""Explanations of faulty pairs: a rendered drive with each fault, and KITTI's drives and pairs in
+both orders."""
 
 from __future__ import annotations
 
@@ -30,11 +31,15 @@ Pairs = list[tuple[Image, Image]]
 @cache
 def rendered() -> tuple[tuple[Image, Image], ...]:
     renderer = Renderer(make_scene(0, seconds=2.0), RIG)
-    return tuple((renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_PAIRS))
+    return tuple(
+        (renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_PAIRS)
+    )
 
 
 def warped(image: Image, matrix: np.ndarray) -> Image:
-    return np.asarray(cv2.warpPerspective(image, matrix, (image.shape[1], image.shape[0])), np.uint8)
+    return np.asarray(
+        cv2.warpPerspective(image, matrix, (image.shape[1], image.shape[0])), np.uint8
+    )
 
 
 def shifted(image: Image, x_px: float, y_px: float = 0.0) -> Image:
@@ -43,7 +48,9 @@ def shifted(image: Image, x_px: float, y_px: float = 0.0) -> Image:
 
 def yawed(image: Image, deg: float) -> Image:
     k = RIG.right.matrix
-    return warped(image, k @ cv2.Rodrigues(np.array([0.0, math.radians(deg), 0.0]))[0] @ np.linalg.inv(k))
+    return warped(
+        image, k @ cv2.Rodrigues(np.array([0.0, math.radians(deg), 0.0]))[0] @ np.linalg.inv(k)
+    )
 
 
 def found(pairs: Pairs, rig: StereoRig = RIG) -> PairFinding:
@@ -88,7 +95,10 @@ def test_offset_that_far_points_do_not_have_is_no_fault(offset_px: float) -> Non
     for left, right in of_drive():
         evidence.add(left, right)
     motion = Motion(1500, 6, 0.46, offset_px, 1.0, 0.08)
-    assert find_fault(replace(evidence.figures(), motion=motion, turned_motion=None), RIG).fault == "fits"
+    assert (
+        find_fault(replace(evidence.figures(), motion=motion, turned_motion=None), RIG).fault
+        == "fits"
+    )
 
 
 @pytest.mark.slow
@@ -119,7 +129,8 @@ def test_swapped_videos_of_a_standing_vehicle() -> None:
     assert found([(left, right)] * 3).fault == "fits"
     assert found([(right, left)] * 3).fault == "swapped"
     assert found([(turned(left), turned(right))] * 3).fault == "turned"
-    assert not found([(left, shifted(right, 25.0))] * 3).has_stereo  # without motion, other faults look the same
+    # without motion, other faults look the same
+    assert not found([(left, shifted(right, 25.0))] * 3).has_stereo
 
 
 @pytest.mark.slow
@@ -137,7 +148,9 @@ def test_the_first_motion_after_a_stop_is_checked_again(offset_px: float, fault:
 
 
 @pytest.mark.slow
-def test_recordings_go_on_without_stereo_where_the_first_motion_contradicts_the_rig(tmp_path: Path) -> None:
+def test_recordings_go_on_without_stereo_where_the_first_motion_contradicts_the_rig(
+    tmp_path: Path,
+) -> None:
     pairs = [(left, shifted(right, -30.0)) for left, right in of_drive()]
     shown = [pairs[0]] * 90 + (pairs + pairs[-2:0:-1]) * 3  # 9 s at rest
     for side, name in enumerate(("left", "right")):
@@ -162,9 +175,14 @@ def test_recordings_go_on_without_stereo_where_the_first_motion_contradicts_the_
         (1, mirrored, ("right video is mirrored",)),
     ],
 )
-def test_one_turned_or_mirrored_video_is_named(side: int, changed: object, words: tuple[str, ...]) -> None:
+def test_one_turned_or_mirrored_video_is_named(
+    side: int, changed: object, words: tuple[str, ...]
+) -> None:
     assert callable(changed)
-    pairs = [(changed(left), right) if side == 0 else (left, changed(right)) for left, right in of_drive(n=4)]
+    pairs = [
+        (changed(left), right) if side == 0 else (left, changed(right))
+        for left, right in of_drive(n=4)
+    ]
     finding = found(pairs)
     assert finding.fault == "refused"
     assert all(word in finding.sentence for word in words)
@@ -173,7 +191,8 @@ def test_one_turned_or_mirrored_video_is_named(side: int, changed: object, words
 @pytest.mark.slow
 def test_one_camera_and_different_scenes_are_refused() -> None:
     lossy = [
-        np.asarray(cv2.imdecode(cv2.imencode(".jpg", left)[1], cv2.IMREAD_COLOR), np.uint8) for left, _ in of_drive()
+        np.asarray(cv2.imdecode(cv2.imencode(".jpg", left)[1], cv2.IMREAD_COLOR), np.uint8)
+        for left, _ in of_drive()
     ]
     same = found([(left, again) for (left, _), again in zip(of_drive(), lossy, strict=True)])
     assert same.fault == "refused"
@@ -202,14 +221,20 @@ def test_images_without_texture_are_unknown() -> None:
 
 
 def test_exposure_is_no_fault_of_the_rig() -> None:
-    dark = [(left, np.asarray(cv2.convertScaleAbs(right, alpha=0.5), np.uint8)) for left, right in of_drive()]
+    dark = [
+        (left, np.asarray(cv2.convertScaleAbs(right, alpha=0.5), np.uint8))
+        for left, right in of_drive()
+    ]
     assert found(dark) == PairFinding("fits")
 
 
 def kitti_2015_pairs(folder: Path) -> Pairs:
     names = [path.name for path in sorted((folder / "kitti2015" / "image_2").glob("*.png"))]
     return [
-        (image(folder / "kitti2015" / "image_2" / name), image(folder / "kitti2015" / "image_3" / name))
+        (
+            image(folder / "kitti2015" / "image_2" / name),
+            image(folder / "kitti2015" / "image_3" / name),
+        )
         for name in names
     ]
 
@@ -221,7 +246,9 @@ def image(path: Path) -> Image:
 def test_kitti_2015_pairs_in_both_orders(shared_data: Path) -> None:
     pairs = kitti_2015_pairs(shared_data)
     left = pairs[0][0]
-    rig, _ = load_rig(shared_data / "kitti2015" / "calib.txt", size_px=(left.shape[1], left.shape[0]))
+    rig, _ = load_rig(
+        shared_data / "kitti2015" / "calib.txt", size_px=(left.shape[1], left.shape[0])
+    )
     assert len(pairs) == 16
     n_swapped = 0
     for left, right in pairs:
@@ -234,15 +261,22 @@ def test_kitti_2015_pairs_in_both_orders(shared_data: Path) -> None:
 
 def video_pairs(folder: Path, *, n: int) -> Pairs:
     videos = [cv2.VideoCapture(str(folder / f"{side}.mp4")) for side in ("left", "right")]
-    return [(np.asarray(videos[0].read()[1], np.uint8), np.asarray(videos[1].read()[1], np.uint8)) for _ in range(n)]
+    return [
+        (np.asarray(videos[0].read()[1], np.uint8), np.asarray(videos[1].read()[1], np.uint8))
+        for _ in range(n)
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["kitti_stereo/0003", "kitti_stereo/0005", "kitti_odometry/gray51"])
+@pytest.mark.parametrize(
+    "name", ["kitti_stereo/0003", "kitti_stereo/0005", "kitti_odometry/gray51"]
+)
 def test_kitti_videos_with_faults(shared_data: Path, name: str) -> None:
     pairs = video_pairs(shared_data / name, n=7)
     height_px, width_px = pairs[0][0].shape[:2]
-    rig, _ = load_rig(shared_data / name / "calib.txt", size_px=(width_px, height_px), is_grey="gray" in name)
+    rig, _ = load_rig(
+        shared_data / name / "calib.txt", size_px=(width_px, height_px), is_grey="gray" in name
+    )
     evidence = PairEvidence(rig.left)
     for left, right in pairs:
         evidence.add(left, right)

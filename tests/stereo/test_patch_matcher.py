@@ -8,12 +8,25 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from tests.stereo.shifted_pairs import Image, pair, pair_of_two, shifted, texture, tilted_pair, to_u8
+from tests.stereo.shifted_pairs import (
+    Image,
+    pair,
+    pair_of_two,
+    shifted,
+    texture,
+    tilted_pair,
+    to_u8,
+)
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.matching.patch_matches import REASONS, ExpectedDisparity, Outcome, PatchMatches
+from track_range.stereo.matching.patch_matches import (
+    REASONS,
+    ExpectedDisparity,
+    Outcome,
+    PatchMatches,
+)
 
 BOX = (200.0, 40.0, 280.0, 100.0)
 SMALL = (210.0, 50.0, 240.0, 74.0)
@@ -29,7 +42,11 @@ def of_box(
 ) -> tuple[float, float, Outcome]:
     """Disparity, sigma and outcome of one box."""
     measured = (matcher or PatchMatcher()).match(*images, np.array([box]), np.array([prior_px]))
-    return float(measured.disparity_px[0]), float(measured.sigma_px[0]), Outcome(int(measured.outcome[0]))
+    return (
+        float(measured.disparity_px[0]),
+        float(measured.sigma_px[0]),
+        Outcome(int(measured.outcome[0])),
+    )
 
 
 def errors_px(
@@ -42,7 +59,12 @@ def errors_px(
 ) -> tuple[FloatArray, FloatArray]:
     """Errors and sigmas over textures, one per disparity."""
     measured = [
-        of_box(pair(float(d), seed=seed, noise=noise), box, float(d) + 3.0 if with_prior else NONE, matcher)
+        of_box(
+            pair(float(d), seed=seed, noise=noise),
+            box,
+            float(d) + 3.0 if with_prior else NONE,
+            matcher,
+        )
         for seed, d in enumerate(disparities_px)
     ]
     return np.array([f[0] for f in measured]) - disparities_px, np.array([f[1] for f in measured])
@@ -64,7 +86,10 @@ def test_error_on_known_shifts(with_prior: bool) -> None:
 @pytest.mark.parametrize("noise", [0.0, 6.0])
 @pytest.mark.parametrize("box", [BOX, SMALL])
 def test_no_pixel_locking(box: tuple[float, ...], noise: float) -> None:
-    locking = [np.median(errors_px(np.full(8, 20 + tenth / 10), box=box, noise=noise)[0]) for tenth in range(10)]
+    locking = [
+        np.median(errors_px(np.full(8, 20 + tenth / 10), box=box, noise=noise)[0])
+        for tenth in range(10)
+    ]
     assert np.abs(locking).max() < 0.06
 
 
@@ -87,7 +112,9 @@ def test_exposure_gain_and_colour_do_not_matter() -> None:
     grey = of_box((left, right))[0]
     for darker in (to_u8(right * 0.7 + 20), to_u8(right * 0.5), to_u8(255 * (right / 255) ** 0.8)):
         assert of_box((left, darker))[0] == pytest.approx(grey, abs=0.05)
-    assert of_box((np.dstack([left] * 3), np.dstack([right] * 3)))[0] == pytest.approx(grey, abs=1e-9)
+    assert of_box((np.dstack([left] * 3), np.dstack([right] * 3)))[0] == pytest.approx(
+        grey, abs=1e-9
+    )
     assert of_box((np.dstack([left] * 3), right))[0] == pytest.approx(grey, abs=1e-9)
 
 
@@ -125,7 +152,9 @@ def test_a_prior_far_off_falls_back_to_the_full_range() -> None:
 def test_the_range_ends_at_the_largest_disparity() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=50))
     for prior_px in (NONE, 47.0):
-        assert of_box(pair(49.6), prior_px=prior_px, matcher=matcher)[0] == pytest.approx(49.6, abs=0.05)
+        assert of_box(pair(49.6), prior_px=prior_px, matcher=matcher)[0] == pytest.approx(
+            49.6, abs=0.05
+        )
         for beyond_px in (53.0, 60.0, 90.0):
             measured = of_box(pair(beyond_px), prior_px=prior_px, matcher=matcher)
             assert np.isnan(measured[0])
@@ -145,7 +174,8 @@ def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
     assert PatchMatcherSettings.for_rig(rig).max_disparity_px == 250
     made = PatchMatcherSettings.for_rig(rig, nearest_m=2.0, smallest_m=0.25)
     assert (made.max_disparity_px, made.max_disparity_per_side) == (250, 2.0)
-    assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image width
+    # half the image width
+    assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640
 
 
 @pytest.mark.parametrize("search_px", [1, 3, 6, 7, 11])
@@ -175,16 +205,22 @@ def test_of_two_surfaces_the_object_is_measured(
             assert of_box(images, prior_px=prior_px)[0] == pytest.approx(object_px, abs=0.15)
 
 
-@pytest.mark.xfail(strict=True, reason="without a size, the wall's two thirds of the box outvote the person before it")
+@pytest.mark.xfail(
+    strict=True,
+    reason="without a size, the wall's two thirds of the box outvote the person before it",
+)
 def test_a_person_in_a_third_of_its_box() -> None:
     images = pair_of_two((np.abs(COLUMNS - 240) <= 12) & (ROWS >= 40), front_px=25, behind_px=10)
     assert of_box(images)[0] == pytest.approx(25, abs=0.15)
 
 
-@pytest.mark.xfail(strict=True, reason="windows on the edge between the halves pull the nearer one by 0.7 px")
+@pytest.mark.xfail(
+    strict=True, reason="windows on the edge between the halves pull the nearer one by 0.7 px"
+)
 def test_a_half_is_exact() -> None:
     errors = [
-        of_box(pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed), prior_px=40.0)[0] - 40.0
+        of_box(pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed), prior_px=40.0)[0]
+        - 40.0
         for seed in range(4)
     ]
     assert np.abs(errors).max() < 0.6
@@ -198,7 +234,11 @@ def test_the_prior_decides_between_halves() -> None:
 
 
 def of_size(
-    images: tuple[Image, Image], by_size_px: float, *, log_sigma: float = 0.15, prior_px: float = NONE
+    images: tuple[Image, Image],
+    by_size_px: float,
+    *,
+    log_sigma: float = 0.15,
+    prior_px: float = NONE,
 ) -> PatchMatches:
     """Matches of the box `BOX` with the disparity expected from its size."""
     by_size = ExpectedDisparity(np.array([by_size_px]), np.array([log_sigma]))
@@ -262,20 +302,32 @@ def test_repeated_texture_is_accepted_at_the_expected_disparity() -> None:
 # Many boxes; only required pixels are read
 
 MANY = np.array(
-    [BOX, SMALL, (30.0, 10.0, 380.0, 130.0), (100.0, 20.0, 116.0, 34.0), (150.0, 90.0, 230.0, 139.5), (0, 0, 40, 40.0)]
+    [
+        BOX,
+        SMALL,
+        (30.0, 10.0, 380.0, 130.0),
+        (100.0, 20.0, 116.0, 34.0),
+        (150.0, 90.0, 230.0, 139.5),
+        (0, 0, 40, 40.0),
+    ]
 )
 MANY_PRIORS = np.array([NONE, 20.0, 22.0, NONE, 90.0, 19.0])
 
 
 def as_rows(measured: PatchMatches) -> FloatArray:
-    return np.stack([measured.disparity_px, measured.sigma_px, measured.outcome.astype(np.float64)], axis=1)
+    return np.stack(
+        [measured.disparity_px, measured.sigma_px, measured.outcome.astype(np.float64)], axis=1
+    )
 
 
 def test_boxes_are_independent() -> None:
     left, right = pair(20.7, noise=3.0)
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=64))
     together = as_rows(matcher.match(left, right, MANY, MANY_PRIORS))
-    alone = [as_rows(matcher.match(left, right, MANY[i : i + 1], MANY_PRIORS[i : i + 1]))[0] for i in range(len(MANY))]
+    alone = [
+        as_rows(matcher.match(left, right, MANY[i : i + 1], MANY_PRIORS[i : i + 1]))[0]
+        for i in range(len(MANY))
+    ]
     assert np.allclose(together, alone, atol=1e-6, equal_nan=True)
     assert np.isfinite(together[:5, 0]).all()
 
@@ -311,7 +363,9 @@ def test_lazily_computed_images_give_equal_results(priors_px: FloatArray) -> Non
 def test_pixels_read_near_a_prior() -> None:
     left, right = pair(20.7)
     view = RecordingImage(right)
-    assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0])).disparity_px[0])
+    assert np.isfinite(
+        PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0])).disparity_px[0]
+    )
     rows, columns = np.nonzero(view.was_read)
     # a tile of 48 x 32 px about (225, 62); 21 +- 8 px to the left; margins of 4 px
     assert columns.min() == 225 - 24 - 4 - 21 - 8 + 1
@@ -352,10 +406,14 @@ def test_unrelated_images_are_refused(make: str, with_prior: bool, most_pct: int
     n_found = 0
     for seed in range(10):
         if make == "noise":
-            left, right = np.random.default_rng(seed).integers(0, 256, (2, 140, 400), dtype=np.uint8)
+            left, right = np.random.default_rng(seed).integers(
+                0, 256, (2, 140, 400), dtype=np.uint8
+            )
         else:
             left, right = to_u8(texture(seed)), to_u8(texture(seed + 500))
-        measured = PatchMatcher().match(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
+        measured = PatchMatcher().match(
+            left, right, boxes, np.full(10, 20.0 if with_prior else NONE)
+        )
         assert set(measured.outcome.tolist()) <= {
             Outcome.MATCHED,
             Outcome.NO_TEXTURE,
@@ -373,7 +431,10 @@ def test_repeated_texture_needs_a_prior() -> None:
         assert of_box(images)[2] is Outcome.AMBIGUOUS
         assert of_box(images, prior_px=21.0)[0] == pytest.approx(20.0, abs=0.05)
     fence = np.tile(texture(3, width=8), (1, 50))
-    assert of_box((to_u8(fence), to_u8(np.roll(fence, -20, axis=1))), prior_px=21.0)[2] is not Outcome.MATCHED
+    assert (
+        of_box((to_u8(fence), to_u8(np.roll(fence, -20, axis=1))), prior_px=21.0)[2]
+        is not Outcome.MATCHED
+    )
 
 
 def test_disparity_zero_is_not_matched() -> None:
@@ -384,7 +445,8 @@ def test_disparity_zero_is_not_matched() -> None:
 
 def test_parts_outside_the_right_image() -> None:
     left, right = to_u8(texture(0)), to_u8(texture(9))
-    right[:, :-60] = left[:, 60:]  # disparity 60; the left image's first 60 columns are outside the right one
+    # disparity 60; the left image's first 60 columns are outside the right one
+    right[:, :-60] = left[:, 60:]
     for box in ((0.0, 40.0, 60.0, 100.0), (5.0, 40.0, 35.0, 60.0)):
         for prior_px in (NONE, 58.0):
             assert np.isnan(of_box((left, right), box, prior_px)[0])
@@ -420,7 +482,9 @@ def test_outcomes_of_unusable_boxes() -> None:
     ]
     boxes = np.array([box for box, _ in cases])
     measured = PatchMatcher().match(*pair(12.0), boxes, np.full(len(boxes), NONE))
-    assert [Outcome(code) for code in measured.outcome.tolist()] == [outcome for _, outcome in cases]
+    assert [Outcome(code) for code in measured.outcome.tolist()] == [
+        outcome for _, outcome in cases
+    ]
     matched = measured.outcome == Outcome.MATCHED
     assert np.allclose(measured.disparity_px[matched], 12.0, atol=0.15)
     assert np.array_equal(np.isfinite(measured.disparity_px), matched)
@@ -490,7 +554,12 @@ def test_sigma_matches_errors_on_noisy_textures() -> None:
     """Without the floors for objects that are not smooth, sigma is that of the sensor noise."""
     smooth = PatchMatcher(PatchMatcherSettings(floor_px=0.03, floor_fraction=0.0))
     ratios = []
-    for noise, box in ((10.0, SMALL), (12.0, SMALL), (14.0, (200.0, 40.0, 240.0, 76.0)), (8.0, (200, 50, 216, 64))):
+    for noise, box in (
+        (10.0, SMALL),
+        (12.0, SMALL),
+        (14.0, (200.0, 40.0, 240.0, 76.0)),
+        (8.0, (200, 50, 216, 64)),
+    ):
         error, sigma = errors_px(5.0 + 0.37 * np.arange(40), box=box, noise=noise, matcher=smooth)
         ratios.append(np.abs(error) / sigma)
     # somewhat too large: the windows' variances have floors for objects too
@@ -514,12 +583,18 @@ def floor_at(disparity_px: FloatArray | float) -> FloatArray:
 
 
 def test_sigma_grows_with_noise_and_with_tilt() -> None:
-    of_noise = [np.median(errors_px(np.full(10, 12.3), noise=noise)[1]) for noise in (0.0, 6.0, 12.0, 18.0)]
+    of_noise = [
+        np.median(errors_px(np.full(10, 12.3), noise=noise)[1]) for noise in (0.0, 6.0, 12.0, 18.0)
+    ]
     assert (np.diff(of_noise) > 0).all()
     assert of_noise[3] ** 2 - floor_at(12.3) ** 2 > 1.25 * (of_noise[0] ** 2 - floor_at(12.3) ** 2)
-    of_tilt = [of_box(tilted_pair(20.3, slope, at_px=240.0), prior_px=20.0)[1] for slope in (0.0, 0.02, 0.05, 0.1)]
+    of_tilt = [
+        of_box(tilted_pair(20.3, slope, at_px=240.0), prior_px=20.0)[1]
+        for slope in (0.0, 0.02, 0.05, 0.1)
+    ]
     assert (np.diff(of_tilt) > 0).all()
-    assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)  # a share of the change over the inner half
+    # a share of the change over the inner half
+    assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)
 
 
 def test_sigma_is_in_full_pixels() -> None:

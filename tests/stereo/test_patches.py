@@ -9,7 +9,9 @@ IMAGE_HW = (100, 200)
 
 
 def half(box, *, margin_px=2, min_side_px=4):
-    (patch,) = inner_halves(np.array([box], float), IMAGE_HW, margin_px=margin_px, min_side_px=min_side_px)
+    (patch,) = inner_halves(
+        np.array([box], float), IMAGE_HW, margin_px=margin_px, min_side_px=min_side_px
+    )
     return None if patch is None else (patch.left, patch.top, patch.right, patch.bottom)
 
 

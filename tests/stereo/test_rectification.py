@@ -17,9 +17,14 @@ LEFT = PinholeCamera(700.0, 705.0, 315.0, 245.0, 640, 480, (-0.25, 0.08, 0.001, 
 RIGHT = PinholeCamera(710.0, 708.0, 330.0, 236.0, 640, 480, (-0.22, 0.06, -0.0008, 0.0007, 0.0))
 
 
-def motion(rotation_rad: tuple[float, float, float], translation_m: tuple[float, float, float]) -> FloatArray:
+def motion(
+    rotation_rad: tuple[float, float, float], translation_m: tuple[float, float, float]
+) -> FloatArray:
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = cv2.Rodrigues(np.array(rotation_rad, np.float64))[0], translation_m
+    matrix[:3, :3], matrix[:3, 3] = (
+        cv2.Rodrigues(np.array(rotation_rad, np.float64))[0],
+        translation_m,
+    )
     return matrix
 
 
@@ -29,7 +34,9 @@ RIG = StereoRig(LEFT, RIGHT, motion((0.02, -0.03, 0.015), (-0.4, 0.01, 0.02)))
 def projected(points_m: FloatArray, camera: PinholeCamera, from_left: FloatArray) -> FloatArray:
     """(N, 2) distorted pixels of points in the left camera's frame."""
     rotation, _ = cv2.Rodrigues(from_left[:3, :3])
-    pixels, _ = cv2.projectPoints(points_m, rotation, from_left[:3, 3], camera.matrix, np.array(camera.distortion))
+    pixels, _ = cv2.projectPoints(
+        points_m, rotation, from_left[:3, 3], camera.matrix, np.array(camera.distortion)
+    )
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
@@ -55,7 +62,10 @@ def centroids(image: Image) -> FloatArray:
 
 def test_synthetic_points_have_equal_rows_and_depths() -> None:
     points_m = np.array(
-        [[x, y, 6.0 + 2 * i] for i, (x, y) in enumerate([(-1.2, 0.4), (-0.3, -0.9), (1.0, 0.8), (2.2, -0.2)])]
+        [
+            [x, y, 6.0 + 2 * i]
+            for i, (x, y) in enumerate([(-1.2, 0.4), (-0.3, -0.9), (1.0, 0.8), (2.2, -0.2)])
+        ]
     )
     left = dots(projected(points_m, LEFT, np.eye(4)), LEFT)
     right = dots(projected(points_m, RIGHT, RIG.right_from_left), RIGHT)
@@ -64,17 +74,26 @@ def test_synthetic_points_have_equal_rows_and_depths() -> None:
     left_px, right_px = (centroids(whole_image(image)) for image in rectifier.rectify(left, right))
     assert len(left_px) == len(right_px) == 4
     assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.15
-    rotated_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    rotated_m = (
+        rectifier.rig.left.rays(left_px)
+        * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    )
     # Rectification rotates the left camera about its centre, so distances to points do not change.
-    assert np.allclose(np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
+    assert np.allclose(
+        np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01
+    )
     assert rectifier.rig.is_rectified
-    assert rectifier.rig.baseline_m == pytest.approx(np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6)
+    assert rectifier.rig.baseline_m == pytest.approx(
+        np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6
+    )
 
 
 UNEQUAL = [
     PinholeCamera(450.0, 450.0, 215.0, 150.0, 420, 300, (-0.2, 0.05, 0.0, 0.0, 0.0)),
     PinholeCamera(1300.0, 1310.0, 640.0, 360.0, 1280, 720),
-    PinholeCamera(500.0, 500.0, 330.0, 236.0, 640, 480, (-0.1, 0.03, 0.001, 0.0005, 0.01, 0.05, 0.01, 0.0)),
+    PinholeCamera(
+        500.0, 500.0, 330.0, 236.0, 640, 480, (-0.1, 0.03, 0.001, 0.0005, 0.01, 0.05, 0.01, 0.0)
+    ),
 ]
 
 
@@ -88,8 +107,13 @@ def test_unequal_cameras_get_the_left_geometry(camera: PinholeCamera) -> None:
     assert rectifier.rig.left.fx_px == pytest.approx(Rectifier(RIG).rig.left.fx_px, rel=0.1)
     left_px, right_px = (centroids(whole_image(image)) for image in rectifier.rectify(left, right))
     assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.2
-    rotated_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
-    assert np.allclose(np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
+    rotated_m = (
+        rectifier.rig.left.rays(left_px)
+        * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    )
+    assert np.allclose(
+        np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01
+    )
 
 
 def test_views_with_little_in_common() -> None:
@@ -104,16 +128,25 @@ def test_views_with_little_in_common() -> None:
 def test_boxes_move_like_points_on_their_edges() -> None:
     rectifier, undistorter = Rectifier(RIG), Undistorter(LEFT)
     r1 = cv2.stereoRectify(
-        *(LEFT.matrix, np.array(LEFT.distortion), RIGHT.matrix, np.array(RIGHT.distortion), (640, 480)),
+        *(
+            LEFT.matrix,
+            np.array(LEFT.distortion),
+            RIGHT.matrix,
+            np.array(RIGHT.distortion),
+            (640, 480),
+        ),
         *(RIG.right_from_left[:3, :3].copy(), RIG.right_from_left[:3, 3:].copy()),
         alpha=0,
     )[0]
     corners_m = np.array([[-3.2, -0.5, 8.0], [-1.8, 0.6, 8.0]])
-    midpoints_m = np.array([[-3.2, 0.05, 8.0], [-2.5, -0.5, 8.0], [-1.8, 0.05, 8.0], [-2.5, 0.6, 8.0]])
+    midpoints_m = np.array(
+        [[-3.2, 0.05, 8.0], [-2.5, -0.5, 8.0], [-1.8, 0.05, 8.0], [-2.5, 0.6, 8.0]]
+    )
     raw = projected(midpoints_m, LEFT, np.eye(4))
     box = np.array([[raw[0, 0], raw[1, 1], raw[2, 0], raw[3, 1]]])
     rectified = rectifier.rig.left.project(corners_m @ r1.T).reshape(1, 4)
-    np.testing.assert_allclose(rectifier.left_boxes(box), rectified, atol=6.0)  # the rotation tilts the edges slightly
+    # the rotation tilts the edges slightly
+    np.testing.assert_allclose(rectifier.left_boxes(box), rectified, atol=6.0)
     straight = LEFT.without_distortion().project(corners_m).reshape(1, 4)
     np.testing.assert_allclose(undistorter.left_boxes(box), straight, atol=1.0)
     assert np.abs(box - straight).max() > 2.0  # the distortion exceeds the tolerance
@@ -138,7 +171,11 @@ def test_windows_equal_the_whole_right_image() -> None:
     whole = whole_image(rectifier.rectify(image, image)[1])
     assert whole.shape == (480, 640)
     assert whole.std() > 10
-    for window in ((slice(0, 30), slice(0, 50)), (slice(470, 480), slice(600, 640)), (slice(101, 333), slice(57, 90))):
+    for window in (
+        (slice(0, 30), slice(0, 50)),
+        (slice(470, 480), slice(600, 640)),
+        (slice(101, 333), slice(57, 90)),
+    ):
         cut = rectifier.rectify(image, image)[1][window]
         assert np.array_equal(cut, whole[window])
     assert np.array_equal(whole_image(whole), whole)

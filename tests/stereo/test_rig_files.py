@@ -28,7 +28,14 @@ Tr_velo_cam 1 0 0 0 0 1 0 0 0 0 1 0
 
 
 def rig_content() -> dict[str, Any]:
-    camera = {"fx_px": 1000.0, "fy_px": 1001.0, "cx_px": 639.5, "cy_px": 359.5, "width_px": 1280, "height_px": 720}
+    camera = {
+        "fx_px": 1000.0,
+        "fy_px": 1001.0,
+        "cx_px": 639.5,
+        "cy_px": 359.5,
+        "width_px": 1280,
+        "height_px": 720,
+    }
     identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
     return {
         "track_range_rig": 1,
@@ -40,7 +47,9 @@ def rig_content() -> dict[str, Any]:
 
 def written(folder: Path, content: object, name: str = "rig.yaml") -> Path:
     path = folder / name
-    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(
+        content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8"
+    )
     return path
 
 
@@ -57,7 +66,9 @@ def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
 
 def test_rig_yaml(tmp_path: Path) -> None:
     rig, notes = load_rig(written(tmp_path, rig_content()), size_px=SIZE)
-    assert rig.left == PinholeCamera(1000, 1001, 639.5, 359.5, 1280, 720, (0.1, -0.2, 0.001, 0.002, 0.03))
+    assert rig.left == PinholeCamera(
+        1000, 1001, 639.5, 359.5, 1280, 720, (0.1, -0.2, 0.001, 0.002, 0.03)
+    )
     assert rig.right.distortion == ()
     assert rig.baseline_m == pytest.approx(0.5)
     assert notes == ()
@@ -67,7 +78,9 @@ def test_a_saved_rig_is_read_back_equal(tmp_path: Path) -> None:
     rotation, _ = cv2.Rodrigues(np.array([0.01, -0.02, 0.003]))
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotation, (-0.31, 0.002, 1e-9)
-    left = PinholeCamera(1000.123456789, 999.5, 640.1, 359.9, 1280, 720, (0.1, 1e-9, 0.0, -3e-5, 0.0))
+    left = PinholeCamera(
+        1000.123456789, 999.5, 640.1, 359.9, 1280, 720, (0.1, 1e-9, 0.0, -3e-5, 0.0)
+    )
     rig = StereoRig(left, PinholeCamera(990.0, 991.0, 650.0, 350.0, 1280, 720), motion)
     path = tmp_path / "rig.yaml"
     save_rig(rig, path)
@@ -94,7 +107,8 @@ def test_size_equal_cropped_scaled_or_refused(tmp_path: Path) -> None:
     assert (cropped.left.height_px, cropped.left.cy_px, notes) == (718, 359.5, ())
     scaled, notes = load_rig(path, size_px=(640, 360))
     assert scaled.left.fx_px == pytest.approx(500)
-    assert scaled.left.cx_px == pytest.approx(319.5)  # the principal point stays at the image centre
+    # the principal point stays at the image centre
+    assert scaled.left.cx_px == pytest.approx(319.5)
     assert scaled.left.distortion == cropped.left.distortion
     assert len(notes) == 1  # the same of both cameras
     assert "scaled from 1280x720 px" in notes[0]

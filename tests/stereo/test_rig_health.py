@@ -1,4 +1,5 @@
-"""Health of rigs: distance errors, noticed errors, movements, drift, and rig files with errors on synthetic points."""
+"""Health of rigs: distance errors, noticed errors, movements, drift, and rig files with errors on
+synthetic points."""
 
 from __future__ import annotations
 
@@ -25,7 +26,13 @@ RIG = StereoRig.rectified(CAMERA, 0.5)
 
 
 def measured(offset_px: float, sigma_px: float = 0.02, **values: float) -> Alignment:
-    return Alignment(offset_px=offset_px, offset_sigma_px=sigma_px, residual_px=0.06, source="this drive", **values)
+    return Alignment(
+        offset_px=offset_px,
+        offset_sigma_px=sigma_px,
+        residual_px=0.06,
+        source="this drive",
+        **values,
+    )
 
 
 def health(alignment: Alignment, *windows: Window) -> RigHealth:
@@ -75,7 +82,9 @@ def test_unmeasured_errors_are_null() -> None:
 
 
 def windows(*offsets_px: float, sigma_px: float = 0.03) -> list[Window]:
-    return [Window(0, 2.0 * k, 2.0 * k + 1.6, offset, sigma_px) for k, offset in enumerate(offsets_px)]
+    return [
+        Window(0, 2.0 * k, 2.0 * k + 1.6, offset, sigma_px) for k, offset in enumerate(offsets_px)
+    ]
 
 
 def test_movement_during_a_drive() -> None:
@@ -99,7 +108,10 @@ def test_drift_is_followed() -> None:
     for time_s in np.arange(30.0, 181.0, 30.0).tolist():
         offset_px = 0.4 + rate * (time_s - 2.8) + float(rng.normal(0.0, 0.03))
         drifting.add(Window(0, time_s - 0.8, time_s + 0.8, offset_px, 0.03))
-    errors_px = [drifting.at(t).offset_px - 0.4 - rate * (t - 2.8) for t in np.arange(65.0, 200.0, 5.0).tolist()]
+    errors_px = [
+        drifting.at(t).offset_px - 0.4 - rate * (t - 2.8)
+        for t in np.arange(65.0, 200.0, 5.0).tolist()
+    ]
     assert np.abs(errors_px).max() < 0.25  # 2 % at 30 m
     assert drifting.at(25.0) == before  # later measurements do not change earlier frames
 
@@ -117,7 +129,9 @@ def test_large_offsets_shift_the_right_image() -> None:
     assert DriftingAlignment(alignment, alignment, ()).at(5.0) == alignment.after_shift()
     left_px = np.array([[700.0, 200.0]])
     rectifier = Rectifier(RIG, shift_px=alignment.shift_px)
-    assert rectifier.points(left_px, left_px - [5.7, 0.0])[1] == pytest.approx(left_px - [11.7, 0.0])
+    assert rectifier.points(left_px, left_px - [5.7, 0.0])[1] == pytest.approx(
+        left_px - [11.7, 0.0]
+    )
 
 
 def rotated(pitch_deg: float = 0.0, yaw_deg: float = 0.0, roll_deg: float = 0.0) -> StereoRig:
@@ -127,7 +141,9 @@ def rotated(pitch_deg: float = 0.0, yaw_deg: float = 0.0, roll_deg: float = 0.0)
     return StereoRig(CAMERA, CAMERA, rotation @ RIG.right_from_left)
 
 
-def tracked_street(rig_file: StereoRig, *, seed: int = 1, n_frames: int = 12) -> Iterator[TrackedFrame]:
+def tracked_street(
+    rig_file: StereoRig, *, seed: int = 1, n_frames: int = 12
+) -> Iterator[TrackedFrame]:
     """Points of a drive past random static points, rectified with a rig file."""
     rng = np.random.default_rng(seed)
     world_m = np.column_stack(
@@ -140,9 +156,14 @@ def tracked_street(rig_file: StereoRig, *, seed: int = 1, n_frames: int = 12) ->
     rectifier = Rectifier(rig_file)
     for frame in range(n_frames):
         points_m = world_m - [0.0, 0.0, 1.0 * frame]
-        left_px, right_px = CAMERA.project(points_m), CAMERA.project(points_m - [RIG.baseline_m, 0.0, 0.0])
+        left_px, right_px = (
+            CAMERA.project(points_m),
+            CAMERA.project(points_m - [RIG.baseline_m, 0.0, 0.0]),
+        )
         with np.errstate(invalid="ignore"):
-            inside = ((left_px > 0) & (left_px < [1200, 360]) & (right_px > 0)).all(axis=1) & (points_m[:, 2] > 4.0)
+            inside = ((left_px > 0) & (left_px < [1200, 360]) & (right_px > 0)).all(axis=1) & (
+                points_m[:, 2] > 4.0
+            )
         seen = np.flatnonzero(inside)
         noise_px = rng.normal(0.0, 0.15, (2, len(seen), 2))
         points = rectifier.points(left_px[seen] + noise_px[0], right_px[seen] + noise_px[1])
@@ -162,7 +183,9 @@ def error_px(rig_file: StereoRig, alignment: Alignment) -> FloatArray:
     """(3,) disparity error at 30 m after the correction, across the image."""
     points_m = np.column_stack([np.array([-10.0, 0.0, 10.0]), np.full(3, 0.5), np.full(3, 30.0)])
     rectifier = Rectifier(rig_file)
-    left_px, right_px = rectifier.points(CAMERA.project(points_m), CAMERA.project(points_m - [RIG.baseline_m, 0, 0]))
+    left_px, right_px = rectifier.points(
+        CAMERA.project(points_m), CAMERA.project(points_m - [RIG.baseline_m, 0, 0])
+    )
     camera = rectifier.rig.left
     right_px = RightView.of(alignment).if_needed(camera).corrected(right_px, camera)
     disparity_px, _ = alignment.corrected(
@@ -194,18 +217,23 @@ def test_wrong_angles_are_noticed_and_corrected(rig_file: StereoRig) -> None:
 
 @pytest.mark.slow
 def test_drift_is_measured_during_a_drive() -> None:
-    """The right camera turns by 0.1 degrees in 60 s; the offset is measured every 40 s, and followed within 2 %."""
+    """The right camera turns by 0.1 degrees in 60 s; the offset is measured every 40 s, and
+    followed within 2 %."""
     rate = math.radians(0.1) * CAMERA.fx_px / 60
     start = measured(0.0, 0.03)
     drifting = DriftingAlignment(start, start, [Window(0, 0.0, 5.0, 0.0, 0.03)])
     monitor = DriftMonitor(RIG, drifting, start)
     for number, time_s in enumerate((40.0, 80.0, 120.0, 160.0)):
         for frame in tracked_street(RIG, seed=10 + number, n_frames=16):
-            turned_px = frame.points.right_px + np.array([rate * (time_s + frame.time_s - 2.5), 0.0])
+            turned_px = frame.points.right_px + np.array(
+                [rate * (time_s + frame.time_s - 2.5), 0.0]
+            )
             points = frame.points._replace(right_px=turned_px)
             monitor.add_points(frame._replace(time_s=time_s + frame.time_s, points=points))
     assert len(drifting.windows) == 5
-    errors_px = [drifting.at(t).offset_px - rate * (t - 2.5) for t in np.arange(85.0, 200.0, 5.0).tolist()]
+    errors_px = [
+        drifting.at(t).offset_px - rate * (t - 2.5) for t in np.arange(85.0, 200.0, 5.0).tolist()
+    ]
     assert np.abs(errors_px).max() < 0.24
     moved = RigHealth(RIG, start, start, drifting.windows).move
     assert moved is not None

@@ -13,7 +13,13 @@ import pytest
 from tests.stereo.board_scenes import CAMERA, rig
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.opencv import save_opencv
-from track_range.stereo.rig_formats.reading import RIG_FORMATS, load_calibration, load_camera, load_rig, rig_writers
+from track_range.stereo.rig_formats.reading import (
+    RIG_FORMATS,
+    load_calibration,
+    load_camera,
+    load_rig,
+    rig_writers,
+)
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 SIZE = (640, 360)
@@ -91,9 +97,13 @@ def test_a_calibration_is_fitted_to_a_size(tmp_path):
     half_size_rig, notes = load_calibration(tmp_path / "rig.yaml", size_px=(320, 180))
     assert half_size_rig.left.fx_px == pytest.approx(260)
     assert len(notes) == 1
-    assert load_calibration(tmp_path / "mono.yaml", size_px=(320, 180))[0].fx_px == pytest.approx(260)
+    assert load_calibration(tmp_path / "mono.yaml", size_px=(320, 180))[0].fx_px == pytest.approx(
+        260
+    )
     wrong = tmp_path / "wrong.yaml"
-    wrong.write_text((tmp_path / "rig.yaml").read_text().replace("translation_m: [-0.1", "translation_m: [-10.1"))
+    wrong.write_text(
+        (tmp_path / "rig.yaml").read_text().replace("translation_m: [-0.1", "translation_m: [-10.1")
+    )
     with pytest.raises(RigError, match=r"wrong\.yaml.*baseline"):
         load_calibration(wrong)
 
@@ -104,7 +114,9 @@ def test_written_files_are_recognised(tmp_path, name, cameras):
     path = tmp_path / "rig.yml"
     rig_writers()[name](cameras, path, ["2 views"])
     text = path.read_text()
-    assert next(rig_format.name for rig_format in RIG_FORMATS if rig_format.recognises(text)) == name
+    assert (
+        next(rig_format.name for rig_format in RIG_FORMATS if rig_format.recognises(text)) == name
+    )
     again, _ = load_calibration(path)
     assert type(again) is type(cameras)
 

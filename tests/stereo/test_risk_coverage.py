@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from tests.stereo.kitti_folder import noise
-from track_range.stereo.evaluation.dense_confidence import MEASURES, confidence_measures, consistent_pixels
-from track_range.stereo.evaluation.disparity_errors import MatcherColumn, certain_first, risk_coverage
+from track_range.stereo.evaluation.dense_confidence import (
+    MEASURES,
+    confidence_measures,
+    consistent_pixels,
+)
+from track_range.stereo.evaluation.disparity_errors import (
+    MatcherColumn,
+    certain_first,
+    risk_coverage,
+)
 from track_range.stereo.matching.sgbm import SgbmSettings
 
 TRUE_PX = np.array([20.0, 20.0, 20.0, 20.0])
@@ -60,7 +68,9 @@ def test_measures_of_a_flat_pair():
     wall = noise(0, width_px=368)
     left, right = wall[:, :360].copy(), wall[:, 8:].copy()
     right[:, 192:222] = noise(5, width_px=30)  # the second box has no match
-    boxes = np.array([[40.0, 20.0, 160.0, 100.0], [200.0, 20.0, 230.0, 100.0], [400.0, 0.0, 420.0, 20.0]])
+    boxes = np.array(
+        [[40.0, 20.0, 160.0, 100.0], [200.0, 20.0, 230.0, 100.0], [400.0, 0.0, 420.0, 20.0]]
+    )
     measures = confidence_measures(left, right, boxes, SgbmSettings(n_disparities=32, mode="hh"))
     assert tuple(measures) == MEASURES
     for values in measures.values():

@@ -14,9 +14,18 @@ DT_S = 0.1
 
 
 def driven(
-    n, *, mounting=0.01, curvature_per_m=0.0, travelled_m=1.0, springs_rad=0.0, bias_rad=0.0, noise=0.002, seed=0
+    n,
+    *,
+    mounting=0.01,
+    curvature_per_m=0.0,
+    travelled_m=1.0,
+    springs_rad=0.0,
+    bias_rad=0.0,
+    noise=0.002,
+    seed=0,
 ):
-    """The filter after `n` frames of a car on a road of constant curvature, and the true horizon."""
+    """The filter after `n` frames of a car on a road of constant curvature, and the true
+    horizon."""
     rng = np.random.default_rng(seed)
     road = RoadHorizon()
     before = 0.0
@@ -79,7 +88,8 @@ def test_unknown_rotation_widens_the_horizon():
 def test_roll_tilts_the_horizon_and_returns():
     road = RoadHorizon()
     road.predict(DT_S, pitch_rad=0.0, roll_rad=0.02, travelled_m=1.0)
-    assert road.view.slope == pytest.approx(-0.02, rel=0.25)  # clockwise: the horizon rises on the right-hand side
+    # clockwise: the horizon rises on the right-hand side
+    assert road.view.slope == pytest.approx(-0.02, rel=0.25)
     for _ in range(100):
         road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, travelled_m=1.0)
     assert abs(road.view.slope) < 0.001
@@ -87,11 +97,18 @@ def test_roll_tilts_the_horizon_and_returns():
 
 def test_scaled_lengths():
     view = RoadView(
-        horizon=0.01, horizon_variance=1e-6, curvature_per_m=2e-4, curvature_variance=4e-8, covariance=1e-9
+        horizon=0.01,
+        horizon_variance=1e-6,
+        curvature_per_m=2e-4,
+        curvature_variance=4e-8,
+        covariance=1e-9,
     ).scaled(2.0)
-    assert (view.horizon, view.curvature_per_m, view.curvature_variance, view.covariance) == pytest.approx(
-        (0.01, 1e-4, 1e-8, 5e-10)
-    )
+    assert (
+        view.horizon,
+        view.curvature_per_m,
+        view.curvature_variance,
+        view.covariance,
+    ) == pytest.approx((0.01, 1e-4, 1e-8, 5e-10))
 
 
 def test_share_of_the_curvature_decreases_with_distance():

@@ -1,4 +1,5 @@
-"""ROS's camera_info: both layouts, two files or documents, the order of the cameras, and errors in one sentence."""
+"""ROS's camera_info: both layouts, two files or documents, the order of the cameras, and errors in
+one sentence."""
 
 from __future__ import annotations
 
@@ -82,10 +83,13 @@ def check(rig: StereoRig, notes: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("layout", [dict, calibration])
-@pytest.mark.parametrize("names", [("left.yaml", "right.yaml"), ("left/ost.yaml", "right/ost.yaml")])
+@pytest.mark.parametrize(
+    "names", [("left.yaml", "right.yaml"), ("left/ost.yaml", "right/ost.yaml")]
+)
 def test_file_beside_the_given_one(tmp_path, layout, names):
     left, right = (
-        written(tmp_path / name, layout(content)) for name, content in zip(names, (LEFT, RIGHT), strict=True)
+        written(tmp_path / name, layout(content))
+        for name, content in zip(names, (LEFT, RIGHT), strict=True)
     )
     for path in (left, right):
         check(*load_rig(path, size_px=SIZE))
@@ -140,7 +144,13 @@ def changed(message: dict[str, Any], **changes: Any) -> dict[str, Any]:
     [
         ((LEFT,), "second file"),
         ((LEFT, changed(RIGHT, p=LEFT["p"])), "baseline"),
-        ((LEFT, changed(RIGHT, p=[*RIGHT["p"][:3], 0.0, *RIGHT["p"][4:7], -100.0, *RIGHT["p"][8:]])), "above"),
+        (
+            (
+                LEFT,
+                changed(RIGHT, p=[*RIGHT["p"][:3], 0.0, *RIGHT["p"][4:7], -100.0, *RIGHT["p"][8:]]),
+            ),
+            "above",
+        ),
         ((LEFT, changed(RIGHT, p=[*RIGHT["p"][:3], -1e6, *RIGHT["p"][4:]])), "metres"),
         ((LEFT, changed(RIGHT, k=[0.0] * 9)), "calibrated"),
         ((LEFT, changed(RIGHT, k=[1.0] * 8)), "camera_matrix"),
@@ -169,7 +179,9 @@ def test_line_of_a_damaged_second_document(tmp_path):
     path = written(tmp_path / "echo.yaml", LEFT, RIGHT)
     text = path.read_text() + "  bad: [\n"
     path.write_text(text)
-    assert f"line {text.count(chr(10))}" in refused(path) or f"line {text.count(chr(10)) + 1}" in refused(path)
+    assert f"line {text.count(chr(10))}" in refused(
+        path
+    ) or f"line {text.count(chr(10)) + 1}" in refused(path)
 
 
 @pytest.mark.parametrize("model", ["equidistant", "fisheye"])

@@ -22,7 +22,9 @@ from track_range.stereo.matching.sgbm import (
 def pair(disparity_px: int, *, width: int = 400) -> tuple[Image, Image]:
     """A fronto-parallel wall: left(x) = right(x - disparity)."""
     noise = np.random.default_rng(1).normal(size=(120, width + disparity_px))
-    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    wall = cv2.normalize(
+        cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX
+    ).astype(np.uint8)
     return wall[:, :width].copy(), wall[:, disparity_px : disparity_px + width].copy()
 
 
@@ -40,7 +42,8 @@ def test_a_wall_has_one_disparity(mode: Mode) -> None:
 def test_left_border_is_matched_if_visible() -> None:
     left, right = pair(24)
     disparity = Sgbm().dense_disparity(left, right)
-    assert np.isfinite(disparity[10:-10, 30:128]).mean() > 0.9  # OpenCV alone gives nothing left of column 128
+    # OpenCV alone gives nothing left of column 128
+    assert np.isfinite(disparity[10:-10, 30:128]).mean() > 0.9
     assert np.nanmedian(disparity[10:-10, 30:128]) == pytest.approx(24, abs=0.1)
     columns = np.broadcast_to(np.arange(400), disparity.shape)
     known = np.isfinite(disparity)
@@ -68,7 +71,9 @@ def test_images_of_different_size_are_an_error() -> None:
 def test_grey_right_and_colour_left_image() -> None:
     left, right = pair(24)
     both_grey = Sgbm().dense_disparity(left, right)
-    assert np.array_equal(both_grey, Sgbm().dense_disparity(np.dstack([left] * 3), right), equal_nan=True)
+    assert np.array_equal(
+        both_grey, Sgbm().dense_disparity(np.dstack([left] * 3), right), equal_nan=True
+    )
 
 
 def test_the_median_of_the_inner_half_by_hand() -> None:
@@ -77,11 +82,15 @@ def test_the_median_of_the_inner_half_by_hand() -> None:
     disparity[10:30, 10:18] = 48.0
     disparity[:10] = disparity[30:] = 5.0  # the outer part does not count
     settings = SgbmSettings(shape_share=0.5)
-    median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
+    median, sigma = inner_half_median(
+        disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings
+    )
     assert median[0] == 50.0
     assert sigma[0] == pytest.approx(0.15)  # most pixels agree, so the median deviation is 0
     disparity[10:30, 10:30] = np.tile(np.arange(40.0, 60.0), (20, 1))
-    median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
+    median, sigma = inner_half_median(
+        disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings
+    )
     assert median[0] == 49.5
     assert sigma[0] == pytest.approx(np.hypot(0.15, 0.5 * 1.4826 * 5.0))
 
@@ -150,7 +159,9 @@ def test_disparity_picture() -> None:
     far, near = picture[0, 2].astype(int), picture[0, 4].astype(int)
     assert far[0] > far[2]  # bluer than red
     assert near[2] > near[0]
-    assert np.array_equal(disparity_picture(disparity, largest_px=30.0)[0, 4], disparity_picture(disparity)[0, 4])
+    assert np.array_equal(
+        disparity_picture(disparity, largest_px=30.0)[0, 4], disparity_picture(disparity)[0, 4]
+    )
     assert (disparity_picture(np.full((4, 6), np.nan)) == 0).all()
 
 
@@ -163,7 +174,12 @@ def test_user_settings() -> None:
 
 def test_other_names_of_settings() -> None:
     names = {"uniqueness_pct": 5, "max_left_right_px": 2, "speckle_px2": 50, "speckle_range_px": 3}
-    fields = {"uniqueness_ratio": 5, "disp12_max_diff": 2, "speckle_window_size": 50, "speckle_range": 3}
+    fields = {
+        "uniqueness_ratio": 5,
+        "disp12_max_diff": 2,
+        "speckle_window_size": 50,
+        "speckle_range": 3,
+    }
     assert SgbmSettings.of(names) == SgbmSettings(**fields)
 
 

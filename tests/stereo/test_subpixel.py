@@ -1,4 +1,5 @@
-"""Surfaces refined by grey values: exact subpixel shifts, other exposures, and windows without a match."""
+"""Surfaces refined by grey values: exact subpixel shifts, other exposures, and windows without a
+match."""
 
 from __future__ import annotations
 
@@ -26,13 +27,16 @@ UNCONFIRMED_WEIGHT = 1.0 / (0.2**2 + FLOOR_PX2)
 
 
 def refined(tiles: BoxTiles, start_px: float, is_member: BoolArray | None = None) -> RefinedSurface:
-    """The refined surface of a box whose windows all have the census disparity `start_px`, px of the image."""
+    """The refined surface of a box whose windows all have the census disparity `start_px`, px of
+    the image."""
     index = np.full((1, 49), (start_px - tiles.first_px[0]) / tiles.scale[0, 0])
     plane = SurfaceFit(np.array([[index[0, 0], 0.0, 0.0, 0.0, 0.0]]))
     return refine_surface(tiles, index, tiles.is_used if is_member is None else is_member, plane)
 
 
-def measured_px(images: tuple[Image, Image], start_px: float, box: tuple[float, ...] = EXACT_BOX) -> float:
+def measured_px(
+    images: tuple[Image, Image], start_px: float, box: tuple[float, ...] = EXACT_BOX
+) -> float:
     """Disparity at the centre of a box."""
     tiles = tiles_of(images, box)
     return float(tiles.disparity_px(refined(tiles, start_px).fit.p[:, 0])[0])
@@ -49,8 +53,14 @@ def windows_px(tiles: BoxTiles, surface: RefinedSurface) -> FloatArray:
 def test_no_fraction_of_a_pixel_is_preferred(noise: float, blur_px: float) -> None:
     bias = []
     for fraction in FRACTIONS:
-        pairs = [pair(WHOLE + fraction, seed=seed, noise=noise, blur_px=blur_px) for seed in range(6)]
-        bias.append(np.mean([measured_px(both, WHOLE + 0.7 * fraction) - WHOLE - fraction for both in pairs]))
+        pairs = [
+            pair(WHOLE + fraction, seed=seed, noise=noise, blur_px=blur_px) for seed in range(6)
+        ]
+        bias.append(
+            np.mean(
+                [measured_px(both, WHOLE + 0.7 * fraction) - WHOLE - fraction for both in pairs]
+            )
+        )
     assert np.abs(bias).max() < 0.012
 
 
@@ -64,7 +74,9 @@ def test_exact_shifts_at_each_scale(scale: float, shape: TileShape) -> None:
         tiles = tiles_of(images, box_of_scale(scale, shape), first_px=20.0 - 4 * scale, shape=shape)
         assert tiles.scale[:, 0].tolist() == [scale, scale]
         surface = refined(tiles, true_px + 0.3 * scale)
-        assert tiles.disparity_px(surface.fit.p[:, 0])[0] == pytest.approx(true_px, abs=0.02 * scale)
+        assert tiles.disparity_px(surface.fit.p[:, 0])[0] == pytest.approx(
+            true_px, abs=0.02 * scale
+        )
         assert surface.is_confirmed.mean() > 0.9
 
 
@@ -82,7 +94,8 @@ def test_scatter_matches_the_weights() -> None:
 
 def test_noise_lowers_the_weight() -> None:
     weight = [
-        np.median(refined(tiles_of(pair(WHOLE + 0.3, noise=noise)), WHOLE + 0.2).weight) for noise in (0.0, 8.0, 16.0)
+        np.median(refined(tiles_of(pair(WHOLE + 0.3, noise=noise)), WHOLE + 0.2).weight)
+        for noise in (0.0, 8.0, 16.0)
     ]
     assert 1.0 / FLOOR_PX2 > weight[0] > weight[1] > weight[2]
 
@@ -90,7 +103,9 @@ def test_noise_lowers_the_weight() -> None:
 @pytest.mark.parametrize("start", [-0.3, -0.1, 0.5])
 def test_initial_disparity_hardly_matters(start: float) -> None:
     images = pair(WHOLE + 0.1, noise=1.0)
-    assert measured_px(images, WHOLE + start) == pytest.approx(measured_px(images, WHOLE + 0.1), abs=0.01)
+    assert measured_px(images, WHOLE + start) == pytest.approx(
+        measured_px(images, WHOLE + 0.1), abs=0.01
+    )
 
 
 def test_exposure_does_not_matter() -> None:
@@ -103,7 +118,9 @@ def test_vertical_offset_hardly_matters() -> None:
     left, right = texture(0), shifted(texture(0), WHOLE + 0.3)
     for offset_px in (-0.2, 0.2):
         moved = shifted(np.ascontiguousarray(right.T), offset_px).T
-        assert measured_px((to_u8(left), to_u8(moved)), WHOLE + 0.2) == pytest.approx(WHOLE + 0.3, abs=0.02)
+        assert measured_px((to_u8(left), to_u8(moved)), WHOLE + 0.2) == pytest.approx(
+            WHOLE + 0.3, abs=0.02
+        )
 
 
 def test_slanted_wall() -> None:
@@ -157,17 +174,24 @@ def test_surfaces_of_boxes_are_independent() -> None:
 
 
 def test_subpixel_shift_of_real_cars(shared_data: Path) -> None:
-    """Pixel locking without ground truth: shifting the right image by half a pixel must change d by as much."""
+    """Pixel locking without ground truth: shifting the right image by half a pixel must change d by
+    as much."""
     matcher, error_px = PatchMatcher(), []
     for name in pair_names(shared_data / "kitti2015")[:6]:
         real = read_pair(shared_data / "kitti2015", name)
         right = cv2.cvtColor(np.asarray(real.right), cv2.COLOR_BGR2GRAY)
-        reference = matcher.match(real.left, right, real.xyxy_px, np.full(len(real.true_px), np.nan)).disparity_px
+        reference = matcher.match(
+            real.left, right, real.xyxy_px, np.full(len(real.true_px), np.nan)
+        ).disparity_px
         for shift_px in (0.25, 0.5):
             shift = np.array([[1.0, 0.0, shift_px], [0.0, 1.0, 0.0]])
             flags = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
-            moved = np.asarray(cv2.warpAffine(right, shift, right.shape[::-1], flags=flags), np.uint8)
-            matches = matcher.match(real.left, moved, real.xyxy_px, reference + shift_px).disparity_px
+            moved = np.asarray(
+                cv2.warpAffine(right, shift, right.shape[::-1], flags=flags), np.uint8
+            )
+            matches = matcher.match(
+                real.left, moved, real.xyxy_px, reference + shift_px
+            ).disparity_px
             error_px.append(matches - reference - shift_px)
     abs_error_px = np.abs(np.concatenate(error_px))
     assert len(abs_error_px) >= 20
@@ -175,7 +199,11 @@ def test_subpixel_shift_of_real_cars(shared_data: Path) -> None:
 
 
 @settings(deadline=None, max_examples=25)
-@given(st.integers(0, 10_000), st.floats(-0.5, 0.5), st.sampled_from(["noise", "texture", "black", "white", "edge"]))
+@given(
+    st.integers(0, 10_000),
+    st.floats(-0.5, 0.5),
+    st.sampled_from(["noise", "texture", "black", "white", "edge"]),
+)
 def test_any_pixels_give_finite_numbers(seed: int, start: float, kind: str) -> None:
     rng = np.random.default_rng(seed)
     left = rng.integers(0, 256, (140, 400), dtype=np.uint8)
@@ -184,7 +212,9 @@ def test_any_pixels_give_finite_numbers(seed: int, start: float, kind: str) -> N
         "texture": to_u8(texture(seed)),
         "black": np.zeros((140, 400), np.uint8),
         "white": np.full((140, 400), 255, np.uint8),
-        "edge": np.repeat(np.where(np.arange(400) < 240, 0, 255).astype(np.uint8)[None], 140, axis=0),
+        "edge": np.repeat(
+            np.where(np.arange(400) < 240, 0, 255).astype(np.uint8)[None], 140, axis=0
+        ),
     }[kind]
     for images in ((left, right), (right, left)):
         tiles = tiles_of(images)
@@ -192,5 +222,7 @@ def test_any_pixels_give_finite_numbers(seed: int, start: float, kind: str) -> N
         assert np.isfinite(surface.fit.p).all()
         moved_px = windows_px(tiles, surface) - WHOLE - start
         assert (np.abs(moved_px) <= 3.0).all()
-        assert ((surface.weight >= UNCONFIRMED_WEIGHT * 0.8) & (surface.weight < 1.0 / FLOOR_PX2 * 1.2)).all()
+        assert (
+            (surface.weight >= UNCONFIRMED_WEIGHT * 0.8) & (surface.weight < 1.0 / FLOOR_PX2 * 1.2)
+        ).all()
         assert moved_px[~surface.is_confirmed[0]] == pytest.approx(0.0, abs=1e-9)

@@ -1,4 +1,5 @@
-"""The object among the surfaces of a box, by their position, its size, its track and the other boxes."""
+"""The object among the surfaces of a box, by their position, its size, its track and the other
+boxes."""
 
 from __future__ import annotations
 
@@ -49,7 +50,9 @@ def features_of(
     return phi, surfaces
 
 
-def choice_of(disparity: FloatArray, *, by_size_px: float = NONE, track_px: float = NONE) -> SurfaceChoice:
+def choice_of(
+    disparity: FloatArray, *, by_size_px: float = NONE, track_px: float = NONE
+) -> SurfaceChoice:
     return choose_surface(*features_of(disparity, by_size_px=by_size_px, track_px=track_px))
 
 
@@ -61,7 +64,9 @@ def chosen_px(disparity: FloatArray, *, by_size_px: float = NONE, track_px: floa
 
 @pytest.mark.parametrize("is_occluder", [U < -0.3, np.abs(U - 0.125) < 0.05, np.abs(U) < 0.05])
 @pytest.mark.parametrize("by_size_px", [NONE, 18.0, 20.0, 22.0])
-def test_object_behind_a_pole_is_chosen(is_occluder: npt.NDArray[np.bool_], by_size_px: float) -> None:
+def test_object_behind_a_pole_is_chosen(
+    is_occluder: npt.NDArray[np.bool_], by_size_px: float
+) -> None:
     disparity = np.where(is_occluder, 45.0, 20.0)
     assert chosen_px(disparity, by_size_px=by_size_px) == pytest.approx(20.0, abs=0.1)
     assert choice_of(disparity, by_size_px=by_size_px).n_surfaces.tolist() == [2]
@@ -77,8 +82,12 @@ def test_object_behind_a_pole_is_chosen(is_occluder: npt.NDArray[np.bool_], by_s
         (V > -0.3, NONE),
     ],
 )
-def test_object_before_the_background_is_chosen(is_object: npt.NDArray[np.bool_], by_size_px: float) -> None:
-    assert chosen_px(np.where(is_object, 25.0, 14.0), by_size_px=by_size_px) == pytest.approx(25.0, abs=0.1)
+def test_object_before_the_background_is_chosen(
+    is_object: npt.NDArray[np.bool_], by_size_px: float
+) -> None:
+    assert chosen_px(np.where(is_object, 25.0, 14.0), by_size_px=by_size_px) == pytest.approx(
+        25.0, abs=0.1
+    )
 
 
 def test_size_decides_between_halves() -> None:
@@ -106,7 +115,9 @@ def test_probability_grows_towards_the_expected_size() -> None:
     assert probability[0] < 0.2 < 0.8 < probability[-1]
 
 
-@pytest.mark.parametrize("disparity", [HALVES, BARS, np.full((1, 49), 25.0), 20.0 + 40.0 * np.abs(U)])
+@pytest.mark.parametrize(
+    "disparity", [HALVES, BARS, np.full((1, 49), 25.0), 20.0 + 40.0 * np.abs(U)]
+)
 def test_probabilities_sum_to_1(disparity: FloatArray) -> None:
     for by_size_px in (NONE, 20.0, 1e-3, 1e6):
         choice = choice_of(disparity, by_size_px=by_size_px, track_px=by_size_px)
@@ -132,7 +143,9 @@ def test_n_surfaces() -> None:
 
 
 def test_features_by_hand() -> None:
-    phi, surfaces = features_of(np.where(np.abs(U) < 0.05, 40.0, 20.0), by_size_px=20.0, track_px=20.0)
+    phi, surfaces = features_of(
+        np.where(np.abs(U) < 0.05, 40.0, 20.0), by_size_px=20.0, track_px=20.0
+    )
     assert set(phi) == set(THETA)
     front = int(np.nanargmax(surfaces.disparity[:, 0]))
     behind = 1 - front
@@ -141,11 +154,13 @@ def test_features_by_hand() -> None:
     assert phi["both_sides"][behind, 0] == pytest.approx(np.log(1.05))
     assert (phi["width"][front, 0], phi["width"][behind, 0]) == pytest.approx((0.0, 0.75))
     assert phi["height"][:2, 0] == pytest.approx([0.75, 0.75])
-    assert phi["in_front"][behind, 0] == pytest.approx(7 / 49)  # share of the pole in front of the object
+    # share of the pole in front of the object
+    assert phi["in_front"][behind, 0] == pytest.approx(7 / 49)
     assert phi["in_front"][front, 0] == 0.0
     assert phi["behind"][front, 0] == pytest.approx(42 / 49)
     assert phi["cost"][:2, 0] == pytest.approx([3.0, 3.0])
-    z = np.log(40 / 20) / np.hypot(0.15, 0.1)  # 3.8 standard deviations nearer than the size lets expect
+    # 3.8 standard deviations nearer than the size lets expect
+    z = np.log(40 / 20) / np.hypot(0.15, 0.1)
     assert phi["nearer_than_size"][front, 0] == pytest.approx(z, abs=0.02)
     assert phi["nearer_than_size_squared"][front, 0] == pytest.approx(z**2, abs=0.2)
     assert phi["farther_than_size"][:2, 0] == pytest.approx([0.0, 0.0], abs=0.02)
@@ -162,7 +177,9 @@ def test_surface_of_another_box_is_less_probable() -> None:
     assert probability[1] < 0.7 * probability[0]
 
 
-def of_others(boxes: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray) -> FloatArray:
+def of_others(
+    boxes: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
+) -> FloatArray:
     return OtherBoxes(boxes, expected_px).windows(boxes, expected_px, tiles, disparity_px)
 
 
@@ -179,5 +196,6 @@ def test_windows_of_other_boxes_by_hand() -> None:
     assert not of_others(boxes, np.array([20.0, 40.0]), tiles, at_20)[0].any()
     for expected_px in ([20.0, 21.0], [NONE, 40.0], [20.0, NONE]):  # equally far, or unknown
         assert not of_others(boxes, np.array(expected_px), tiles, at_40)[0].any()
-    farther = of_others(boxes, np.array([40.0, 20.0]), tiles, at_20)  # the background of a nearer object
+    # the background of a nearer object
+    farther = of_others(boxes, np.array([40.0, 20.0]), tiles, at_20)
     assert np.array_equal(farther[0] == 1.0, x_px < 219.0)

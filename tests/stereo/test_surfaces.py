@@ -1,4 +1,5 @@
-"""Surfaces through the disparities of windows: fits by hand, with outliers and curvature, and several in one box."""
+"""Surfaces through the disparities of windows: fits by hand, with outliers and curvature, and
+several in one box."""
 
 from __future__ import annotations
 
@@ -24,9 +25,13 @@ WEIGHT = np.full((1, 49), 4.0)
 FIRST = 12.0
 
 
-def fit_of(disparity: FloatArray, weight: FloatArray = WEIGHT, *, is_curved: bool = False) -> FloatArray:
+def fit_of(
+    disparity: FloatArray, weight: FloatArray = WEIGHT, *, is_curved: bool = False
+) -> FloatArray:
     """The coefficients p (5,) of the surface through the disparities of one box of about 30 px."""
-    fit = fit_surfaces(disparity, weight, surface_terms(U, V), disparity=np.array([30.0]), is_curved=is_curved)
+    fit = fit_surfaces(
+        disparity, weight, surface_terms(U, V), disparity=np.array([30.0]), is_curved=is_curved
+    )
     return fit.p[0]
 
 
@@ -65,12 +70,16 @@ def test_windows_count_by_weight() -> None:
 
 def test_curvature_of_a_rounded_surface() -> None:
     disparity = 30.0 - 4.0 * U**2 - 2.0 * V**2
-    plane, curved = fit_of(disparity, 400.0 * WEIGHT), fit_of(disparity, 400.0 * WEIGHT, is_curved=True)
+    plane, curved = (
+        fit_of(disparity, 400.0 * WEIGHT),
+        fit_of(disparity, 400.0 * WEIGHT, is_curved=True),
+    )
     assert curved[0] == pytest.approx(30.0, abs=0.02)
     assert curved[3:] == pytest.approx([-4.0, -2.0], abs=0.3)
     assert plane[0] < 29.8
     assert plane[3:].tolist() == [0.0, 0.0]
-    rough = fit_of(disparity, 0.01 * WEIGHT, is_curved=True)  # large variances: the prior of no curvature decides
+    # large variances: the prior of no curvature decides
+    rough = fit_of(disparity, 0.01 * WEIGHT, is_curved=True)
     assert np.abs(rough[3:]).max() < 1.0
 
 
@@ -90,7 +99,11 @@ def test_fits_of_boxes_are_independent() -> None:
         for i in range(5):
             one = slice(i, i + 1)
             alone = fit_surfaces(
-                disparity[one], weight[one], surface_terms(U, V), disparity=scale[one], is_curved=is_curved
+                disparity[one],
+                weight[one],
+                surface_terms(U, V),
+                disparity=scale[one],
+                is_curved=is_curved,
             )
             assert together.p[i] == pytest.approx(alone.p[0])
 
@@ -126,7 +139,9 @@ def test_a_slanted_surface_is_one(slope: float) -> None:
         (np.abs(U - 0.125) < 0.05, 45.0, 20.0),  # behind a pole
     ],
 )
-def test_two_surfaces_are_separated(is_front: npt.NDArray[np.bool_], front_px: float, behind_px: float) -> None:
+def test_two_surfaces_are_separated(
+    is_front: npt.NDArray[np.bool_], front_px: float, behind_px: float
+) -> None:
     surfaces = surfaces_of(np.where(is_front, front_px, behind_px))
     front = int(np.nanargmax(surfaces.disparity[:, 0]))
     behind = 1 - front

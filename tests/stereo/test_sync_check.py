@@ -1,4 +1,5 @@
-"""Two walls of different distance that the vehicle approaches: the vertical motion distinguishes the frames."""
+"""Two walls of different distance that the vehicle approaches: the vertical motion distinguishes
+the frames."""
 
 from __future__ import annotations
 
@@ -49,7 +50,10 @@ def test_exposure_of_the_other_camera_does_not_matter(late: int) -> None:
 def test_static_scene_is_unknown() -> None:
     noise = np.random.default_rng(3).normal(0, 2, (3, 260, 480))
     left, right = approach(5).astype(float), approach(5, is_right=True).astype(float)
-    images = [np.clip(image, 0, 255).astype(np.uint8) for image in (left + noise[0], left + noise[1], right + noise[2])]
+    images = [
+        np.clip(image, 0, 255).astype(np.uint8)
+        for image in (left + noise[0], left + noise[1], right + noise[2])
+    ]
     assert measured_lag(*images) is None
 
 
@@ -59,7 +63,9 @@ def test_scene_without_texture_is_unknown() -> None:
 
 
 def test_images_without_common_points_are_unknown() -> None:
-    lag = measured_lag(approach(4), approach(5), np.random.default_rng(1).integers(0, 255, (260, 480), np.uint8))
+    lag = measured_lag(
+        approach(4), approach(5), np.random.default_rng(1).integers(0, 255, (260, 480), np.uint8)
+    )
     assert lag is not None
     assert not lag.is_known
 

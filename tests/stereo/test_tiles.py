@@ -1,4 +1,5 @@
-"""Tiles of boxes: geometry by hand, equal resampling of both images, and the pixels that are read."""
+"""Tiles of boxes: geometry by hand, equal resampling of both images, and the pixels that are
+read."""
 
 from __future__ import annotations
 
@@ -25,19 +26,29 @@ LARGE = to_u8(texture(4, height=420, width=640))
 
 
 def scale_of(width_px: float, height_px: float, shape: TileShape = FINE) -> list[float]:
-    return [float(s) for s in tile_scale(np.array([[10.0, 20.0, 10.0 + width_px, 20.0 + height_px]]), shape)[:, 0]]
+    return [
+        float(s)
+        for s in tile_scale(np.array([[10.0, 20.0, 10.0 + width_px, 20.0 + height_px]]), shape)[
+            :, 0
+        ]
+    ]
 
 
 def test_tile_of_a_box_by_hand() -> None:
     left, right = pair(12.0)
     tiles = tiles_of((left, right), first_px=12.0, n_disparities=9)
     assert tiles.scale[:, 0].tolist() == [1.0, 1.0]
-    assert np.array_equal(tiles.left[:, :, 0], left[46:86, 196:252])  # 4 px around columns 200 .. 247, rows 50 .. 81
+    # 4 px around columns 200 .. 247, rows 50 .. 81
+    assert np.array_equal(tiles.left[:, :, 0], left[46:86, 196:252])
     assert np.array_equal(tiles.right[:, :, 0], right[46:86, 196 - 20 : 252 - 12])
     assert tiles.is_used.all()
     assert tiles.is_seen.all()
-    assert tiles.u[0].reshape(7, 7)[2] == pytest.approx([-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375])
-    assert tiles.v[0].reshape(7, 7)[:, 2] == pytest.approx([-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375])
+    assert tiles.u[0].reshape(7, 7)[2] == pytest.approx(
+        [-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375]
+    )
+    assert tiles.v[0].reshape(7, 7)[:, 2] == pytest.approx(
+        [-0.375, -0.25, -0.125, 0.0, 0.125, 0.25, 0.375]
+    )
     assert (tiles.first_px.tolist(), tiles.first.tolist()) == ([12.0], [12.0])
     assert tiles.disparity_px(np.array([[0.0, 8.0]])).tolist() == [[12.0, 20.0]]
 
@@ -55,7 +66,9 @@ def test_tile_of_a_box_by_hand() -> None:
         (1e5, 1e5, [128.0, 128.0], [256.0, 256.0]),
     ],
 )
-def test_scale_of_boxes(width_px: float, height_px: float, fine: list[float], coarse: list[float]) -> None:
+def test_scale_of_boxes(
+    width_px: float, height_px: float, fine: list[float], coarse: list[float]
+) -> None:
     assert scale_of(width_px, height_px) == fine
     assert scale_of(width_px, height_px, COARSE) == coarse
 
@@ -63,7 +76,9 @@ def test_scale_of_boxes(width_px: float, height_px: float, fine: list[float], co
 @pytest.mark.parametrize("shape", [FINE, COARSE])
 def test_large_boxes_are_covered(shape: TileShape) -> None:
     for side_px in (100, 170, 300, 333):
-        tiles = tiles_of((LARGE, LARGE), (100.0, 20.0, 100.0 + side_px, 20.0 + side_px), shape=shape)
+        tiles = tiles_of(
+            (LARGE, LARGE), (100.0, 20.0, 100.0 + side_px, 20.0 + side_px), shape=shape
+        )
         window_px = 2 * np.array(shape.cell_hw[::-1]) * tiles.scale[:, 0]
         covered = np.array([np.ptp(tiles.u), np.ptp(tiles.v)]) + window_px / side_px
         assert (covered >= 0.65).all()
@@ -74,7 +89,8 @@ def test_large_boxes_are_covered(shape: TileShape) -> None:
 @pytest.mark.parametrize("shape", [FINE, COARSE])
 @pytest.mark.parametrize("scale", SCALES)
 def test_whole_shifts_give_equal_pixels(scale: float, shape: TileShape) -> None:
-    """At each disparity of whole image pixels, the strip has the pixels of the left tile at every scale."""
+    """At each disparity of whole image pixels, the strip has the pixels of the left tile at every
+    scale."""
     box = box_of_scale(scale * shape.min_scale, shape)
     step = 4 * scale * shape.min_scale  # px of the image in 4 px of the tile
     assert step.is_integer()
@@ -107,15 +123,19 @@ def test_pixel_positions_average_to_windows(scale: float) -> None:
     for row in range(N_SIDE):
         for column in range(N_SIDE):
             g = row * N_SIDE + column
-            assert column_u[6 * column : 6 * column + 12].mean() == pytest.approx(tiles.u[0, g], abs=1e-9)
+            assert column_u[6 * column : 6 * column + 12].mean() == pytest.approx(
+                tiles.u[0, g], abs=1e-9
+            )
             assert row_v[4 * row : 4 * row + 8].mean() == pytest.approx(tiles.v[0, g], abs=1e-9)
 
 
 def test_a_small_box_uses_its_central_windows() -> None:
-    used = tiles_of(None, (219.5, 61.5, 227.5, 69.5)).is_used.reshape(7, 7)  # 8 x 8 px about (223.5, 65.5)
+    # 8 x 8 px about (223.5, 65.5)
+    used = tiles_of(None, (219.5, 61.5, 227.5, 69.5)).is_used.reshape(7, 7)
     assert used.sum() == 1
     assert used[3, 3]
-    used = tiles_of(None, (211.5, 57.5, 235.5, 73.5)).is_used.reshape(7, 7)  # 24 x 16 px: u and v from -0.25 to 0.25
+    # 24 x 16 px: u and v from -0.25 to 0.25
+    used = tiles_of(None, (211.5, 57.5, 235.5, 73.5)).is_used.reshape(7, 7)
     assert np.array_equal(used, np.pad(np.ones((3, 3), np.bool_), 2))
 
 
@@ -124,7 +144,9 @@ def test_windows_outside_the_left_image_are_unused() -> None:
     assert tiles.is_used[0].all()  # the tile begins at the image border
     small = tiles.is_used[1].reshape(7, 7)
     x_px = 11.5 + 24.0 * tiles.u[1].reshape(7, 7)[0]
-    assert np.array_equal(small[3], (x_px - 6 >= -1.0) & (np.abs(tiles.u[1].reshape(7, 7)[0]) <= 0.5 - 0.125))
+    assert np.array_equal(
+        small[3], (x_px - 6 >= -1.0) & (np.abs(tiles.u[1].reshape(7, 7)[0]) <= 0.5 - 0.125)
+    )
     assert not small[:, x_px < 5].any()
 
 
@@ -133,7 +155,8 @@ def test_strip_outside_the_right_image() -> None:
     tiles = tiles_of((left, right), (19.5, 49.5, 67.5, 81.5), first_px=10.0, n_disparities=17)
     first = 16 - 10 - 16  # column of the image at the strip's first column
     assert tiles.is_seen[:, 0].tolist() == [0 <= first + j < 400 for j in range(72)]
-    assert np.array_equal(tiles.right[:, :10, 0], np.repeat(right[46:86, :1], 10, axis=1))  # the border is repeated
+    # the border is repeated
+    assert np.array_equal(tiles.right[:, :10, 0], np.repeat(right[46:86, :1], 10, axis=1))
     beyond = tiles_of((left, right), (19.5, 49.5, 67.5, 81.5), first_px=300.0)
     assert not beyond.is_seen.any()
     assert not beyond.right.any()
@@ -168,13 +191,19 @@ def test_used_windows_are_in_box_and_image(
         half_px, rounding_px = cell * scale, 0.5 * scale + 1e-6
         assert (centre_px - half_px >= -0.5 - rounding_px).all()
         assert (centre_px + half_px <= side_px - 0.5 + rounding_px).all()
-        # a quarter of a window may be outside the box; of small boxes, the windows nearest to the centre are used
+        # a quarter of a window may be outside the box; of small boxes, the windows nearest to the
+        # centre are used
         nearest = np.abs(position).min() + 1e-6
         assert (np.abs(used) <= np.maximum(0.5 - 0.5 * half_px / size_px[axis], nearest)).all()
 
 
 def test_tiles_of_boxes_are_independent() -> None:
-    boxes = (EXACT_BOX, (10.0, 10.0, 390.0, 130.0), (380.0, 120.0, 399.5, 139.5), (100.0, 30.0, 260.0, 60.0))
+    boxes = (
+        EXACT_BOX,
+        (10.0, 10.0, 390.0, 130.0),
+        (380.0, 120.0, 399.5, 139.5),
+        (100.0, 30.0, 260.0, 60.0),
+    )
     images = pair(20.0)
     together = tiles_of(images, *boxes)
     for i, box in enumerate(boxes):

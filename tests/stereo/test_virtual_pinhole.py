@@ -1,4 +1,5 @@
-"""Virtual pinholes of wide lenses: field of view, resolution, rectified pairs and points mapped back."""
+"""Virtual pinholes of wide lenses: field of view, resolution, rectified pairs and points mapped
+back."""
 
 from __future__ import annotations
 
@@ -11,9 +12,16 @@ from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_rig, shared_view
-from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, field_of_view, view_from_camera, virtual_pinhole
+from track_range.stereo.geometry.virtual_pinhole import (
+    axial_focal_px,
+    field_of_view,
+    view_from_camera,
+    virtual_pinhole,
+)
 
-FISHEYE = PinholeCamera(300.0, 300.0, 399.5, 249.5, 800, 500, (0.01, 0.002, -0.001, 0.0), "kannala-brandt")
+FISHEYE = PinholeCamera(
+    300.0, 300.0, 399.5, 249.5, 800, 500, (0.01, 0.002, -0.001, 0.0), "kannala-brandt"
+)
 WIDE = [
     FISHEYE,
     PinholeCamera(240.0, 240.0, 399.5, 249.5, 800, 500, (-0.2, 0.6), "double-sphere"),
@@ -24,7 +32,9 @@ WIDE = [
 def equidistant(degrees: float, *, width_px: int = 800) -> PinholeCamera:
     """An ideal equidistant lens with this horizontal field of view."""
     focal_px = width_px / np.radians(degrees)
-    return PinholeCamera(focal_px, focal_px, (width_px - 1) / 2, 249.5, width_px, 500, (0.0,) * 4, "kannala-brandt")
+    return PinholeCamera(
+        focal_px, focal_px, (width_px - 1) / 2, 249.5, width_px, 500, (0.0,) * 4, "kannala-brandt"
+    )
 
 
 def test_field_of_view():
@@ -34,7 +44,8 @@ def test_field_of_view():
 
 
 @pytest.mark.parametrize(
-    ("lens_deg", "fov_deg", "expected_deg"), [(100, None, 100), (190, None, 120), (190, 80, 80), (100, 120, 100)]
+    ("lens_deg", "fov_deg", "expected_deg"),
+    [(100, None, 100), (190, None, 120), (190, 80, 80), (100, 120, 100)],
 )
 def test_width_of_the_virtual_pinhole(lens_deg, fov_deg, expected_deg):
     camera = equidistant(lens_deg)
@@ -85,7 +96,11 @@ def test_view_to_the_side(yaw_deg):
     assert np.allclose(middle_px, camera.recorded_px(middle), atol=1e-6)
     points_m = middle * 5 + np.array([[0.3, 0.4, 0.2], [-0.5, -0.2, 0.1]])
     in_view_m = points_m @ view_from_camera(yaw_deg).T
-    assert np.allclose(undistorter.recorded_points(shown.project(in_view_m)), camera.recorded_px(points_m), atol=1e-6)
+    assert np.allclose(
+        undistorter.recorded_points(shown.project(in_view_m)),
+        camera.recorded_px(points_m),
+        atol=1e-6,
+    )
     image = np.full((camera.height_px, camera.width_px), 200, np.uint8)
     assert (undistorter.undistort(image)[shown.height_px // 2] == 200).all()
 
@@ -115,7 +130,10 @@ def test_undistorted_spots_lie_where_the_pinhole_projects_them():
 
 def motion(rotation_rad, translation_m):
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = cv2.Rodrigues(np.array(rotation_rad, np.float64))[0], translation_m
+    matrix[:3, :3], matrix[:3, 3] = (
+        cv2.Rodrigues(np.array(rotation_rad, np.float64))[0],
+        translation_m,
+    )
     return matrix
 
 
@@ -129,12 +147,20 @@ def test_rectified_pair(right):
     assert field_of_view(rectifier.rig.left).horizontal_deg == pytest.approx(100, abs=0.1)
     points_m = np.array([[-2.0, 0.5, 4.0], [0.5, -0.8, 5.0], [2.5, 1.0, 4.5]])
     in_right_m = points_m @ rig.right_from_left[:3, :3].T + rig.right_from_left[:3, 3]
-    left_px, right_px = rectifier.points(FISHEYE.recorded_px(points_m), right.recorded_px(in_right_m))
+    left_px, right_px = rectifier.points(
+        FISHEYE.recorded_px(points_m), right.recorded_px(in_right_m)
+    )
     assert np.allclose(left_px[:, 1], right_px[:, 1], atol=1e-4)
-    xyz_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    xyz_m = (
+        rectifier.rig.left.rays(left_px)
+        * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    )
     assert np.allclose(np.linalg.norm(xyz_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=1e-5)
     assert np.allclose(rectifier.recorded_points(left_px), FISHEYE.recorded_px(points_m), atol=1e-5)
-    images = [spots(camera.recorded_px(p), (800, 500)) for camera, p in ((FISHEYE, points_m), (right, in_right_m))]
+    images = [
+        spots(camera.recorded_px(p), (800, 500))
+        for camera, p in ((FISHEYE, points_m), (right, in_right_m))
+    ]
     shown = [centroids(whole_image(image)) for image in rectifier.rectify(*images)]
     assert np.allclose(shown[0], left_px, atol=0.3)
     assert np.allclose(shown[1], right_px, atol=0.3)

@@ -24,7 +24,9 @@ def slow_path_costs(cost: FloatArray, step: tuple[int, int]) -> FloatArray:
                     continue
                 before = paths[row_before, column_before]
                 candidates = [before[d], before.min() + LARGE_STEP]
-                candidates += [before[k] + SMALL_STEP for k in (d - 1, d + 1) if 0 <= k < n_disparities]
+                candidates += [
+                    before[k] + SMALL_STEP for k in (d - 1, d + 1) if 0 <= k < n_disparities
+                ]
                 paths[row, column, d] += min(candidates) - before.min()
     return paths
 
@@ -34,7 +36,9 @@ def slow_matches(cost: FloatArray) -> tuple[list[float], list[float], list[float
     side = int(np.sqrt(cost.shape[1]))
     known = np.where(np.isnan(cost), UNSEEN, cost)
     grid = known.T.reshape(side, side, -1)
-    total = sum(slow_path_costs(grid, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))).reshape(side * side, -1)
+    total = sum(slow_path_costs(grid, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))).reshape(
+        side * side, -1
+    )
     index, slopes, least = [], [], []
     for window, paths in enumerate(total):
         own = known[:, window]

@@ -1,8 +1,10 @@
-"""`python -m tests.torture`: damaged inputs, kills, full disks, failing writes, locks, memory, and a hostile client.
+"""`python -m tests.torture`: damaged inputs, kills, full disks, failing writes, locks, memory, and
+a hostile client.
 
-Prints the number of cases by kind and every failure with its command; the files of failures are kept in `--folder`,
-with a line about every case in `cases.jsonl`. Exit status 1 if there is any: a traceback, a hang, a crash, a cut row,
-too much memory, or a message that is long or does not name its file.
+Prints the number of cases by kind and every failure with its command; the files of failures are
+kept in `--folder`, with a line about every case in `cases.jsonl`. Exit status 1 if there is any: a
+traceback, a hang, a crash, a cut row, too much memory, or a message that is long or does not name
+its file.
 """
 
 from __future__ import annotations
@@ -28,17 +30,32 @@ PARTS = {
     "determinism": (runs.run_determinism, 1),
     "server": (runs.run_server, 1),
 }
-"""By the name for --only: function of a new folder, the seed, and the numbers of cases and processes; usual cases."""
+"""By the name for --only: function of a new folder, the seed, and the numbers of cases and
+processes; usual cases."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.torture", description=__doc__)
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to run (default: all)")
+    parser.add_argument(
+        "--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to run (default: all)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
-    parser.add_argument("--cases", type=int, metavar="N", help="number of cases of each part (default: by part)")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="number of processes for mutants (default: 1)")
-    parser.add_argument("--folder", type=Path, help="new folder for the cases (default: a temporary one)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file for the numbers of cases")
+    parser.add_argument(
+        "--cases", type=int, metavar="N", help="number of cases of each part (default: by part)"
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="number of processes for mutants (default: 1)",
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="new folder for the cases (default: a temporary one)"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="JSON file for the numbers of cases"
+    )
     options = parser.parse_args()
     folder = (options.folder or Path(tempfile.mkdtemp(prefix="torture-"))).resolve()
     folder.mkdir(parents=True, exist_ok=True)
@@ -49,12 +66,16 @@ def main() -> None:
         place = folder / f"{name}-{options.seed}"
         place.mkdir()
         cases[name] = []
-        for case in run(place, options.seed, n_cases if options.cases is None else options.cases, options.jobs):
+        for case in run(
+            place, options.seed, n_cases if options.cases is None else options.cases, options.jobs
+        ):
             cases[name].append(case)
             record(case, folder)
     print_counts(cases)
     if options.json:
-        options.json.write_text(json.dumps({name: counts(part) for name, part in cases.items()}), encoding="utf-8")
+        options.json.write_text(
+            json.dumps({name: counts(part) for name, part in cases.items()}), encoding="utf-8"
+        )
     if any(case.problems for part in cases.values() for case in part):
         raise SystemExit(f"Cases failed; their files are in {folder}.")
     if not options.folder:
@@ -73,7 +94,10 @@ def record(case: Case, folder: Path) -> None:
 
 def counts(cases: list[Case]) -> dict[str, int]:
     outcomes = Counter("failed" if case.problems else case.outcome for case in cases)
-    return {"cases": len(cases), **{name: outcomes[name] for name in ("refused", "noted", "accepted", "failed")}}
+    return {
+        "cases": len(cases),
+        **{name: outcomes[name] for name in ("refused", "noted", "accepted", "failed")},
+    }
 
 
 def print_counts(cases: dict[str, list[Case]]) -> None:

@@ -1,4 +1,5 @@
-"""A case of a robustness test: a command, its end, and what is wrong with that end and with the result files."""
+"""A case of a robustness test: a command, its end, and what is wrong with that end and with the
+result files."""
 
 from __future__ import annotations
 
@@ -17,7 +18,13 @@ MAX_GROWTH_MIB = 1500.0  # of a command on small inputs
 MAX_LAG_FRAMES = 5  # by which the overlay may lag behind the rows after a kill
 FRAMES_BEFORE_PLAYABLE = 10  # a second of video, after which the overlay must be playable
 PREFIX = "track-range: "
-NATIVE = ("libpng ", "Corrupt JPEG data", "Premature end of JPEG", "Invalid SOS", "Unsupported marker")
+NATIVE = (
+    "libpng ",
+    "Corrupt JPEG data",
+    "Premature end of JPEG",
+    "Invalid SOS",
+    "Unsupported marker",
+)
 """Starts of lines that image libraries print themselves."""
 USAGE = 2  # exit status
 MOT_COLUMNS = 10
@@ -25,7 +32,8 @@ MOT_COLUMNS = 10
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A finished case; `kind` is its row of the table, and `folder` the working folder of the command."""
+    """A finished case; `kind` is its row of the table, and `folder` the working folder of the
+    command."""
 
     part: str
     kind: str
@@ -62,9 +70,12 @@ def notes(end: End) -> frozenset[str]:
 
 
 def problems(end: End, *, names: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """What is wrong with the end of a command, whose error message must contain one of the names, if any."""
+    """What is wrong with the end of a command, whose error message must contain one of the names,
+    if any."""
     faults = []
-    error_lines = [line for line in end.stderr.splitlines() if line.strip() and not line.startswith(NATIVE)]
+    error_lines = [
+        line for line in end.stderr.splitlines() if line.strip() and not line.startswith(NATIVE)
+    ]
     if "Traceback" in end.stderr + end.stdout:
         faults.append(f"traceback: {_last_line(end.stderr)}")
     elif end.status < 0:
@@ -82,7 +93,8 @@ def problems(end: End, *, names: tuple[str, ...] = ()) -> tuple[str, ...]:
 
 def _message_problems(end: End, lines: list[str], names: tuple[str, ...]) -> list[str]:
     messages = [line for line in lines if line.startswith(PREFIX)]
-    if end.status == USAGE and lines and not messages:  # in a frame, as the command-line library prints it
+    # in a frame, as the command-line library prints it
+    if end.status == USAGE and lines and not messages:
         messages = lines = [" ".join(lines)]
     if not messages:
         return [f"no message: {_last_line(end.stderr)}"]
@@ -102,7 +114,9 @@ def _last_line(text: str) -> str:
     return lines[-1][:200] if lines else "no output"
 
 
-def result_problems(folder: Path, *, has_overlay: bool = False, max_lag: int = 0) -> tuple[str, ...]:
+def result_problems(
+    folder: Path, *, has_overlay: bool = False, max_lag: int = 0
+) -> tuple[str, ...]:
     """What is wrong with the result files of a run that may have ended early.
 
     Args:
@@ -115,7 +129,9 @@ def result_problems(folder: Path, *, has_overlay: bool = False, max_lag: int = 0
     mot_frames = _frames(folder / "mot.txt", faults, offset=1)
     if frames is not None and mot_frames is not None:
         last_row, last_mot = max(frames, default=0), max(mot_frames, default=0)
-        if abs(last_row - last_mot) > 1 or {f for f in frames ^ mot_frames if f < min(last_row, last_mot)}:
+        if abs(last_row - last_mot) > 1 or {
+            f for f in frames ^ mot_frames if f < min(last_row, last_mot)
+        }:
             faults.append(f"frames of tracks.csv to {last_row}, of mot.txt to {last_mot}")
     if has_overlay and frames:
         n_shown, error = _decodable_frames(folder / "overlay.mp4")
@@ -140,7 +156,8 @@ def _decodable_frames(video: Path) -> tuple[int, str]:
 
 
 def _frames(path: Path, faults: list[str], *, offset: int) -> set[int] | None:
-    """Numbers of the frames in a file of rows; None if there is no such file or it is damaged, which is recorded."""
+    """Numbers of the frames in a file of rows; None if there is no such file or it is damaged,
+    which is recorded."""
     if not path.exists():
         return None
     text = path.read_text(encoding="utf-8")

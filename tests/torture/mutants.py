@@ -15,7 +15,8 @@ from tests.torture.mutations import FILE_KINDS
 from tests.torture.processes import run, succeed
 from tests.torture.seeds import KINDS, Kind, write_seeds
 
-FILE_KIND_FRACTION = 0.08  # of the cases in which the file becomes a pipe, a device, a folder or the like
+# of the cases in which the file becomes a pipe, a device, a folder or the like
+FILE_KIND_FRACTION = 0.08
 
 
 def run_mutants(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
@@ -24,7 +25,9 @@ def run_mutants(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[
     write_seeds(seeds)
     # forked, so that the loaded modules are shared
     with multiprocessing.get_context("fork").Pool(n_jobs) as pool:
-        yield from pool.imap_unordered(partial(run_mutant, seed=seed, seeds=seeds, folder=folder), range(n_cases))
+        yield from pool.imap_unordered(
+            partial(run_mutant, seed=seed, seeds=seeds, folder=folder), range(n_cases)
+        )
 
 
 def run_mutant(number: int, *, seed: int, seeds: Path, folder: Path) -> Case:
@@ -35,8 +38,14 @@ def run_mutant(number: int, *, seed: int, seeds: Path, folder: Path) -> Case:
     path = place / random.choice(kind.files)
     name = f"{path.relative_to(place)}, {_damage(path, kind, random)}"
     end = run(kind.command, place)
-    # a damaged file may be blamed on the file beside it that no longer fits, or on the folder of both
-    names = (path.name, *(Path(file).name for file in kind.files), f"{path.parent.name}/", f"{path.parent.name}:")
+    # a damaged file may be blamed on the file beside it that no longer fits, or on the folder of
+    # both
+    names = (
+        path.name,
+        *(Path(file).name for file in kind.files),
+        f"{path.parent.name}/",
+        f"{path.parent.name}:",
+    )
     faults = problems(end, names=() if kind.has_paths else names)
     if not end.status and (place / "out/tracks.csv").exists():
         faults += result_problems(place / "out")

@@ -1,6 +1,7 @@
 """Mutations of files: bytes, texts, tables, structured values, and the kind of the file itself.
 
-A mutation of content is a function of the content and a random generator; one of the file kind replaces the file.
+A mutation of content is a function of the content and a random generator; one of the file kind
+replaces the file.
 """
 
 from __future__ import annotations
@@ -22,17 +23,87 @@ import yaml
 Mutation = Callable[[bytes, Random], bytes]
 
 HOSTILE_TEXTS = (
-    *("", "nan", "inf", "-inf", "1e400", "-1", "0", "1e-300", "9,66", "0x10", "1_000", "1.2.3", "None", "null", "true"),
-    *(str(2**31), str(2**63), str(2**70), "9" * 5000, "99999999", "-0.0", "abc", "é", "\0", "\u202e", "٣"),
-    *("x" * 100_000, "'", '"', "%s", "{}", "../../etc/passwd", "/dev/zero", "=1+1", "[red]", ":smile:", "NaN,NaN"),
+    *(
+        "",
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "-1",
+        "0",
+        "1e-300",
+        "9,66",
+        "0x10",
+        "1_000",
+        "1.2.3",
+        "None",
+        "null",
+        "true",
+    ),
+    *(
+        str(2**31),
+        str(2**63),
+        str(2**70),
+        "9" * 5000,
+        "99999999",
+        "-0.0",
+        "abc",
+        "é",
+        "\0",
+        "\u202e",
+        "٣",
+    ),
+    *(
+        "x" * 100_000,
+        "'",
+        '"',
+        "%s",
+        "{}",
+        "../../etc/passwd",
+        "/dev/zero",
+        "=1+1",
+        "[red]",
+        ":smile:",
+        "NaN,NaN",
+    ),
     *("1;2", "1 2", "\t"),
 )
 """Texts that replace a number or a word."""
 
 HOSTILE_YAML = (
-    *("!!int abc", "!!bool maybe", "!!float x", "!!python/object/apply:os.system [ls]", "!!binary ///", "!!set {a, b}"),
-    *("2001-99-99", "2001-01-01", "1:60:99", "0o9", "~", "*missing", "&a [*a]", "? a", "{a: 1, a: 2}", "- -", "|"),
-    *(">-", "!!timestamp x", "<<: 1", "{<<: 1}", ".nan", "-.inf", "1e400", "0b2", "[" * 3000, "{a: " * 3000),
+    *(
+        "!!int abc",
+        "!!bool maybe",
+        "!!float x",
+        "!!python/object/apply:os.system [ls]",
+        "!!binary ///",
+        "!!set {a, b}",
+    ),
+    *(
+        "2001-99-99",
+        "2001-01-01",
+        "1:60:99",
+        "0o9",
+        "~",
+        "*missing",
+        "&a [*a]",
+        "? a",
+        "{a: 1, a: 2}",
+        "- -",
+        "|",
+    ),
+    *(
+        ">-",
+        "!!timestamp x",
+        "<<: 1",
+        "{<<: 1}",
+        ".nan",
+        "-.inf",
+        "1e400",
+        "0b2",
+        "[" * 3000,
+        "{a: " * 3000,
+    ),
     *("9" * 5000, "[" * 3000 + "]" * 3000),
 )
 """Texts that replace a YAML value."""
@@ -43,8 +114,36 @@ _ALIAS_BOMB = "bomb0: &b0 [x, x, x, x, x, x, x, x, x]\n" + "\n".join(
 """Nine levels of nine aliases: 3 GiB when expanded."""
 
 _HOSTILE_VALUES: tuple[Any, ...] = (
-    *(None, True, [], {}, "", "abc", "1", -1, 0, 0.5, 1e-300, 1e300, float("nan"), float("inf"), 2**31, 2**63, 2**70),
-    *([None], [[]], {"a": None}, ["x"] * 50, [1] * 100_000, "x" * 100_000, "\ud7ff", "../../etc/passwd", "/dev/zero"),
+    *(
+        None,
+        True,
+        [],
+        {},
+        "",
+        "abc",
+        "1",
+        -1,
+        0,
+        0.5,
+        1e-300,
+        1e300,
+        float("nan"),
+        float("inf"),
+        2**31,
+        2**63,
+        2**70,
+    ),
+    *(
+        [None],
+        [[]],
+        {"a": None},
+        ["x"] * 50,
+        [1] * 100_000,
+        "x" * 100_000,
+        "\ud7ff",
+        "../../etc/passwd",
+        "/dev/zero",
+    ),
 )
 
 _TOKEN = re.compile(rb"[^\s,:;=\[\]{}\"']+")
@@ -88,7 +187,15 @@ def insert_bytes(content: bytes, random: Random) -> bytes:
 
 def other_bytes(content: bytes, random: Random) -> bytes:
     """Random bytes, or the start of another kind of file."""
-    starts = (b"", b"PK\3\4", b"\x89PNG\r\n\x1a\n", b"\x93NUMPY\1\0", b"%YAML:1.0\n---\n", b"\x80\4\x95", b"<html>")
+    starts = (
+        b"",
+        b"PK\3\4",
+        b"\x89PNG\r\n\x1a\n",
+        b"\x93NUMPY\1\0",
+        b"%YAML:1.0\n---\n",
+        b"\x80\4\x95",
+        b"<html>",
+    )
     return random.choice(starts) + random.randbytes(random.randint(1, 4000))
 
 
@@ -119,7 +226,8 @@ def change_lines(content: bytes, random: Random) -> bytes:
 
 
 def change_encoding(content: bytes, random: Random) -> bytes:
-    """The text in another encoding, with other line ends, a byte order mark, or a character that is no UTF-8."""
+    """The text in another encoding, with other line ends, a byte order mark, or a character that is
+    no UTF-8."""
     text = content.decode("utf-8", "replace")
     return random.choice(
         (
@@ -139,7 +247,10 @@ def change_encoding(content: bytes, random: Random) -> bytes:
 
 def long_line(content: bytes, random: Random) -> bytes:
     lines = content.splitlines(keepends=True)
-    lines.insert(random.randrange(len(lines) + 1), random.choice((b"x", b"1,", b"[", b"- ", b" ")) * 200_000 + b"\n")
+    lines.insert(
+        random.randrange(len(lines) + 1),
+        random.choice((b"x", b"1,", b"[", b"- ", b" ")) * 200_000 + b"\n",
+    )
     return b"".join(lines)
 
 
@@ -202,14 +313,19 @@ def add_alias_bomb(content: bytes, random: Random) -> bytes:
     """The content with nested aliases: all in separate keys, or as the value of one of its keys."""
     if random.random() < 0.5:
         return _ALIAS_BOMB.encode() + b"\n" + content
-    return _replace(_ALIAS_BOMB.encode() + b"\n" + content, re.compile(rb"(?<=: )[\w.].*"), b"*b8", random)
+    return _replace(
+        _ALIAS_BOMB.encode() + b"\n" + content, re.compile(rb"(?<=: )[\w.].*"), b"*b8", random
+    )
 
 
 def change_yaml_value(content: bytes, random: Random) -> bytes:
     """A hostile value instead of one in a YAML document, a key removed, or one added."""
-    start = content.find(b"---\n") + 4 if content.startswith(b"%YAML") else 0  # OpenCV's first line is no YAML
+    # OpenCV's first line is no YAML
+    start = content.find(b"---\n") + 4 if content.startswith(b"%YAML") else 0
     value = _changed(_load_yaml(content[start:]), random)
-    return content[:start] + yaml.safe_dump(value, sort_keys=False, allow_unicode=True).encode("utf-8", "replace")
+    return content[:start] + yaml.safe_dump(value, sort_keys=False, allow_unicode=True).encode(
+        "utf-8", "replace"
+    )
 
 
 def change_json_value(content: bytes, random: Random) -> bytes:
@@ -219,7 +335,17 @@ def change_json_value(content: bytes, random: Random) -> bytes:
 
 def change_json_text(content: bytes, random: Random) -> bytes:
     """A hostile text instead of a JSON number or text."""
-    texts = (*HOSTILE_TEXTS, "[" * 3000, '{"a":' * 3000, "NaN", "-Infinity", r'"\ud800"', "1e999", "{}", '"\t"')
+    texts = (
+        *HOSTILE_TEXTS,
+        "[" * 3000,
+        '{"a":' * 3000,
+        "NaN",
+        "-Infinity",
+        r'"\ud800"',
+        "1e999",
+        "{}",
+        '"\t"',
+    )
     pattern = re.compile(rb"(?<=: )[^\s,]+|\"[^\"]*\"|-?[\d.]+")
     return _replace(content, pattern, random.choice(texts).encode(), random)
 
@@ -227,11 +353,25 @@ def change_json_text(content: bytes, random: Random) -> bytes:
 def change_npy_header(content: bytes, random: Random) -> bytes:
     """A numpy file with another type, shape or order in its header."""
     header_bytes = struct.unpack_from("<H", content, 8)[0]
-    descr = random.choice(("<f8", "|O", "<U9999999", "<f4", "<i8", "<c16", "|V8", "<M8[s]", "[('a','<f4')]"))
-    shape = random.choice(
-        ("(3,)", "(-1, 4)", "(1099511627776, 138)", "(4294967296, 4294967296)", "()", "(0, 138)", "(2, 2, 2)", "(1,)")
+    descr = random.choice(
+        ("<f8", "|O", "<U9999999", "<f4", "<i8", "<c16", "|V8", "<M8[s]", "[('a','<f4')]")
     )
-    header = f"{{'descr': '{descr}', 'fortran_order': {random.choice(('True', 'False', '1'))}, 'shape': {shape}, }}"
+    shape = random.choice(
+        (
+            "(3,)",
+            "(-1, 4)",
+            "(1099511627776, 138)",
+            "(4294967296, 4294967296)",
+            "()",
+            "(0, 138)",
+            "(2, 2, 2)",
+            "(1,)",
+        )
+    )
+    header = (
+        f"{{'descr': '{descr}', 'fortran_order': {random.choice(('True', 'False', '1'))}, 'shape': "
+        f"{shape}, }}"
+    )
     encoded = header.encode().ljust(-(10 + len(header)) % 64 + len(header) - 1) + b"\n"
     return content[:8] + struct.pack("<H", len(encoded)) + encoded + content[10 + header_bytes :]
 
@@ -251,7 +391,9 @@ def change_onnx(content: bytes, random: Random) -> bytes:
     import onnx
 
     model = onnx.load(io.BytesIO(content))
-    random.choice((_change_onnx_input, _change_onnx_graph, _change_onnx_metadata, _change_onnx_weight))(model, random)
+    random.choice(
+        (_change_onnx_input, _change_onnx_graph, _change_onnx_metadata, _change_onnx_weight)
+    )(model, random)
     return bytes(model.SerializeToString())
 
 
@@ -262,13 +404,17 @@ def _change_onnx_input(model: Any, random: Random) -> None:
     elif random.random() < 0.5:
         random.choice(kind.shape.dim).dim_value = random.choice((0, -1, 1, 7, 65_536, 2**31, 2**62))
     else:
-        kind.shape.dim[2].dim_value = kind.shape.dim[3].dim_value = random.choice((0, 1, 31, 8192, 65_536, 2**31))
+        kind.shape.dim[2].dim_value = kind.shape.dim[3].dim_value = random.choice(
+            (0, 1, 31, 8192, 65_536, 2**31)
+        )
 
 
 def _change_onnx_graph(model: Any, random: Random) -> None:
     match random.randrange(3):
         case 0:
-            random.choice(model.graph.node).op_type = random.choice(("Nothing", "", "Loop", "If", "Identity"))
+            random.choice(model.graph.node).op_type = random.choice(
+                ("Nothing", "", "Loop", "If", "Identity")
+            )
         case 1:
             del model.graph.output[:]
         case _:
@@ -277,7 +423,14 @@ def _change_onnx_graph(model: Any, random: Random) -> None:
 
 def _change_onnx_metadata(model: Any, random: Random) -> None:
     keys = ("names", "anchors", "letterbox", "size", "family", "divisor", "scale_x_y", "colours")
-    values = (*HOSTILE_TEXTS, "{0: 'car'}", "[" * 3000, "__import__('os').getpid()", "[[1,2]]", "9" * 5000)
+    values = (
+        *HOSTILE_TEXTS,
+        "{0: 'car'}",
+        "[" * 3000,
+        "__import__('os').getpid()",
+        "[[1,2]]",
+        "9" * 5000,
+    )
     model.metadata_props.add(key=random.choice(keys), value=random.choice(values))
 
 
@@ -291,7 +444,9 @@ def _change_onnx_weight(model: Any, random: Random) -> None:
     else:
         weight.ClearField("raw_data")
         weight.data_location = onnx.TensorProto.EXTERNAL
-        weight.external_data.add(key="location", value=random.choice(("/etc/passwd", "../x", "no.bin", "/dev/zero")))
+        weight.external_data.add(
+            key="location", value=random.choice(("/etc/passwd", "../x", "no.bin", "/dev/zero"))
+        )
 
 
 ANY = (flip_bits, cut_end, cut_part, double_part, insert_bytes, other_bytes)
@@ -339,7 +494,8 @@ def make_socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as endpoint:
         descriptor = os.open(path.parent, os.O_RDONLY)
         try:
-            endpoint.bind(f"/proc/self/fd/{descriptor}/{path.name}")  # a socket's path is limited to 108 characters
+            # a socket's path is limited to 108 characters
+            endpoint.bind(f"/proc/self/fd/{descriptor}/{path.name}")
         finally:
             os.close(descriptor)
 
@@ -349,7 +505,16 @@ def make_missing(path: Path) -> None:
 
 
 FILE_KINDS: tuple[Callable[[Path], None], ...] = (
-    *(make_fifo, make_device, make_link_loop, make_folder, make_empty, make_dangling_link, make_sparse, make_socket),
+    *(
+        make_fifo,
+        make_device,
+        make_link_loop,
+        make_folder,
+        make_empty,
+        make_dangling_link,
+        make_sparse,
+        make_socket,
+    ),
     make_missing,
 )
 """What is put in the place of a file."""
@@ -388,7 +553,9 @@ def _load_yaml(content: bytes) -> Any:
 def _changed(document: Any, random: Random) -> Any:
     """A copy of a document with one hostile change."""
     document = copy.deepcopy(document)
-    holder: Any = random.choice([part for part in _parts(document) if isinstance(part, dict | list) and part])
+    holder: Any = random.choice(
+        [part for part in _parts(document) if isinstance(part, dict | list) and part]
+    )
     key = random.choice(list(holder)) if isinstance(holder, dict) else random.randrange(len(holder))
     change = random.random()
     if change < 0.15:
@@ -396,12 +563,20 @@ def _changed(document: Any, random: Random) -> Any:
     elif change > 0.3:
         holder[key] = copy.deepcopy(random.choice(_HOSTILE_VALUES))
     elif isinstance(holder, dict):
-        holder[random.choice(("", "x", key, 1, None))] = copy.deepcopy(random.choice(_HOSTILE_VALUES))
+        holder[random.choice(("", "x", key, 1, None))] = copy.deepcopy(
+            random.choice(_HOSTILE_VALUES)
+        )
     else:
         holder.append(copy.deepcopy(holder[key]))
     return document
 
 
 def _parts(document: Any) -> list[Any]:
-    children = document.values() if isinstance(document, dict) else document if isinstance(document, list) else ()
+    children = (
+        document.values()
+        if isinstance(document, dict)
+        else document
+        if isinstance(document, list)
+        else ()
+    )
     return [document, *(part for child in children for part in _parts(child))]

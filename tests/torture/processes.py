@@ -1,4 +1,5 @@
-"""Commands of track-range in forked processes, which start in milliseconds because its modules are loaded."""
+"""Commands of track-range in forked processes, which start in milliseconds because its modules are
+loaded."""
 
 from __future__ import annotations
 
@@ -17,8 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NoReturn
 
-TIME_LIMIT_S = 20.0  # a command that takes longer counts as hanging; usual ones take less than one second
-MEMORY_BYTES = 8_000_000_000  # growth of the address space; pyarrow and threads reserve much more than they use
+# a command that takes longer counts as hanging; usual ones take less than one second
+TIME_LIMIT_S = 20.0
+# growth of the address space; pyarrow and threads reserve much more than they use
+MEMORY_BYTES = 8_000_000_000
 MAX_OUTPUT = 1_000_000  # bytes
 LIBRARIES = ("onnx", "onnxruntime", "pandas", "pyarrow", "scipy.optimize", "scipy.stats", "jinja2")
 
@@ -35,12 +38,15 @@ class End:
 
 
 def load_modules() -> None:
-    """Import the modules of track-range and the libraries that they import later; call it before the first command."""
+    """Import the modules of track-range and the libraries that they import later; call it before
+    the first command."""
     import track_range
 
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     for module in pkgutil.walk_packages(track_range.__path__, "track_range."):
-        if not module.name.startswith("track_range.detection.training") and not module.name.endswith("__main__"):
+        if not module.name.startswith(
+            "track_range.detection.training"
+        ) and not module.name.endswith("__main__"):
             importlib.import_module(module.name)
     for name in LIBRARIES:
         if importlib.util.find_spec(name.partition(".")[0]):
@@ -66,7 +72,9 @@ class Child:
             with file:
                 file.seek(0)
                 texts.append(file.read(MAX_OUTPUT).decode(errors="replace"))
-        return End(os.waitstatus_to_exitcode(status), *texts, time.monotonic() - self.started_s, growth_mib)
+        return End(
+            os.waitstatus_to_exitcode(status), *texts, time.monotonic() - self.started_s, growth_mib
+        )
 
     def has_ended(self) -> bool:
         """Whether the command has ended; `wait` is still to be called."""
@@ -88,7 +96,8 @@ def start(
     time_limit_s: float = TIME_LIMIT_S,
     prepare: Callable[[], None] | None = None,
 ) -> Child:
-    """Start a command in a folder; SIGALRM ends it at the time limit, and `prepare` is called before it."""
+    """Start a command in a folder; SIGALRM ends it at the time limit, and `prepare` is called
+    before it."""
     stdout, stderr = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 - `Child` closes them
     started_s = time.monotonic()
     pid = os.fork()

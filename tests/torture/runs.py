@@ -1,4 +1,5 @@
-"""Runs that are killed, share a folder, meet a full disk or a failing write, are long, or serve a hostile client."""
+"""Runs that are killed, share a folder, meet a full disk or a failing write, are long, or serve a
+hostile client."""
 
 from __future__ import annotations
 
@@ -25,21 +26,27 @@ from tests.torture.seeds import FOCAL_PX, read_images, simulate, write_video
 RUN_LIMIT_S = 900.0
 GRACE_S = 0.5  # from the creation of the folder until settings.yaml must exist, on a busy machine
 MAX_WRITES = 60  # largest number of the write that fails; a run has about as many
-LONG_FRAMES, FIRST_SAMPLE = 3000, 1000  # memory is compared from the second on, when buffers and caches are filled
+# memory is compared from the second on, when buffers and caches are filled
+LONG_FRAMES, FIRST_SAMPLE = 3000, 1000
 LONG_GROWTH_MIB = 8.0  # rows of the summary take 250 bytes, and the allocator some MiB
 
-MONO = tuple(f"--mono drive/left.mp4 --focal-px {FOCAL_PX} --detections drive/detections.txt --out out".split())
+MONO = tuple(
+    f"--mono drive/left.mp4 --focal-px {FOCAL_PX} --detections drive/detections.txt --out "
+    "out".split()
+)
 PLAIN = (*MONO, "--lanes", "off")
 STEREO = tuple("--stereo drive/left.mp4 drive/right.mp4 --rig drive/rig.yaml".split())
 ALIGNED = (*STEREO, *"--detections drive/detections.txt --no-sgbm --out out".split())
 PROGRAM = (sys.executable, "-m", "track_range")
 RESULTS = tuple(
-    "tracks.csv mot.txt tracks.parquet tracks.arrows overlay.mp4 report.html summary.json settings.yaml".split()
+    "tracks.csv mot.txt tracks.parquet tracks.arrows overlay.mp4 report.html summary.json "
+    "settings.yaml".split()
 )
 
 
 def run_kills(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
-    """Runs that are killed at random times after their folder exists, and the commands after them."""
+    """Runs that are killed at random times after their folder exists, and the commands after
+    them."""
     simulate(folder / "drive", n_frames=60)
     random = Random(seed)
     commands = {"mono": MONO, "stereo, alignment from the drive": ALIGNED}
@@ -70,9 +77,13 @@ def run_kills(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Ca
             faults += [f"{name}: {problem}" for problem in problems(end)]
             if outcome(end) == "refused" and (n_rows > 1 or name == "next run"):
                 faults.append(f"{name}: {end.stderr[:300]}")
-        end = End(0 if killed.status == -9 else killed.status, killed.stdout, killed.stderr, killed.wall_s)
+        end = End(
+            0 if killed.status == -9 else killed.status, killed.stdout, killed.stderr, killed.wall_s
+        )
         name = f"after {delay_s:.2f} s, {n_rows} rows"
-        yield finished(Case("kills", kind, name, "accepted", tuple(faults), commands[kind], place, end))
+        yield finished(
+            Case("kills", kind, name, "accepted", tuple(faults), commands[kind], place, end)
+        )
 
 
 def run_locks(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
@@ -89,13 +100,27 @@ def run_locks(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Ca
         ends = sorted((child.wait() for child in children), key=lambda end: end.status)
         faults = list(problems(ends[1], names=("out",)))
         if [end.status for end in ends] != [0, 1]:
-            faults.append(f"exit status {ends[0].status} and {ends[1].status}: {ends[0].stderr[-200:]}")
+            faults.append(
+                f"exit status {ends[0].status} and {ends[1].status}: {ends[0].stderr[-200:]}"
+            )
         faults += result_problems(place / "out", has_overlay=True)
-        yield finished(Case("locks", "two runs", f"pair {number}", "refused", tuple(faults), MONO, place, ends[1]))
+        yield finished(
+            Case(
+                "locks",
+                "two runs",
+                f"pair {number}",
+                "refused",
+                tuple(faults),
+                MONO,
+                place,
+                ends[1],
+            )
+        )
 
 
 def run_full_disks(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
-    """Runs with a limit on the size of files, or as root on a small file system (every other case)."""
+    """Runs with a limit on the size of files, or as root on a small file system (every other
+    case)."""
     simulate(folder / "drive", n_frames=20)
     succeed(PLAIN, folder)
     sizes = [file.stat().st_size for file in (folder / "out").iterdir()]
@@ -120,7 +145,8 @@ def run_full_disks(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterat
 
 
 def run_failing_writes(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
-    """Runs in which one write, or all from one on, fail with ENOSPC or EIO; none without a C compiler."""
+    """Runs in which one write, or all from one on, fail with ENOSPC or EIO; none without a C
+    compiler."""
     compiler = shutil.which("cc")
     if compiler is None or sys.platform != "linux":
         print("No failing writes: they require Linux and a C compiler, `cc`.")
@@ -132,7 +158,11 @@ def run_failing_writes(folder: Path, seed: int, n_cases: int, n_jobs: int) -> It
     random = Random(seed)
     for number in range(n_cases):
         place = _new_place(folder, f"write-{number}")
-        code, write, is_lasting = random.choice((errno.ENOSPC, errno.EIO)), random.randint(1, MAX_WRITES), number % 2
+        code, write, is_lasting = (
+            random.choice((errno.ENOSPC, errno.EIO)),
+            random.randint(1, MAX_WRITES),
+            number % 2,
+        )
         environment = {
             "LD_PRELOAD": str(library),
             "TORTURE_FOLDER": str(place / "out"),
@@ -156,12 +186,16 @@ def run_memory(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[C
         rows = [line.split(" ") for line in (drive / "detections.txt").read_text().splitlines()]
         with (place / "detections.txt").open("w", encoding="utf-8") as file:
             for first in range(0, LONG_FRAMES, n_frames):
-                file.writelines(" ".join([str(int(row[0]) + first), *row[1:]]) + "\n" for row in rows)
+                file.writelines(
+                    " ".join([str(int(row[0]) + first), *row[1:]]) + "\n" for row in rows
+                )
         options = "--detections detections.txt --lanes off --no-overlay --out out"
         command = tuple(f"--mono long.mp4 --focal-px {FOCAL_PX} {options}".split())
         child = start(command, place, time_limit_s=RUN_LIMIT_S)
         samples = []
-        while (frame := _last_frame(place / "out/tracks.csv")) < LONG_FRAMES - 100 and not child.has_ended():
+        while (
+            frame := _last_frame(place / "out/tracks.csv")
+        ) < LONG_FRAMES - 100 and not child.has_ended():
             time.sleep(0.05)
             if frame >= FIRST_SAMPLE and not child.has_ended():
                 samples.append(child.resident_mib())
@@ -171,11 +205,25 @@ def run_memory(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[C
             faults.append(f"no samples of the memory, or failed: {end.stderr[-200:]}")
         else:
             last_mib = sorted(samples[-10:])[len(samples[-10:]) // 2]
-            print(f"Memory at frame {FIRST_SAMPLE} and at the end: {samples[0]:.1f} and {last_mib:.1f} MiB.")
+            print(
+                f"Memory at frame {FIRST_SAMPLE} and at the end: {samples[0]:.1f} and "
+                f"{last_mib:.1f} MiB."
+            )
             if last_mib - samples[0] > LONG_GROWTH_MIB:
                 faults.append(f"memory grows from {samples[0]:.0f} to {last_mib:.0f} MiB")
         name = f"run {number}"
-        yield finished(Case("memory", f"{LONG_FRAMES} frames", name, "accepted", tuple(faults), command, place, end))
+        yield finished(
+            Case(
+                "memory",
+                f"{LONG_FRAMES} frames",
+                name,
+                "accepted",
+                tuple(faults),
+                command,
+                place,
+                end,
+            )
+        )
 
 
 def run_determinism(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
@@ -192,10 +240,18 @@ def run_determinism(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Itera
             if end.status:
                 faults.append(f"run {name}: {end.stderr[-200:]}")
                 break
-            contents[name] = [(place / name / file).read_bytes() for file in ("tracks.csv", "mot.txt")]
-        faults += [f"run {name} differs from run a1" for name, content in contents.items() if content != contents["a1"]]
+            contents[name] = [
+                (place / name / file).read_bytes() for file in ("tracks.csv", "mot.txt")
+            ]
+        faults += [
+            f"run {name} differs from run a1"
+            for name, content in contents.items()
+            if content != contents["a1"]
+        ]
         kind, name = "--threads 1 and 2, twice", f"run {number}"
-        yield finished(Case("determinism", kind, name, "accepted", tuple(faults), command, place, end))
+        yield finished(
+            Case("determinism", kind, name, "accepted", tuple(faults), command, place, end)
+        )
 
 
 LOCAL = "Host: 127.0.0.1\r\n"
@@ -237,7 +293,9 @@ def run_server(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[C
         faults += [*problems(end), *result_problems(place / "out", has_overlay=True)]
         if end.status:
             faults.append(end.stderr[-300:])
-        yield finished(Case("server", "hostile requests", "", "accepted", tuple(faults), command, place, end))
+        yield finished(
+            Case("server", "hostile requests", "", "accepted", tuple(faults), command, place, end)
+        )
 
 
 def _attack(port: int, random: Random, faults: list[str]) -> None:
@@ -287,7 +345,18 @@ def _disk_case(part: str, kind: str, name: str, place: Path, end: End) -> Case:
         faults += result_problems(out, has_overlay=True, max_lag=MAX_LAG_FRAMES)
     if not end.status and not (out / "summary.json").exists():
         faults.append("success without summary.json")
-    return finished(Case(part, kind, name, "refused" if end.status else "accepted", tuple(faults), PLAIN, place, end))
+    return finished(
+        Case(
+            part,
+            kind,
+            name,
+            "refused" if end.status else "accepted",
+            tuple(faults),
+            PLAIN,
+            place,
+            end,
+        )
+    )
 
 
 def _limit_file_size(n_bytes: int) -> None:
@@ -306,9 +375,16 @@ def _can_mount() -> bool:
 def _run_program(command: list[str], place: Path, environment: dict[str, str] | None = None) -> End:
     """A command in a separate process."""
     variables = {**os.environ, "COLUMNS": "200", **(environment or {})}
-    options = {"cwd": place, "env": variables, "capture_output": True, "text": True, "stdin": subprocess.DEVNULL}
+    options = {
+        "cwd": place,
+        "env": variables,
+        "capture_output": True,
+        "text": True,
+        "stdin": subprocess.DEVNULL,
+    }
     try:
-        done = subprocess.run(command, **options, timeout=4 * TIME_LIMIT_S)  # including the start of Python
+        # including the start of Python
+        done = subprocess.run(command, **options, timeout=4 * TIME_LIMIT_S)
     except subprocess.TimeoutExpired:
         return End(-signal.SIGALRM)
     return End(done.returncode, done.stdout, done.stderr)

@@ -1,4 +1,5 @@
-"""Valid inputs of every kind, most of them written by track-range, and a cheap command that reads each."""
+"""Valid inputs of every kind, most of them written by track-range, and a cheap command that reads
+each."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ FRAMES, FPS = 5, 10
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of input: files of the seeds' folder, of which one is damaged in each case, and a command that reads them.
+    """A kind of input: files of the seeds' folder, of which one is damaged in each case, and a
+    command that reads them.
 
     `has_paths`: the files contain paths of other files, which a message may name instead.
     """
@@ -49,14 +51,18 @@ PAIR = f"--stereo drive/left.mp4 drive/right.mp4 --no-sgbm {CHEAP} {BOXES}"
 STEREO = f"{PAIR} --rig drive/rig.yaml --align off"
 SIZE = f"--size {WIDTH_PX}x{HEIGHT_PX}"
 ANCHORS = "anchors --data images/data.yaml --clusters 2 --size 64"
-EVALUATION = "evaluate detections --model net/net.onnx --images images/images --labels images/labels"
+EVALUATION = (
+    "evaluate detections --model net/net.onnx --images images/images --labels images/labels"
+)
 TRACK = "track mot/MOT-01/det/det.txt --out out"
 IMPORT = "models import darknet/net.cfg darknet/net.weights --names car,bus --out out.onnx"
 MOT = "evaluate tracks --truth mot --results tracks"
 
 NAMES_PATHS = ("settings.yaml", "data.yaml", "manifest", "ONNX", "ONNX of a run", "--reid")
 KINDS = tuple(
-    Kind(name, tuple(files.split()), mutations, tuple(command.split()), has_paths=name in NAMES_PATHS)
+    Kind(
+        name, tuple(files.split()), mutations, tuple(command.split()), has_paths=name in NAMES_PATHS
+    )
     for name, files, mutations, command in (
         ("rig.yaml", "drive/rig.yaml", YAML, "rig show drive/rig.yaml"),
         ("rig.yaml of a run", "drive/rig.yaml", YAML, STEREO),
@@ -69,16 +75,36 @@ KINDS = tuple(
         ("settings.yaml", "run/settings.yaml", YAML, "--settings run/settings.yaml --out out"),
         ("data.yaml", "images/data.yaml", YAML, ANCHORS),
         ("YOLO labels", "images/labels/001000_00.txt images/ignored/001000_00.txt", TABLE, ANCHORS),
-        ("classes.txt", "net/classes.txt", TEXT, "models info net/net.onnx --names net/classes.txt"),
+        (
+            "classes.txt",
+            "net/classes.txt",
+            TEXT,
+            "models info net/net.onnx --names net/classes.txt",
+        ),
         ("manifest", "images/manifest.csv", TABLE, f"{EVALUATION} --manifest images/manifest.csv"),
         ("truth.csv", "drive/truth.csv", TABLE, f"{MONO} --truth drive/truth.csv"),
         ("KITTI truth", "drive/truth.txt", TABLE, f"{MONO} --truth drive/truth.txt"),
-        ("KITTI labels", "labels/0000.txt", TABLE, "evaluate tracks --truth labels/0000.txt --results run/mot.txt"),
-        ("KITTI folders", "labels/0000.txt calib/0000.txt", TABLE, "evaluate ranges --labels labels --calib calib"),
+        (
+            "KITTI labels",
+            "labels/0000.txt",
+            TABLE,
+            "evaluate tracks --truth labels/0000.txt --results run/mot.txt",
+        ),
+        (
+            "KITTI folders",
+            "labels/0000.txt calib/0000.txt",
+            TABLE,
+            "evaluate ranges --labels labels --calib calib",
+        ),
         ("ego speed", "drive/ego_speed.csv", TABLE, f"{MONO} --ego-speed drive/ego_speed.csv"),
         ("oxts", "oxts/0000000001.txt oxts/timestamps.txt", TABLE, f"{MONO} --ego-speed oxts"),
         ("KITTI detections", "drive/detections.txt", TABLE, MONO),
-        ("tracks.csv as detections", "run/tracks.csv", TABLE, f"{VIDEO} --detections run/tracks.csv {CHEAP}"),
+        (
+            "tracks.csv as detections",
+            "run/tracks.csv",
+            TABLE,
+            f"{VIDEO} --detections run/tracks.csv {CHEAP}",
+        ),
         ("rrc", "rrc.txt", TABLE, "track rrc.txt --out out"),
         ("det.txt", "mot/MOT-01/det/det.txt", TABLE, TRACK),
         *(
@@ -92,18 +118,53 @@ KINDS = tuple(
         ),
         ("feat.npy", "mot/MOT-01/det/feat.npy", NPY, TRACK),
         ("MOT folder", "mot/MOT-01/seqinfo.ini mot/MOT-01/gt/gt.txt", TABLE, MOT),
-        ("run folder", "run/tracks.csv run/summary.json run/settings.yaml", (*TABLE, *JSON[-3:]), "report run"),
+        (
+            "run folder",
+            "run/tracks.csv run/summary.json run/settings.yaml",
+            (*TABLE, *JSON[-3:]),
+            "report run",
+        ),
         ("Darknet", "darknet/net.cfg darknet/net.cfg darknet/net.weights", TEXT, IMPORT),
         ("ONNX", "net/net.onnx", ONNX, "models info net/net.onnx"),
         ("ONNX of a run", "net/net.onnx", ONNX, f"{VIDEO} --detector net/net.onnx {CHEAP}"),
         ("--reid", "net/reid.onnx", ONNX, f"{MONO} --reid net/reid.onnx"),
         ("mp4", "drive/left.mp4 drive/right.mp4", BYTES, STEREO),
-        ("avi", "videos/left.avi", BYTES, f"--mono videos/left.avi --focal-px {FOCAL_PX} {BOXES} {CHEAP}"),
-        ("mkv", "videos/left.mkv", BYTES, f"--mono videos/left.mkv --focal-px {FOCAL_PX} {BOXES} {CHEAP}"),
-        ("png folder", "png/000000.png png/000002.png", PNG, f"--mono png --focal-px {FOCAL_PX} {BOXES} {CHEAP}"),
-        ("jpg folder", "jpg/000000.jpg jpg/000002.jpg", PNG, f"--mono jpg --focal-px {FOCAL_PX} {BOXES} {CHEAP}"),
-        ("timestamps.txt", "timed/timestamps.txt", TABLE, f"--mono timed --focal-px {FOCAL_PX} {BOXES} {CHEAP}"),
-        ("box CSV", "boxes.csv", TABLE, f"fit --csv boxes.csv --focal-px {FOCAL_PX} --out fitted.json"),
+        (
+            "avi",
+            "videos/left.avi",
+            BYTES,
+            f"--mono videos/left.avi --focal-px {FOCAL_PX} {BOXES} {CHEAP}",
+        ),
+        (
+            "mkv",
+            "videos/left.mkv",
+            BYTES,
+            f"--mono videos/left.mkv --focal-px {FOCAL_PX} {BOXES} {CHEAP}",
+        ),
+        (
+            "png folder",
+            "png/000000.png png/000002.png",
+            PNG,
+            f"--mono png --focal-px {FOCAL_PX} {BOXES} {CHEAP}",
+        ),
+        (
+            "jpg folder",
+            "jpg/000000.jpg jpg/000002.jpg",
+            PNG,
+            f"--mono jpg --focal-px {FOCAL_PX} {BOXES} {CHEAP}",
+        ),
+        (
+            "timestamps.txt",
+            "timed/timestamps.txt",
+            TABLE,
+            f"--mono timed --focal-px {FOCAL_PX} {BOXES} {CHEAP}",
+        ),
+        (
+            "box CSV",
+            "boxes.csv",
+            TABLE,
+            f"fit --csv boxes.csv --focal-px {FOCAL_PX} --out fitted.json",
+        ),
     )
 )
 """All kinds of inputs."""
@@ -117,12 +178,26 @@ def _write_rig(folder: Path) -> None:
     (folder / "rig.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
-def simulate(folder: Path, *, n_frames: int, scenario: str = "highway", options: Sequence[str] = ()) -> Path:
-    """Simulate a small drive; returns its folder, with left.mp4, right.mp4, rig.yaml, detections.txt and truth.csv."""
+def simulate(
+    folder: Path, *, n_frames: int, scenario: str = "highway", options: Sequence[str] = ()
+) -> Path:
+    """Simulate a small drive; returns its folder, with left.mp4, right.mp4, rig.yaml,
+    detections.txt and truth.csv."""
     folder.mkdir(parents=True)
     _write_rig(folder)
     seconds = str(n_frames / FPS)
-    command = ("simulate", "--scenario", scenario, "--seconds", seconds, "--rig", "rig.yaml", "--out", ".", *options)
+    command = (
+        "simulate",
+        "--scenario",
+        scenario,
+        "--seconds",
+        seconds,
+        "--rig",
+        "rig.yaml",
+        "--out",
+        ".",
+        *options,
+    )
     succeed(command, folder)
     return folder
 
@@ -135,7 +210,8 @@ def write_seeds(folder: Path) -> None:
     succeed([*MONO.split()[:-1], "run", "--truth", "drive/truth.csv"], folder)
     succeed(("simulate", "--images", "2", "--frames", "1", "--out", "images"), folder)
     (folder / "images/manifest.csv").write_text(
-        "file,split,labels_complete\n001000_00.jpg,val,11111111\n001001_00.jpg,train,11110000\n", encoding="utf-8"
+        "file,split,labels_complete\n001000_00.jpg,val,11111111\n001001_00.jpg,train,11110000\n",
+        encoding="utf-8",
     )
     images = read_images(drive / "left.mp4")
     for name, suffix in (("png", "png"), ("jpg", "jpg"), ("timed", "png")):
@@ -190,12 +266,17 @@ def _write_calibrations(folder: Path) -> None:
     }
     chain = {"cam0": camera, "cam1": copy.deepcopy(camera) | {"T_cn_cnm1": pose.tolist()}}
     (folder / "camchain.yaml").write_text(yaml.safe_dump(chain), encoding="utf-8")
-    save_alignment(Alignment(offset_px=0.4, offset_sigma_px=0.1, residual_px=0.2), folder / "align.yaml")
-    shutil.copy(Path(size_models.__path__[0]).parent / "curves/cuboids.json", folder / "curves.json")
+    save_alignment(
+        Alignment(offset_px=0.4, offset_sigma_px=0.1, residual_px=0.2), folder / "align.yaml"
+    )
+    shutil.copy(
+        Path(size_models.__path__[0]).parent / "curves/cuboids.json", folder / "curves.json"
+    )
 
 
 def _write_networks(folder: Path) -> None:
-    """Write an ONNX detector of two classes with a sidecar, a re-identification network, and a Darknet network."""
+    """Write an ONNX detector of two classes with a sidecar, a re-identification network, and a
+    Darknet network."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
@@ -219,7 +300,11 @@ def _write_networks(folder: Path) -> None:
         onnx.save(model, folder / "net" / name)
 
     rows = np.zeros((1, 252, 7))
-    rows[0, :3] = [[20, 30, 12, 10, 0.9, 0.9, 0.1], [40, 32, 10, 8, 0.8, 0.1, 0.9], [5, 5, 3, 3, 0.3, 0.5, 0.5]]
+    rows[0, :3] = [
+        [20, 30, 12, 10, 0.9, 0.9, 0.1],
+        [40, 32, 10, 8, 0.8, 0.1, 0.9],
+        [5, 5, 3, 3, 0.3, 0.5, 0.5],
+    ]
     save("net.onnx", (64, 64), rows)
     save("reid.onnx", (128, 64), np.linspace(-1, 1, 32).reshape(1, 32))
     (folder / "net/classes.txt").write_text("car\nbus\n", encoding="utf-8")
@@ -229,7 +314,9 @@ def _write_networks(folder: Path) -> None:
     (folder / "darknet/net.cfg").write_text(_DARKNET, encoding="utf-8")
     n_weights = 3 * 8 * 9 + 4 * 8 + 2 * (8 * 21 + 21)
     weights = np.random.default_rng(0).uniform(0.1, 1, n_weights).astype("<f4").tobytes()
-    (folder / "darknet/net.weights").write_bytes(np.array([0, 2, 5, 0, 0], "<i4").tobytes() + weights)
+    (folder / "darknet/net.weights").write_bytes(
+        np.array([0, 2, 5, 0, 0], "<i4").tobytes() + weights
+    )
 
 
 _HEAD = """

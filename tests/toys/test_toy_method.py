@@ -1,4 +1,5 @@
-"""A registered method of another package appears in every output of a run, with no other file touched."""
+"""A registered method of another package appears in every output of a run, with no other file
+touched."""
 
 import csv
 import json
@@ -97,8 +98,12 @@ def test_broken_entry_point_is_a_note(run_folder, install):
 
 
 def test_toy_method_in_the_overlay(toy):
-    frame_result = result([BOX], ranges={"toy": (33.3, 1.0), "mono": (30.0, 2.0), "fused": (31.0, 1.0)})
-    assert "W 33.3" in text_of(label_lines(frame_result, 0, class_names=("a", "b", "c"), sizes_px=(20, 12)))
+    frame_result = result(
+        [BOX], ranges={"toy": (33.3, 1.0), "mono": (30.0, 2.0), "fused": (31.0, 1.0)}
+    )
+    assert "W 33.3" in text_of(
+        label_lines(frame_result, 0, class_names=("a", "b", "c"), sizes_px=(20, 12))
+    )
     assert "W box width" in text_of(corner_lines(frame_result, 12)[1])
     assert colour_of_each(["toy_kf"]) == {"toy_kf": TOY.colour}
 
@@ -128,15 +133,23 @@ class Failing(BoxWidthRanger):
 def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder):
     with registered_method(replace(TOY, create=lambda context: Failing(context.camera))):
         out, complaint = run_folder(1)
-    assert re.search(r"ranging method 'toy', frame 5: ZeroDivisionError: .*line \d+ of test_toy_method.py", complaint)
+    assert re.search(
+        r"ranging method 'toy', frame 5: ZeroDivisionError: .*line \d+ of test_toy_method.py",
+        complaint,
+    )
     assert "Traceback" not in complaint
     rows = list(csv.DictReader((out / "tracks.csv").read_text().splitlines()))
     assert [row["frame"] for row in rows if row["toy_m"]] == ["0", "4"]
     assert rows[-1]["frame"] == "4"
     notes = json.loads((out / "summary.json").read_text())["notes"]
-    assert any(note.startswith("The run was stopped early, after 5 frames: ranging method 'toy'") for note in notes)
+    assert any(
+        note.startswith("The run was stopped early, after 5 frames: ranging method 'toy'")
+        for note in notes
+    )
     assert [
-        note for note in notes if note.startswith("Ranging method 'toy': skipped 3 values,") and "sigma_m in 3)" in note
+        note
+        for note in notes
+        if note.startswith("Ranging method 'toy': skipped 3 values,") and "sigma_m in 3)" in note
     ]
     ends = [note for note in notes if note.startswith("ranging method 'toy', end of the run: ")]
     assert sorted(note.split(": ")[1] for note in ends) == ["AttributeError", "TypeError"]
@@ -145,7 +158,10 @@ def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder
 def test_cause_of_a_stop_may_name_folders(run_folder):
     with registered_method(replace(TOY, create=lambda context: Failing(context.camera))):
         out, _ = run_folder(1, more=("--anonymize",))
-    assert "The run was stopped early, after 5 frames." in json.loads((out / "summary.json").read_text())["notes"]
+    assert (
+        "The run was stopped early, after 5 frames."
+        in json.loads((out / "summary.json").read_text())["notes"]
+    )
 
 
 def test_settings_name_the_methods_of_others(run_folder, cli):
@@ -153,11 +169,16 @@ def test_settings_name_the_methods_of_others(run_folder, cli):
     with registered_method(TOY):
         out, _ = run_folder(name="with")
         assert cli("--settings", out / "settings.yaml", "--out", out.parent / "again")[0] == 0
-    documents = [read_yaml(folder / "settings.yaml", UserError, "settings") for folder in (plain, out)]
+    documents = [
+        read_yaml(folder / "settings.yaml", UserError, "settings") for folder in (plain, out)
+    ]
     assert "methods" not in documents[0]
     assert documents[1]["methods"] == {"toy": "tests.toys.toy_method:<lambda>"}
     assert documents[0]["settings_hash"] != documents[1]["settings_hash"]
-    hashes = [json.loads((folder / "summary.json").read_text())["settings_hash"] for folder in (plain, out)]
+    hashes = [
+        json.loads((folder / "summary.json").read_text())["settings_hash"]
+        for folder in (plain, out)
+    ]
     assert hashes == [document["settings_hash"] for document in documents]
     status, _, complaint = cli("--settings", out / "settings.yaml")
     assert status == 1

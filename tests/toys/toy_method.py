@@ -1,4 +1,5 @@
-"""A ranging method of another package: distance from the width of the box, as if everything were 1.8 m wide."""
+"""A ranging method of another package: distance from the width of the box, as if everything were
+1.8 m wide."""
 
 import numpy as np
 

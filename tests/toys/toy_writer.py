@@ -14,8 +14,13 @@ class JsonLinesWriter:
 
     def write(self, result):
         ids = result.tracks.track_id.tolist()
-        self.file.write(json.dumps({"frame": result.index, "time_s": result.time_s, "ids": ids}) + "\n")
+        self.file.write(
+            json.dumps({"frame": result.index, "time_s": result.time_s, "ids": ids}) + "\n"
+        )
 
     def close(self, summary):
-        self.file.write(json.dumps({**self.camera, "frames": None if summary is None else summary["frames"]}) + "\n")
+        self.file.write(
+            json.dumps({**self.camera, "frames": None if summary is None else summary["frames"]})
+            + "\n"
+        )
         self.file.close()

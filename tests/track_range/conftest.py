@@ -50,7 +50,9 @@ def write_film(
         if rotation is not None:
             stream.set_display_rotation(*rotation)
         for time_s, image in zip(times_s, images, strict=True):
-            frame = av.VideoFrame.from_ndarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
+            frame = av.VideoFrame.from_ndarray(
+                cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), format="yuv420p"
+            )
             frame.pts, frame.time_base = round(time_s / clock), clock
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -78,7 +80,9 @@ def number_in() -> Callable[[np.ndarray], int]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Playwright's own Chromium, else the system's; skipped, with the reason, if there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed (extra dev)"
+    )
     with playwright.sync_playwright() as started:
         own = Path(started.chromium.executable_path)
         names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

@@ -1,4 +1,5 @@
-"""The built-in appearance model: embeddings by hand, invariances, and boxes without an embedding."""
+"""The built-in appearance model: embeddings by hand, invariances, and boxes without an
+embedding."""
 
 from __future__ import annotations
 
@@ -8,14 +9,19 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.tracking.appearance.embeddings import ColourLayout, ColourLayoutSettings, has_appearance
+from track_range.tracking.appearance.embeddings import (
+    ColourLayout,
+    ColourLayoutSettings,
+    has_appearance,
+)
 
 RED, BLUE, GREY = (40, 40, 200), (200, 60, 40), (110, 110, 110)
 LAYOUT = ColourLayout()
 
 
 def painted(upper, lower, *, size=1, ground=(60, 120, 60)):
-    """An image with one box, 40 x 80 px times `size`, in two colours, one above the other; and that box."""
+    """An image with one box, 40 x 80 px times `size`, in two colours, one above the other; and that
+    box."""
     image = np.full((120 * size, 100 * size, 3), ground, np.uint8)
     image[20 * size : 60 * size, 30 * size : 70 * size] = upper
     image[60 * size : 100 * size, 30 * size : 70 * size] = lower
@@ -34,28 +40,34 @@ def scene(seed=0):
 
 
 def test_one_colour_by_hand():
-    # L*, a*, b* in OpenCV's bytes; levels are four bytes wide, so 113 counts as 113.5: 113.5 / 255 * 7 = 3.116, split
-    # between bins 3 and 4 as 0.884 and 0.116. a* and b* are 61 and 41 from grey, beyond the span of 40: the last bin.
+    # L*, a*, b* in OpenCV's bytes; levels are four bytes wide, so 113 counts as 113.5: 113.5 / 255
+    # * 7 = 3.116, split between bins 3 and 4 as 0.884 and 0.116. a* and b* are 61 and 41 from grey,
+    # beyond the span of 40: the last bin.
     assert cv2.cvtColor(np.uint8([[RED]]), cv2.COLOR_BGR2LAB)[0, 0].tolist() == [113, 189, 169]
     weight = (LAYOUT.embed(*painted(RED, RED))[0].astype(float) ** 2).reshape(3, 6, 8)
     band = weight.sum(axis=2)
-    np.testing.assert_allclose(band, np.broadcast_to(band[0], band.shape), rtol=1e-5)  # channels have equal weights
+    # channels have equal weights
+    np.testing.assert_allclose(band, np.broadcast_to(band[0], band.shape), rtol=1e-5)
     np.testing.assert_allclose(band.sum(), 1, rtol=1e-5)
     np.testing.assert_allclose(band[0], band[0, ::-1], rtol=1e-5)
     fraction = weight / band[:, :, None]
     lightness = 113.5 / 255 * 7 - 3
     for row in range(6):
-        np.testing.assert_allclose(fraction[0, row], [0, 0, 0, 1 - lightness, lightness, 0, 0, 0], atol=1e-4)
+        np.testing.assert_allclose(
+            fraction[0, row], [0, 0, 0, 1 - lightness, lightness, 0, 0, 0], atol=1e-4
+        )
         np.testing.assert_allclose(fraction[1:, row], [[0] * 7 + [1]] * 2, atol=1e-4)
 
 
 def test_two_colours_by_hand():
-    # Blue's L* of 86 is split between bins 2 and 3 as 0.653 and 0.347; its a* is in the last bin like red's, its b* in
-    # the first.
+    # Blue's L* of 86 is split between bins 2 and 3 as 0.653 and 0.347; its a* is in the last bin
+    # like red's, its b* in the first.
     assert cv2.cvtColor(np.uint8([[BLUE]]), cv2.COLOR_BGR2LAB)[0, 0].tolist() == [86, 171, 54]
     common = (np.sqrt((1 - (113.5 / 255 * 7 - 3)) * (85.5 / 255 * 7 - 2)) + 1 + 0) / 3
     assert distance(painted(RED, BLUE), painted(BLUE, RED)) == pytest.approx(1 - common, abs=1e-4)
-    assert distance(painted(RED, RED), painted(RED, BLUE)) == pytest.approx((1 - common) / 2, abs=1e-4)
+    assert distance(painted(RED, RED), painted(RED, BLUE)) == pytest.approx(
+        (1 - common) / 2, abs=1e-4
+    )
     assert distance(painted(RED, BLUE), painted(RED, BLUE)) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -91,7 +103,10 @@ def test_background_does_not_count():
 
 def test_grey_images_are_compared_by_lightness():
     # If the a* and b* of grey counted, no two grey boxes could have a distance above 1/3.
-    dark, light = painted((40,) * 3, (40,) * 3, ground=(90,) * 3), painted((200,) * 3, (200,) * 3, ground=(90,) * 3)
+    dark, light = (
+        painted((40,) * 3, (40,) * 3, ground=(90,) * 3),
+        painted((200,) * 3, (200,) * 3, ground=(90,) * 3),
+    )
     assert distance(dark, light) == pytest.approx(1.0)
     assert LAYOUT.embed(*dark)[0].reshape(3, -1)[1:].max() == 0
     np.testing.assert_allclose(np.linalg.norm(LAYOUT.embed(*dark)), 1, rtol=1e-6)
@@ -103,7 +118,8 @@ def test_parts_outside_the_image_do_not_count():
     image, box = painted(RED, RED)
     edged = image.copy()
     edged[:, 48:50] = BLUE
-    whole, cut = LAYOUT.embed(edged, box), LAYOUT.embed(edged[:, :50], box)  # cut: its right half is outside
+    # cut: its right half is outside
+    whole, cut = LAYOUT.embed(edged, box), LAYOUT.embed(edged[:, :50], box)
     plain = LAYOUT.embed(image, box)
     # 1 of 16 columns of points differs, 1 of 8 in the cut image
     assert 0.01 < float(1 - whole[0] @ plain[0]) < float(1 - cut[0] @ plain[0]) < 0.1
@@ -151,11 +167,17 @@ def test_many_boxes_equal_single_boxes():
     np.testing.assert_array_equal(length > 0, has_appearance(image, boxes))
     assert 1000 < (length > 0).sum() < 9000
     for row in range(0, 10_000, 997):
-        np.testing.assert_allclose(embedding[row], LAYOUT.embed(image, boxes[row : row + 1])[0], atol=1e-6)
+        np.testing.assert_allclose(
+            embedding[row], LAYOUT.embed(image, boxes[row : row + 1])[0], atol=1e-6
+        )
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.lists(st.tuples(*[st.floats(width=32)] * 4), max_size=5), st.integers(1, 40), st.integers(1, 40))
+@given(
+    st.lists(st.tuples(*[st.floats(width=32)] * 4), max_size=5),
+    st.integers(1, 40),
+    st.integers(1, 40),
+)
 def test_embeddings_have_length_1_or_0(boxes, height, width):
     image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
     length = np.linalg.norm(LAYOUT.embed(image, np.array(boxes, np.float64).reshape(-1, 4)), axis=1)
@@ -184,7 +206,9 @@ def test_real_cars(shared_data):
     same, other = [], []
     before = None
     for frame in range(16):
-        rows = labels.select((labels.frame == frame) & (labels.track_id >= 0) & (labels.kitti_type == "Car"))
+        rows = labels.select(
+            (labels.frame == frame) & (labels.track_id >= 0) & (labels.kitti_type == "Car")
+        )
         now = rows.track_id, LAYOUT.embed(video.read()[1], rows.xyxy_px)
         if before is not None:
             cosine_distance, is_same = 1 - before[1] @ now[1].T, before[0][:, None] == now[0]
@@ -193,5 +217,8 @@ def test_real_cars(shared_data):
         before = now
     assert np.quantile(np.concatenate(same), 0.95) < LAYOUT.max_cosine_distance / 2
     assert (
-        0.5 * LAYOUT.max_cosine_distance < np.quantile(np.concatenate(other), 0.05) < np.concatenate(other).mean() < 0.5
+        0.5 * LAYOUT.max_cosine_distance
+        < np.quantile(np.concatenate(other), 0.05)
+        < np.concatenate(other).mean()
+        < 0.5
     )

@@ -13,7 +13,10 @@ from track_range.tracking.association import are_compatible, iou_cost, min_cost_
 
 def test_iou_cost_by_hand() -> None:
     # 10 x 10 boxes, shifted by half: intersection 50, union 150
-    cost = iou_cost(np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[5.0, 0.0, 15.0, 10.0], [0.0, 0.0, 10.0, 10.0]]))
+    cost = iou_cost(
+        np.array([[0.0, 0.0, 10.0, 10.0]]),
+        np.array([[5.0, 0.0, 15.0, 10.0], [0.0, 0.0, 10.0, 10.0]]),
+    )
     np.testing.assert_allclose(cost, [[2 / 3, 0.0]])
 
 
@@ -25,7 +28,9 @@ def test_margin_lets_separate_boxes_overlap() -> None:
 
 
 def test_widened_by_hand() -> None:
-    np.testing.assert_allclose(widened(np.array([[0.0, 10.0, 10.0, 30.0]]), 0.5), [[-5.0, 0.0, 15.0, 40.0]])
+    np.testing.assert_allclose(
+        widened(np.array([[0.0, 10.0, 10.0, 30.0]]), 0.5), [[-5.0, 0.0, 15.0, 40.0]]
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,7 +75,9 @@ def test_empty_cost_matrix(shape: tuple[int, int]) -> None:
 
 
 @given(
-    cost=st.tuples(st.integers(1, 4), st.integers(1, 4)).flatmap(lambda s: arrays(float, s, elements=st.floats(0, 1))),
+    cost=st.tuples(st.integers(1, 4), st.integers(1, 4)).flatmap(
+        lambda s: arrays(float, s, elements=st.floats(0, 1))
+    ),
     max_cost=st.floats(0.1, 0.9),
 )
 @settings(deadline=None)
@@ -80,6 +87,7 @@ def test_matching_is_optimal(cost: np.ndarray, max_cost: float) -> None:
     assert len(set(columns)) == len(columns)
     assert (cost[rows, columns] <= max_cost).all()
     total = cost[rows, columns].sum() + max_cost * (len(cost) - len(rows))
-    padded = np.pad(cost, ((0, 0), (0, len(cost))), constant_values=max_cost)  # one more column per row: unmatched
+    # one more column per row: unmatched
+    padded = np.pad(cost, ((0, 0), (0, len(cost))), constant_values=max_cost)
     choices = permutations(range(padded.shape[1]), len(cost))
     assert total == pytest.approx(min(padded[np.arange(len(cost)), list(c)].sum() for c in choices))

@@ -11,7 +11,8 @@ from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 
 def kitti(*rows):
-    """Labels of frame 0 from (type, left edge, truncated, occluded); boxes are 40 px wide and high."""
+    """Labels of frame 0 from (type, left edge, truncated, occluded); boxes are 40 px wide and
+    high."""
     n = len(rows)
     kinds, x, truncated, occluded = zip(*rows, strict=True)
     x = np.array(x, float)
@@ -32,7 +33,9 @@ def kitti(*rows):
 
 def results(*boxes, frame=0):
     n = len(boxes)
-    return TrackedBoxes(np.full(n, frame), np.arange(n) + 50, np.array(boxes, float).reshape(-1, 4), np.full(n, 2))
+    return TrackedBoxes(
+        np.full(n, frame), np.arange(n) + 50, np.array(boxes, float).reshape(-1, 4), np.full(n, 2)
+    )
 
 
 def at(x, side=40):
@@ -48,7 +51,9 @@ def test_kitti_by_hand():
         ("DontCare", 400, -1, -1),
         ("Truck", 500, 0, 0),
     )
-    boxes = results(at(0), at(100), at(200), at(300), at(405, 30), at(500), at(600, 25), at(700, 26))
+    boxes = results(
+        at(0), at(100), at(200), at(300), at(405, 30), at(500), at(600, 25), at(700, 26)
+    )
     truth, counted = kitti_cleaned(labels, boxes, "car")
     assert truth.track_id.tolist() == [0]
     # A box on a truck is a false positive, and so is an unmatched box higher than 25 px.
@@ -75,14 +80,19 @@ def mot(*rows):
     mot_class, x, score = (np.array(column, float) for column in zip(*rows, strict=True))
     zero = np.zeros(n)
     boxes = np.stack([x, zero, x + 40, zero + 40], axis=1)
-    return MotRows(np.zeros(n, np.int64), np.arange(n), boxes, score, mot_class.astype(np.int64), np.ones(n))
+    return MotRows(
+        np.zeros(n, np.int64), np.arange(n), boxes, score, mot_class.astype(np.int64), np.ones(n)
+    )
 
 
 def test_mot17_by_hand():
-    truth = mot((1, 0, 1), (1, 100, 0), (7, 200, 0), (8, 300, 0), (12, 400, 0), (2, 500, 0), (3, 600, 0))
+    truth = mot(
+        (1, 0, 1), (1, 100, 0), (7, 200, 0), (8, 300, 0), (12, 400, 0), (2, 500, 0), (3, 600, 0)
+    )
     evaluated, counted = mot_cleaned(truth, results(*(at(x) for x in range(0, 700, 100))))
     assert evaluated.track_id.tolist() == [0]
-    assert counted.xyxy_px[:, 0].tolist() == [0, 100, 600]  # cars and unevaluated pedestrians are not distractors
+    # cars and unevaluated pedestrians are not distractors
+    assert counted.xyxy_px[:, 0].tolist() == [0, 100, 600]
 
 
 def test_mot15_has_no_classes_and_no_distractors():

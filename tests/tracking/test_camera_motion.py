@@ -24,7 +24,9 @@ def texture(height: int, width: int, seed: int = 0) -> Image:
     rng = np.random.default_rng(seed)
     total = np.zeros((height, width, 3))
     for sigma in (1.5, 4.0, 12.0):
-        noise = cv2.GaussianBlur(rng.normal(size=(height, width, 3)).astype(np.float32), (0, 0), sigma)
+        noise = cv2.GaussianBlur(
+            rng.normal(size=(height, width, 3)).astype(np.float32), (0, 0), sigma
+        )
         total += noise / noise.std()
     image = np.clip(128 + 35 * total, 0, 255).astype(np.uint8)
     image.flags.writeable = False  # shared by the tests
@@ -60,11 +62,15 @@ def warped(image: Image, now_from_before: Array) -> Image:
 
 def corner_error_px(estimate: Array, truth: Array, image: Image) -> float:
     height, width = image.shape[:2]
-    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+    corners = np.array(
+        [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64
+    )
     return float(np.hypot(*(moved(corners, estimate) - moved(corners, truth)).T).max())
 
 
-def motion(before: Image, now: Image, boxes_before: Array = NO_BOXES, boxes_now: Array = NO_BOXES) -> Array:
+def motion(
+    before: Image, now: Image, boxes_before: Array = NO_BOXES, boxes_now: Array = NO_BOXES
+) -> Array:
     camera = CameraMotion()
     np.testing.assert_array_equal(camera.update(before, boxes_before), IDENTITY)
     return camera.update(now, boxes_now)
@@ -112,7 +118,8 @@ def test_masked_traffic_is_ignored() -> None:
 
 
 def test_boxes_of_both_frames_mask_features() -> None:
-    """The traffic covers most of the image, so that the background is estimate only with the boxes of both frames."""
+    """The traffic covers most of the image, so that the background is estimate only with the boxes
+    of both frames."""
     image = texture(375, 1242, seed=1)
     now = image.copy()
     patch = texture(375, 1000, seed=2)
@@ -125,7 +132,8 @@ def test_boxes_of_both_frames_mask_features() -> None:
 
 
 def drive(z: Array, rotation: Array, vanishing_xy: tuple[float, float]) -> tuple[Image, Image]:
-    """Two frames: strips flow away from the vanishing point by their inverse depth `z`, then the camera rotates."""
+    """Two frames: strips flow away from the vanishing point by their inverse depth `z`, then the
+    camera rotates."""
     scene = texture(375, 1242, seed=3)
     rows, columns = np.indices((375, 1242)).astype(np.float64)
     inverse_rotation = cv2.invertAffineTransform(rotation)
@@ -133,12 +141,16 @@ def drive(z: Array, rotation: Array, vanishing_xy: tuple[float, float]) -> tuple
     strip = np.clip((points[:, 0] / 1242 * len(z)).astype(int), 0, len(z) - 1)
     source = np.array(vanishing_xy) + (points - vanishing_xy) / (1 + z[strip])[:, None]
     x, y = (source[:, i].reshape(375, 1242).astype(np.float32) for i in (0, 1))
-    return scene, np.asarray(cv2.remap(scene, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+    return scene, np.asarray(
+        cv2.remap(scene, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8
+    )
 
 
 @pytest.mark.parametrize("vanishing_xy", [(620.5, 187.0), (640.0, 165.0)])
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (9.0, -6.0)])
-def test_driving_is_not_camera_motion(vanishing_xy: tuple[float, float], shift: tuple[float, float]) -> None:
+def test_driving_is_not_camera_motion(
+    vanishing_xy: tuple[float, float], shift: tuple[float, float]
+) -> None:
     z = np.array([0.09, 0.02, 0.06, 0.01, 0.0, 0.015, 0.05, 0.03])
     truth = similarity(1.0, 0.5, shift, cut(0, 0))
     before, now = drive(z, truth, vanishing_xy)
@@ -159,11 +171,25 @@ def test_a_flat_image_gives_the_identity(value: int) -> None:
 
 def test_a_new_scene_is_not_a_motion() -> None:
     np.testing.assert_array_equal(motion(texture(375, 1242, 1), texture(375, 1242, 2)), IDENTITY)
-    np.testing.assert_array_equal(motion(texture(375, 1242, 1), np.zeros((375, 1242, 3), np.uint8)), IDENTITY)
+    np.testing.assert_array_equal(
+        motion(texture(375, 1242, 1), np.zeros((375, 1242, 3), np.uint8)), IDENTITY
+    )
 
 
 @pytest.mark.parametrize(
-    "hw", [(0, 0), (1, 1), (2, 3), (1, 3000), (20, 20), (31, 500), (32, 32), (33, 65), (40, 1), (64, 5000)]
+    "hw",
+    [
+        (0, 0),
+        (1, 1),
+        (2, 3),
+        (1, 3000),
+        (20, 20),
+        (31, 500),
+        (32, 32),
+        (33, 65),
+        (40, 1),
+        (64, 5000),
+    ],
 )
 def test_small_and_narrow_images(hw: tuple[int, int]) -> None:
     image = np.random.default_rng(0).integers(0, 256, (*hw, 3), dtype=np.uint8)
@@ -172,7 +198,13 @@ def test_small_and_narrow_images(hw: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize(
-    "gate", [{"max_roll_rad": 0.03}, {"max_scale": 1.05}, {"max_shift": 0.01}, {"min_inlier_fraction": 1.01}]
+    "gate",
+    [
+        {"max_roll_rad": 0.03},
+        {"max_scale": 1.05},
+        {"max_shift": 0.01},
+        {"min_inlier_fraction": 1.01},
+    ],
 )
 def test_implausible_motion_is_the_identity(gate: dict[str, float]) -> None:
     image = texture(375, 1242, seed=1)
@@ -202,7 +234,8 @@ def test_boxes_over_the_whole_image() -> None:
 
 
 def test_a_patch_of_background_gives_only_a_shift() -> None:
-    """Scale and roll from a small group of features would be noise at the other end of the image."""
+    """Scale and roll from a small group of features would be noise at the other end of the
+    image."""
     far_side = np.array([[140.0, -1.0, 1300.0, 400.0]])
     image = cut(CROP_PX, CROP_PX)
     estimate = motion(image, cut(CROP_PX - 7, CROP_PX - 3), far_side, far_side)
@@ -215,7 +248,13 @@ def test_many_and_invalid_boxes() -> None:
     corner = rng.uniform([-300, -300], [500, 700], (10_000, 2))  # the right half stays free
     boxes = np.concatenate([corner, corner + rng.uniform(1, 60, (10_000, 2))], axis=1)
     invalid = np.array(
-        [[np.nan, 0, 5, 5], [0, 0, np.inf, 400], [900, 0, 700, 300], [-1e300, 1e300, 1e300, 2e300], [0, 400, 2000, 900]]
+        [
+            [np.nan, 0, 5, 5],
+            [0, 0, np.inf, 400],
+            [900, 0, 700, 300],
+            [-1e300, 1e300, 1e300, 2e300],
+            [0, 400, 2000, 900],
+        ]
     )
     boxes = np.concatenate([boxes, invalid])
     estimate = motion(cut(CROP_PX, CROP_PX), cut(CROP_PX - 6, CROP_PX + 2), boxes, boxes)
@@ -268,10 +307,13 @@ def frames_of(path: Path, n: int) -> list[Image]:
 
 
 def test_yaw_and_pitch_of_a_real_drive(shared_data: Path) -> None:
-    """KITTI odometry: points on the horizon, which driving does not move, against the known poses."""
+    """KITTI odometry: points on the horizon, which driving does not move, against the known
+    poses."""
     folder = shared_data / "kitti_odometry" / "gray51"
     frames = frames_of(folder / "left.mp4", 51)
-    K = np.array((folder / "calib.txt").read_text().split("\n")[0].split()[1:], np.float64).reshape(3, 4)[:, :3]
+    K = np.array((folder / "calib.txt").read_text().split("\n")[0].split()[1:], np.float64).reshape(
+        3, 4
+    )[:, :3]
     pose = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)[:, :, :3]
     horizon = np.stack([np.linspace(100, 1126, 9), np.full(9, K[1, 2])], axis=1)
     camera = CameraMotion()
@@ -299,6 +341,8 @@ def test_shake_added_to_a_real_drive(shared_data: Path, name: str) -> None:
         plain = still.update(frame[24 : 24 + height, 24 : 24 + width], NO_BOXES)
         moving = shaken.update(frame[top : top + height, left : left + width], NO_BOXES)
         if i > 0:
-            errors.append((moved(centre, moving) - moved(centre, plain))[0] + offsets[i] - offsets[i - 1])
+            errors.append(
+                (moved(centre, moving) - moved(centre, plain))[0] + offsets[i] - offsets[i - 1]
+            )
     assert np.median(np.abs(errors)) < 0.4
     assert np.abs(errors).max() < 1.5

@@ -34,8 +34,12 @@ def both(*parts: Detections) -> Detections:
     )
 
 
-def drive(tracker: DeepSortTracker, frames: Iterable[Detections], *, start_s: float = 0.0) -> list[Tracks]:
-    return [tracker.update(detections, start_s + 0.1 * i, IMAGE) for i, detections in enumerate(frames)]
+def drive(
+    tracker: DeepSortTracker, frames: Iterable[Detections], *, start_s: float = 0.0
+) -> list[Tracks]:
+    return [
+        tracker.update(detections, start_s + 0.1 * i, IMAGE) for i, detections in enumerate(frames)
+    ]
 
 
 def test_first_frame_is_confirmed_with_ids_from_1() -> None:
@@ -79,7 +83,13 @@ def test_low_scores_delay_confirmation() -> None:
 
 def test_missed_tentative_track_is_deleted() -> None:
     other = car_at(900)
-    frames = [other, both(other, car_at(100)), other, both(other, car_at(100)), both(other, car_at(100))]
+    frames = [
+        other,
+        both(other, car_at(100)),
+        other,
+        both(other, car_at(100)),
+        both(other, car_at(100)),
+    ]
     out = drive(DeepSortTracker(), frames)
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [1], [1], [1], [1, 3]]
 
@@ -87,19 +97,27 @@ def test_missed_tentative_track_is_deleted() -> None:
 @pytest.mark.parametrize("step", [2, 3])
 def test_skipped_frames_are_not_misses(step: int) -> None:
     cars = both(*(car_at(200 * k, score=0.95) for k in range(3)))
-    out = drive(DeepSortTracker(NO_PREDICTION), [cars if i % step == 1 else Detections.empty() for i in range(30)])
-    assert [tracks.track_id.tolist() for tracks in out[1 + step :: step]] == [[1, 2, 3]] * len(out[1 + step :: step])
+    out = drive(
+        DeepSortTracker(NO_PREDICTION),
+        [cars if i % step == 1 else Detections.empty() for i in range(30)],
+    )
+    assert [tracks.track_id.tolist() for tracks in out[1 + step :: step]] == [[1, 2, 3]] * len(
+        out[1 + step :: step]
+    )
 
 
 def test_threshold_without_overlap_between_frames() -> None:
     tracker = DeepSortTracker()
     for i in range(40):
-        tracker.update(both(*(car_at(200 * k + 70 * (i % 3), score=0.8) for k in range(3))), 0.5 * i, None)
+        tracker.update(
+            both(*(car_at(200 * k + 70 * (i % 3), score=0.8) for k in range(3))), 0.5 * i, None
+        )
     assert tracker.track_activation_threshold(np.array([CAR]))[0] == pytest.approx(0.4)
 
 
 def test_fast_tracks_persist() -> None:
-    """People beside the road move by 0.8 of their width per frame, which does not make their scores unreliable."""
+    """People beside the road move by 0.8 of their width per frame, which does not make their scores
+    unreliable."""
     tracker = DeepSortTracker()
     for i in range(40):
         x, y = np.repeat([16.0 * i, 500.0], [3, 5]), 100.0 * np.arange(8)
@@ -110,13 +128,17 @@ def test_fast_tracks_persist() -> None:
 
 def test_tentative_track_matches_widened_box() -> None:
     out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(170), car_at(240)])
-    assert [tracks.track_id.tolist() for tracks in out] == [[], [], [], []]  # widened boxes overlap too little: 0.21
+    # widened boxes overlap too little: 0.21
+    assert [tracks.track_id.tolist() for tracks in out] == [[], [], [], []]
     out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(150), car_at(200)])
     assert out[-1].track_id.tolist() == [1]
 
 
 def test_low_confidence_continues_but_does_not_start() -> None:
-    out = drive(DeepSortTracker(), [both(car_at(100), car_at(500, score=0.3)), *[car_at(100, score=0.2)] * 3])
+    out = drive(
+        DeepSortTracker(),
+        [both(car_at(100), car_at(500, score=0.3)), *[car_at(100, score=0.2)] * 3],
+    )
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [1], [1], [1]]
     assert out[-1].observed.all()
     assert out[-1].score.tolist() == [0.2]
@@ -144,7 +166,11 @@ def test_lost_track_is_recovered_until_max_age(n_missing: int, track_id: int) ->
 
 
 def test_moving_track_is_recovered_at_its_prediction() -> None:
-    frames = [*[car_at(100 + 20 * i) for i in range(8)], *[Detections.empty()] * 4, car_at(100 + 20 * 12)]
+    frames = [
+        *[car_at(100 + 20 * i) for i in range(8)],
+        *[Detections.empty()] * 4,
+        car_at(100 + 20 * 12),
+    ]
     assert drive(DeepSortTracker(NO_PREDICTION), frames)[-1].track_id.tolist() == [1]
 
 
@@ -157,7 +183,8 @@ def test_a_gap_of_ten_seconds_ends_all_tracks() -> None:
 
 def test_missing_box_is_predicted() -> None:
     out = drive(
-        DeepSortTracker(EARLY_PREDICTION), [*[car_at(100 + 5 * i) for i in range(6)], Detections.empty(), car_at(135)]
+        DeepSortTracker(EARLY_PREDICTION),
+        [*[car_at(100 + 5 * i) for i in range(6)], Detections.empty(), car_at(135)],
     )
     missing = out[6]
     assert missing.track_id.tolist() == [1]
@@ -184,7 +211,8 @@ def test_long_pause_ends_a_hit_streak(pause_s: float, is_predicted: bool) -> Non
 
 
 def test_a_box_that_leaves_the_image_is_not_predicted() -> None:
-    # The border is at 1241, the margin of a box 40 px high is 2 px; the right edge is predicted at 1235 and at 1240.
+    # The border is at 1241, the margin of a box 40 px high is 2 px; the right edge is predicted at
+    # 1235 and at 1240.
     for start_px, n_predicted in ((1145, 1), (1150, 0)):
         leaving = [*[car_at(start_px + 5 * i) for i in range(6)], Detections.empty()]
         assert len(drive(DeepSortTracker(EARLY_PREDICTION), leaving)[-1]) == n_predicted
@@ -216,7 +244,9 @@ def test_classes_that_flicker_change_rarely() -> None:
     rng, n_changes = np.random.default_rng(3), []
     for _ in range(10):
         labels = rng.choice([CAR, TRUCK], 100)
-        out = drive(DeepSortTracker(), [car_at(100, class_id=c, score=rng.uniform(0.5, 1)) for c in labels])
+        out = drive(
+            DeepSortTracker(), [car_at(100, class_id=c, score=rng.uniform(0.5, 1)) for c in labels]
+        )
         n_changes.append(int((np.diff([tracks.class_id[0] for tracks in out]) != 0).sum()))
     assert max(n_changes) <= 1
 
@@ -233,13 +263,16 @@ def test_objects_that_move_by_more_than_their_width_per_frame(fps: float, step_p
 
 def test_a_person_does_not_become_a_car() -> None:
     out = drive(
-        DeepSortTracker(NO_PREDICTION), [car_at(100), car_at(100, class_id=PERSON), car_at(100, class_id=PERSON)]
+        DeepSortTracker(NO_PREDICTION),
+        [car_at(100), car_at(100, class_id=PERSON), car_at(100, class_id=PERSON)],
     )
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [], [2]]
 
 
 def test_two_cars_that_pass_each_other_keep_their_ids() -> None:
-    near = [Detections.of([[600.0 - 30 * i, 100, 760 - 30 * i, 220]], [0.9], [CAR]) for i in range(20)]
+    near = [
+        Detections.of([[600.0 - 30 * i, 100, 760 - 30 * i, 220]], [0.9], [CAR]) for i in range(20)
+    ]
     far = [Detections.of([[300.0 + 4 * i, 110, 340 + 4 * i, 140]], [0.9], [CAR]) for i in range(20)]
     out = drive(DeepSortTracker(), [both(a, b) for a, b in zip(near, far, strict=True)])
     for i, tracks in enumerate(out):
@@ -254,7 +287,9 @@ def test_the_frame_rate_does_not_matter(hz: int) -> None:
     for i in range(4 * hz):
         t = i / hz
         is_occluded = 1.5 < t < 2.3
-        tracks = tracker.update(Detections.empty() if is_occluded else car_at(50 + 250 * t), t, IMAGE)
+        tracks = tracker.update(
+            Detections.empty() if is_occluded else car_at(50 + 250 * t), t, IMAGE
+        )
         ids |= set(tracks.track_id.tolist())
     assert ids == {1}
 
@@ -268,12 +303,18 @@ def test_time_must_increase(time_s: float) -> None:
 
 
 def test_boxes_without_area_or_score_are_ignored() -> None:
-    bad = Detections.of([[5, 5, 5, 9], [9, 8, 12, 8], [300, 10, 320, 40]], [0.9, 0.9, 0.0], [CAR] * 3)
+    bad = Detections.of(
+        [[5, 5, 5, 9], [9, 8, 12, 8], [300, 10, 320, 40]], [0.9, 0.9, 0.0], [CAR] * 3
+    )
     assert DeepSortTracker().update(both(bad, car_at(100)), 0.0, None).track_id.tolist() == [1]
 
 
 def test_frames_without_boxes() -> None:
-    assert [len(tracks) for tracks in drive(DeepSortTracker(), [Detections.empty()] * 3)] == [0, 0, 0]
+    assert [len(tracks) for tracks in drive(DeepSortTracker(), [Detections.empty()] * 3)] == [
+        0,
+        0,
+        0,
+    ]
 
 
 def random_frames(seed: int, *, n_frames: int = 25) -> list[Detections]:
@@ -285,7 +326,9 @@ def random_frames(seed: int, *, n_frames: int = 25) -> list[Detections]:
     for i in range(n_frames):
         at = corner + speed * i + rng.normal(0, 1, (10, 2))
         boxes = np.concatenate([at, at + size], axis=1)
-        detections = Detections.of(boxes, rng.uniform(0, 1, 10), rng.choice([CAR, TRUCK, PERSON], 10))
+        detections = Detections.of(
+            boxes, rng.uniform(0, 1, 10), rng.choice([CAR, TRUCK, PERSON], 10)
+        )
         frames.append(detections.select(rng.random(10) < 0.8))
     return frames
 
@@ -319,7 +362,9 @@ def test_the_same_input_gives_the_same_output(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_order_of_boxes_changes_only_ids(seed: int) -> None:
-    reordered = [detections.select(np.arange(len(detections))[::-1]) for detections in random_frames(seed)]
+    reordered = [
+        detections.select(np.arange(len(detections))[::-1]) for detections in random_frames(seed)
+    ]
     for a, b in zip(tracked(seed), drive(DeepSortTracker(), reordered), strict=True):
         assert sorted(a.xyxy_px.tolist()) == sorted(b.xyxy_px.tolist())
 
@@ -331,10 +376,13 @@ def with_embeddings(detections: Detections, *numbers: int) -> Detections:
 
 
 def crossing(*, has_embeddings: bool) -> list[Detections]:
-    """Two people of equal size who walk towards each other, are occluded for a while, and turn back."""
+    """Two people of equal size who walk towards each other, are occluded for a while, and turn
+    back."""
     frames = []
     for i in range(30):
-        a, b = (200 + 10 * i, 400 - 10 * i) if i <= 8 else (300 - 10 * (i - 12), 300 + 10 * (i - 12))
+        a, b = (
+            (200 + 10 * i, 400 - 10 * i) if i <= 8 else (300 - 10 * (i - 12), 300 + 10 * (i - 12))
+        )
         people = both(*(Detections.of([[x, 100, x + 40, 200]], [0.9], [PERSON]) for x in (a, b)))
         frames.append(with_embeddings(people, 0, 1) if has_embeddings else people)
         if 8 < i < 16:
@@ -344,11 +392,13 @@ def crossing(*, has_embeddings: bool) -> list[Detections]:
 
 def test_appearance_resolves_crossing() -> None:
     by_appearance, by_motion = (
-        drive(DeepSortTracker(NO_PREDICTION), crossing(has_embeddings=value))[-1] for value in (True, False)
+        drive(DeepSortTracker(NO_PREDICTION), crossing(has_embeddings=value))[-1]
+        for value in (True, False)
     )
     left_is_first = by_appearance.xyxy_px[0, 0] < by_appearance.xyxy_px[1, 0]
     assert (by_appearance.track_id.tolist(), bool(left_is_first)) == ([1, 2], True)
-    assert by_motion.xyxy_px[0, 0] > by_motion.xyxy_px[1, 0]  # motion alone predicts that they passed each other
+    # motion alone predicts that they passed each other
+    assert by_motion.xyxy_px[0, 0] > by_motion.xyxy_px[1, 0]
 
 
 def test_appearance_is_gated_by_motion() -> None:
@@ -363,7 +413,8 @@ def test_overlap_outweighs_other_appearance() -> None:
 
 
 def test_embeddings_from_images() -> None:
-    """A red and a blue car change places during a missing frame: the built-in appearance model follows the colours."""
+    """A red and a blue car change places during a missing frame: the built-in appearance model
+    follows the colours."""
     red, blue = (20, 20, 220), (220, 20, 20)
     settings = DeepSortSettings(
         appearance=AppearanceSettings(gating_threshold=1e9),
@@ -381,23 +432,29 @@ def test_embeddings_from_images() -> None:
         return tracks
 
     assert last(DeepSortTracker(settings)).xyxy_px[:, 0].tolist() == [300.0, 380.0]
-    assert last(DeepSortTracker(settings, appearance_model=ColourLayout())).xyxy_px[:, 0].tolist() == [380.0, 300.0]
+    assert last(DeepSortTracker(settings, appearance_model=ColourLayout())).xyxy_px[
+        :, 0
+    ].tolist() == [380.0, 300.0]
 
 
 def test_predictions_move_with_the_camera() -> None:
-    """A shaking camera: 60 px back and forth between frames, 1.5 times the width of a static person."""
+    """A shaking camera: 60 px back and forth between frames, 1.5 times the width of a static
+    person."""
     rng = np.random.default_rng(0)
     world = np.kron(rng.integers(0, 255, (75, 260)), np.ones((8, 8))).astype(np.uint8)
     frames = []
     for i in range(14):
         shift = 60 * (i % 2)
         image = np.ascontiguousarray(np.repeat(world[:375, shift : shift + 1242, None], 3, axis=2))
-        frames.append((Detections.of([[600 - shift, 150, 640 - shift, 250]], [0.9], [PERSON]), image))
+        frames.append(
+            (Detections.of([[600 - shift, 150, 640 - shift, 250]], [0.9], [PERSON]), image)
+        )
     ids = {}
     for is_compensated in (True, False):
         tracker = DeepSortTracker(DeepSortSettings(is_camera_motion_compensated=is_compensated))
         ids[is_compensated] = [
-            tracker.update(detections, 0.1 * i, image).track_id.tolist() for i, (detections, image) in enumerate(frames)
+            tracker.update(detections, 0.1 * i, image).track_id.tolist()
+            for i, (detections, image) in enumerate(frames)
         ]
     assert ids[True] == [[1]] * 14
     assert ids[False] != [[1]] * 14
@@ -406,7 +463,9 @@ def test_predictions_move_with_the_camera() -> None:
 def test_an_occlusion_of_a_second_is_bridged() -> None:
     """A pedestrian behind a parked van: 8 px per frame, occluded for 10 frames."""
     van = Detections.of([[400, 80, 560, 220]], [0.9], [TRUCK])
-    walker = [Detections.of([[200 + 8 * i, 100, 240 + 8 * i, 200]], [0.9], [PERSON]) for i in range(60)]
+    walker = [
+        Detections.of([[200 + 8 * i, 100, 240 + 8 * i, 200]], [0.9], [PERSON]) for i in range(60)
+    ]
     frames = [both(van, walker[i]) if not 24 <= i < 34 else van for i in range(60)]
     out = drive(DeepSortTracker(), frames)
     assert out[-1].track_id.tolist() == [1, 2]
@@ -422,8 +481,12 @@ def test_which_classes_may_be_one_object(classes: Classes, n_tracks: int) -> Non
     settings = DeepSortSettings(classes=classes, prediction=PredictionGates(max_missing_s=0.0))
     out = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=TRUCK)] * 4])
     assert len({i for tracks in out for i in tracks.track_id.tolist()}) == n_tracks
-    people = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=PERSON)] * 4])
-    assert len({i for tracks in people for i in tracks.track_id.tolist()}) == (1 if classes == "any" else 2)
+    people = drive(
+        DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=PERSON)] * 4]
+    )
+    assert len({i for tracks in people for i in tracks.track_id.tolist()}) == (
+        1 if classes == "any" else 2
+    )
 
 
 def test_duplicate_boxes_are_two_tracks() -> None:
@@ -435,18 +498,25 @@ def test_duplicate_boxes_are_two_tracks() -> None:
 def test_ten_thousand_boxes() -> None:
     rng = np.random.default_rng(5)
     at = rng.uniform(0, 50_000, (10_000, 2))
-    detections = Detections.of(np.concatenate([at, at + 20], axis=1), np.full(10_000, 0.9), np.full(10_000, CAR))
+    detections = Detections.of(
+        np.concatenate([at, at + 20], axis=1), np.full(10_000, 0.9), np.full(10_000, CAR)
+    )
     tracker = DeepSortTracker()
     assert len(tracker.update(detections, 0.0, None)) == 10_000
     assert tracker.update(detections, 0.1, None).track_id.tolist() == list(range(1, 10_001))
 
 
 @pytest.mark.parametrize(("min_fraction", "least", "most"), [(0.85, 0, 0), (0.0, 60, 200)])
-def test_activation_threshold_adapts_to_detector(min_fraction: float, least: int, most: int) -> None:
-    """False alarms with a score of 0.55 at random positions, persistent cars with 0.85: false alarms start no track."""
+def test_activation_threshold_adapts_to_detector(
+    min_fraction: float, least: int, most: int
+) -> None:
+    """False alarms with a score of 0.55 at random positions, persistent cars with 0.85: false
+    alarms start no track."""
     rng = np.random.default_rng(6)
     tracker = DeepSortTracker(
-        DeepSortSettings(track_activation_threshold=ConfidenceThresholdSettings(min_fraction=min_fraction))
+        DeepSortSettings(
+            track_activation_threshold=ConfidenceThresholdSettings(min_fraction=min_fraction)
+        )
     )
     n_new = []
     for i in range(50):

@@ -40,18 +40,26 @@ def scores_of(
         np.concatenate([tracks.xyxy_px for tracks in out]),
         np.concatenate([tracks.class_id for tracks in out]),
     )
-    true_boxes = TrackedBoxes(truth.frame, truth.track_id, truth.xyxy_px, np.full(len(truth), class_id))
+    true_boxes = TrackedBoxes(
+        truth.frame, truth.track_id, truth.xyxy_px, np.full(len(truth), class_id)
+    )
     return evaluate_tracks(true_boxes.select(truth.score > 0), results, ignore=ignore)
 
 
-# Measured with the settings of `track`; a change by a point or more must be intended. Before boxes were smoothed and
-# the rates of persons' sizes got a lower gain: (72.2, 76.1), (59.1, 58.0), (21.8, 54.5). There are no images, so the
-# image border is the extent of the boxes.
+# Measured with the settings of `track`; a change by a point or more must be intended. Before boxes
+# were smoothed and the rates of persons' sizes got a lower gain: (72.2, 76.1), (59.1, 58.0), (21.8,
+# 54.5). There are no images, so the image border is the extent of the boxes.
 @pytest.mark.parametrize(
     ("name", "frame_s", "mota", "idf1"),
-    [("TUD-Stadtmitte", 0.04, 73.3, 80.6), ("PETS09-S2L1", 1 / 7, 64.4, 57.8), ("KITTI-13", 0.1, 22.6, 54.6)],
+    [
+        ("TUD-Stadtmitte", 0.04, 73.3, 80.6),
+        ("PETS09-S2L1", 1 / 7, 64.4, 57.8),
+        ("KITTI-13", 0.1, 22.6, 54.6),
+    ],
 )
-def test_real_pedestrians(name: str, frame_s: float, mota: float, idf1: float, shared_data: Path) -> None:
+def test_real_pedestrians(
+    name: str, frame_s: float, mota: float, idf1: float, shared_data: Path
+) -> None:
     folder = shared_data / "mot" / "MOT15" / name
     detected, truth = read_mot(folder / "det" / "det.txt"), read_mot(folder / "gt" / "gt.txt")
     tracker = DeepSortTracker(DeepSortSettings(is_smoothed=True))
@@ -62,7 +70,9 @@ def test_real_pedestrians(name: str, frame_s: float, mota: float, idf1: float, s
 def test_gain_of_low_confidence_and_prediction(shared_data: Path) -> None:
     folder = shared_data / "kitti_labels"
     labels = read_kitti(folder / "label_02" / "0018.txt")
-    cars, others = (labels.select(np.isin(labels.kitti_type, names)) for names in (["Car"], ["Van", "DontCare"]))
+    cars, others = (
+        labels.select(np.isin(labels.kitti_type, names)) for names in (["Car"], ["Van", "DontCare"])
+    )
     ignore = IgnoreRegions(others.frame, others.xyxy_px)
     table = np.loadtxt(folder / "rrc" / "Car" / "0018.txt", delimiter=",")
     detected = rows_of(table[:, 0], np.zeros(len(table)), table[:, 1:5], table[:, 5])
@@ -73,14 +83,18 @@ def test_gain_of_low_confidence_and_prediction(shared_data: Path) -> None:
         prediction=PredictionGates(max_missing_s=0.0),
     )
     scores, plain_scores = (
-        scores_of(DeepSortTracker(settings), detected, truth, frame_s=0.1, class_id=CAR, ignore=ignore)
+        scores_of(
+            DeepSortTracker(settings), detected, truth, frame_s=0.1, class_id=CAR, ignore=ignore
+        )
         for settings in (None, plain)
     )
     assert (scores.mota, scores.idf1) == pytest.approx((96.8, 98.4), abs=1.0)
     assert (plain_scores.mota, plain_scores.idf1) == pytest.approx((94.4, 96.6), abs=1.0)
 
 
-def rows_of(frame: np.ndarray, track_id: np.ndarray, xyxy_px: np.ndarray, score: np.ndarray) -> MotRows:
+def rows_of(
+    frame: np.ndarray, track_id: np.ndarray, xyxy_px: np.ndarray, score: np.ndarray
+) -> MotRows:
     n = len(frame)
     ids = (np.asarray(column, np.int64) for column in (frame, track_id))
     return MotRows(*ids, xyxy_px, score, np.zeros(n, np.int64), np.full(n, np.nan))

@@ -34,9 +34,14 @@ def golden(name: str, file: str) -> TrackedBoxes:
 # Scores that motmetrics publishes for the sequences in its wheel.
 @pytest.mark.parametrize(
     ("name", "mota", "idf1", "idsw", "fp", "fn", "n"),
-    [("TUD-Campus", 52.65, 55.77, 7, 13, 150, 359), ("TUD-Stadtmitte", 56.40, 64.46, 7, 45, 452, 1156)],
+    [
+        ("TUD-Campus", 52.65, 55.77, 7, 13, 150, 359),
+        ("TUD-Stadtmitte", 56.40, 64.46, 7, 45, 452, 1156),
+    ],
 )
-def test_golden_sequences(name: str, mota: float, idf1: float, idsw: int, fp: int, fn: int, n: int) -> None:
+def test_golden_sequences(
+    name: str, mota: float, idf1: float, idsw: int, fp: int, fn: int, n: int
+) -> None:
     scores = evaluate_tracks(golden(name, "gt.txt"), golden(name, "test.txt"))
     assert scores.mota == pytest.approx(mota, abs=0.005)
     assert scores.idf1 == pytest.approx(idf1, abs=0.005)
@@ -65,11 +70,15 @@ TRACKEVAL = {
 
 def test_scores_equal_trackeval() -> None:
     names = ("TUD-Campus", "TUD-Stadtmitte")
-    counts = {name: TrackingCounts.of(golden(name, "gt.txt"), golden(name, "test.txt")) for name in names}
+    counts = {
+        name: TrackingCounts.of(golden(name, "gt.txt"), golden(name, "test.txt")) for name in names
+    }
     counts["together"] = TrackingCounts.sum_of(list(counts.values()))
     for name, expected in TRACKEVAL.items():
         scores = counts[name].scores()
-        assert {key: getattr(scores, key) for key in expected} == pytest.approx(expected, abs=1e-3), name
+        assert {key: getattr(scores, key) for key in expected} == pytest.approx(
+            expected, abs=1e-3
+        ), name
 
 
 def test_truth_against_itself_is_perfect() -> None:
@@ -77,7 +86,15 @@ def test_truth_against_itself_is_perfect() -> None:
     scores = evaluate_tracks(truth, truth)
     ratios = (scores.mota, scores.motp, scores.idf1, scores.idp, scores.idr)
     assert ratios == (100.0, 100.0, 100.0, 100.0, 100.0)
-    assert (scores.idsw, scores.fp, scores.fn, scores.frag, scores.mt, scores.ml, scores.n) == (0, 0, 0, 0, 8, 0, 359)
+    assert (scores.idsw, scores.fp, scores.fn, scores.frag, scores.mt, scores.ml, scores.n) == (
+        0,
+        0,
+        0,
+        0,
+        8,
+        0,
+        359,
+    )
 
 
 @given(seed=st.integers(0, 1000))
@@ -86,8 +103,12 @@ def test_names_of_ids_and_order_of_rows_do_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
     truth, results = golden("TUD-Campus", "gt.txt"), golden("TUD-Campus", "test.txt")
     names = rng.permutation(1000)
-    renamed = TrackedBoxes(results.frame, names[results.track_id], results.xyxy_px, results.class_id)
-    assert evaluate_tracks(truth, renamed.select(rng.permutation(len(renamed)))) == evaluate_tracks(truth, results)
+    renamed = TrackedBoxes(
+        results.frame, names[results.track_id], results.xyxy_px, results.class_id
+    )
+    assert evaluate_tracks(truth, renamed.select(rng.permutation(len(renamed)))) == evaluate_tracks(
+        truth, results
+    )
 
 
 def test_a_switch_by_hand() -> None:
@@ -124,7 +145,8 @@ def test_a_track_lost_and_found_is_fragmented() -> None:
     other = [(f, 2, 50) for f in range(5)]
     truth = boxes_of([*((f, 1, 0) for f in range(5)), *other])
     scores = evaluate_tracks(truth, boxes_of([*((f, 1, 0) for f in (0, 1, 3, 4)), *other]))
-    assert (scores.frag, scores.fn, scores.mt, scores.pt, scores.ml) == (1, 1, 1, 1, 0)  # 80 % is not more than 80 %
+    # 80 % is not more than 80 %
+    assert (scores.frag, scores.fn, scores.mt, scores.pt, scores.ml) == (1, 1, 1, 1, 0)
 
 
 @pytest.mark.parametrize(
@@ -132,9 +154,13 @@ def test_a_track_lost_and_found_is_fragmented() -> None:
     [(0, 94.0, 0), (0, 95.0, 0), (0, 96.0, 1), (1, 94.0, 1)],
     ids=["60 % inside", "half inside", "40 % inside", "other frame"],
 )
-def test_false_boxes_in_ignore_regions_are_dropped(region_frame: int, region_x_px: float, fp: int) -> None:
+def test_false_boxes_in_ignore_regions_are_dropped(
+    region_frame: int, region_x_px: float, fp: int
+) -> None:
     truth, results = boxes_of([(0, 1, 0), (1, 1, 0)]), boxes_of([(0, 1, 0), (1, 1, 0), (0, 2, 90)])
-    ignore = IgnoreRegions(np.array([region_frame]), np.array([[region_x_px, -50.0, region_x_px + 100, 50.0]]))
+    ignore = IgnoreRegions(
+        np.array([region_frame]), np.array([[region_x_px, -50.0, region_x_px + 100, 50.0]])
+    )
     assert evaluate_tracks(truth, results, ignore=ignore).fp == fp
 
 

@@ -32,7 +32,9 @@ def test_noise_and_lag_are_no_shift():
     assert frame_shift(frame, boxes, frame, boxes - np.array([1.4, 0, 1.4, 0])) == 0, (
         "boxes late by less than half a frame"
     )
-    assert frame_shift(frame, boxes, frame - 1, boxes + np.array([0, 12, 0, 12])) == 0, "boxes of another detector"
+    assert frame_shift(frame, boxes, frame - 1, boxes + np.array([0, 12, 0, 12])) == 0, (
+        "boxes of another detector"
+    )
 
 
 def test_static_or_few_boxes_are_no_shift():

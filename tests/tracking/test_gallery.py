@@ -58,7 +58,10 @@ class ListGallery:
 def test_equals_a_loop_over_lists(seed, n, m, nn_budget, length, fraction):
     rng = np.random.default_rng(seed)
     first = random_rows(rng, n, length)
-    gallery, reference = Gallery.empty(nn_budget=nn_budget).initiate(first), [ListGallery(e, nn_budget) for e in first]
+    gallery, reference = (
+        Gallery.empty(nn_budget=nn_budget).initiate(first),
+        [ListGallery(e, nn_budget) for e in first],
+    )
     for _ in range(4):
         rows = rng.permutation(n)[: rng.integers(0, n + 1)]
         new = random_rows(rng, len(rows), length)
@@ -66,16 +69,22 @@ def test_equals_a_loop_over_lists(seed, n, m, nn_budget, length, fraction):
         for row, embedding in zip(rows, new, strict=True):
             reference[row].append(embedding)
     boxes = random_rows(rng, m, length)
-    expected = np.array([[track.distance(box) for box in boxes] for track in reference]).reshape(n, m)
+    expected = np.array([[track.distance(box) for box in boxes] for track in reference]).reshape(
+        n, m
+    )
     np.testing.assert_allclose(gallery.cosine_distance(boxes), expected, atol=1e-5)
     among = rng.random((n, m)) < fraction
-    np.testing.assert_allclose(gallery.cosine_distance(boxes, among), np.where(among, expected, np.inf), atol=1e-5)
+    np.testing.assert_allclose(
+        gallery.cosine_distance(boxes, among), np.where(among, expected, np.inf), atol=1e-5
+    )
 
 
 def test_single_pairs_equal_the_matrix_product():
     rng = np.random.default_rng(3)
     gallery = (
-        Gallery.empty(nn_budget=3).initiate(random_rows(rng, 120, 16)).append(np.arange(120), random_rows(rng, 120, 16))
+        Gallery.empty(nn_budget=3)
+        .initiate(random_rows(rng, 120, 16))
+        .append(np.arange(120), random_rows(rng, 120, 16))
     )
     boxes = random_rows(rng, 150, 16)
     among = rng.random((120, 150)) < 0.05  # one by one, in more than one block
@@ -117,7 +126,9 @@ def test_slots_hold_mean_and_last_embeddings():
 
 def test_one_slot_is_the_mean_alone():
     gallery = of_one(EAST, NORTH, nn_budget=1)
-    np.testing.assert_allclose(gallery.embedding[0, 0], np.array([0.9, 0.1]) / np.hypot(0.9, 0.1), atol=1e-6)
+    np.testing.assert_allclose(
+        gallery.embedding[0, 0], np.array([0.9, 0.1]) / np.hypot(0.9, 0.1), atol=1e-6
+    )
 
 
 def test_unknown_embeddings_change_nothing():
@@ -149,7 +160,9 @@ def test_inputs_are_not_modified():
 
 
 def test_select_and_concatenate():
-    gallery = Gallery(np.repeat(np.concatenate([EAST, NORTH, WEST])[:, None], 2, axis=1), mean_memory=0.7)
+    gallery = Gallery(
+        np.repeat(np.concatenate([EAST, NORTH, WEST])[:, None], 2, axis=1), mean_memory=0.7
+    )
     chosen = gallery.select(np.array([2, 0]))
     both = chosen.concatenate(gallery.select(np.array([False, True, False])))
     np.testing.assert_array_equal(both.embedding[:, 0], np.concatenate([WEST, EAST, NORTH]))
@@ -162,21 +175,29 @@ def test_gallery_without_embeddings():
     gallery = gallery.append(np.array([0, 1, 2]), none).select(np.array([True, False, True]))
     assert gallery.embedding.shape == (2, 4, 0)
     np.testing.assert_array_equal(gallery.cosine_distance(none), np.full((2, 3), np.inf))
-    np.testing.assert_array_equal(gallery.cosine_distance(np.concatenate([EAST, WEST])), np.full((2, 2), np.inf))
+    np.testing.assert_array_equal(
+        gallery.cosine_distance(np.concatenate([EAST, WEST])), np.full((2, 2), np.inf)
+    )
     assert Gallery.empty(nn_budget=4).cosine_distance(EAST).shape == (0, 1)
     assert of_one(EAST).cosine_distance(np.zeros((0, 2), np.float32)).shape == (1, 0)
 
 
 def test_embeddings_of_some_frames_only():
     gallery = Gallery.empty(nn_budget=2).initiate(np.zeros((2, 0), np.float32))
-    gallery = gallery.append(np.array([1]), EAST).initiate(NORTH).initiate(np.zeros((1, 0), np.float32))
+    gallery = (
+        gallery.append(np.array([1]), EAST).initiate(NORTH).initiate(np.zeros((1, 0), np.float32))
+    )
     gallery = gallery.append(np.array([1, 2]), np.zeros((2, 0), np.float32))
     np.testing.assert_array_equal(gallery.cosine_distance(EAST)[:, 0], [np.inf, 0, 1, np.inf])
 
 
 def test_embeddings_of_other_lengths():
     longer = np.float32([[1, 0, 0]])
-    for method in (of_one(EAST).initiate, of_one(EAST).cosine_distance, lambda d: of_one(EAST).append(FIRST, d)):
+    for method in (
+        of_one(EAST).initiate,
+        of_one(EAST).cosine_distance,
+        lambda d: of_one(EAST).append(FIRST, d),
+    ):
         with pytest.raises(ValueError, match="length"):
             method(longer)
     with pytest.raises(ValueError, match=r"embedding.*shape"):
@@ -186,8 +207,12 @@ def test_embeddings_of_other_lengths():
 
 
 def test_unit_rows():
-    rows = unit_rows(np.array([[3.0, 4.0], [0, 0], [np.nan, 1], [np.inf, 1], [1e300, 0], [1e-300, 1e-300]]))
+    rows = unit_rows(
+        np.array([[3.0, 4.0], [0, 0], [np.nan, 1], [np.inf, 1], [1e300, 0], [1e-300, 1e-300]])
+    )
     assert rows.dtype == np.float32
-    np.testing.assert_allclose(rows, [[0.6, 0.8], [0, 0], [0, 0], [0, 0], [1, 0], [0.5**0.5] * 2], atol=1e-6)
+    np.testing.assert_allclose(
+        rows, [[0.6, 0.8], [0, 0], [0, 0], [0, 0], [1, 0], [0.5**0.5] * 2], atol=1e-6
+    )
     assert unit_rows(np.zeros((2, 0))).shape == (2, 0)
     assert unit_rows(np.zeros((0, 3))).shape == (0, 3)

@@ -43,7 +43,9 @@ def test_prediction_from_two_boxes_by_hand() -> None:
 
 def test_prediction_is_robust_to_one_bad_box() -> None:
     x1 = [10, 14, 18, 40, 26, 30]  # the fourth is wrong; steps 4, 4, 22, -14, 4
-    box, deviation = median_prediction(history_of([[x, 0, x + 20, 40] for x in x1], [0.1 * i for i in range(6)]), 0.6)
+    box, deviation = median_prediction(
+        history_of([[x, 0, x + 20, 40] for x in x1], [0.1 * i for i in range(6)]), 0.6
+    )
     np.testing.assert_allclose(box, [[34, 0, 54, 40]])
     # deviations of the steps from 4: 0, 0, 18, 18, 0: their median is 0
     assert deviation[0] == pytest.approx(0.0, abs=1e-12)
@@ -51,16 +53,22 @@ def test_prediction_is_robust_to_one_bad_box() -> None:
 
 def test_deviation_by_hand() -> None:
     x1 = [10, 14, 20, 22]  # steps 4, 6, 2: median 4, deviations 0, 2, 2: median 2 px in 0.1 s
-    _, deviation = median_prediction(history_of([[x, 0, x + 20, 40] for x in x1], [0.0, 0.1, 0.2, 0.3]), 0.5)
+    _, deviation = median_prediction(
+        history_of([[x, 0, x + 20, 40] for x in x1], [0.0, 0.1, 0.2, 0.3]), 0.5
+    )
     assert deviation[0] == pytest.approx(2 * 2 / 40)
 
 
 def test_step_of_medians_by_hand() -> None:
-    # k = 3 of left edges 10, 14, 40, 22, 26: l(t-1) = median(40, 22, 26) = 26, l(t-2) = median(14, 40, 22) = 22
-    history = history_of([[x, 0, x + 20, 40] for x in (10, 14, 40, 22, 26)], [0.0, 0.1, 0.2, 0.3, 0.4], n_kept=4)
+    # k = 3 of left edges 10, 14, 40, 22, 26: l(t-1) = median(40, 22, 26) = 26, l(t-2) = median(14,
+    # 40, 22) = 22
+    history = history_of(
+        [[x, 0, x + 20, 40] for x in (10, 14, 40, 22, 26)], [0.0, 0.1, 0.2, 0.3, 0.4], n_kept=4
+    )
     box, deviation = median_prediction(history, 0.5, form="step-of-medians")
     np.testing.assert_allclose(box, [[30, 0, 50, 40]])
-    # the last steps are 26, -18, 4; deviations from the step of the medians, 4 px: 22, 22, 0, median 22
+    # the last steps are 26, -18, 4; deviations from the step of the medians, 4 px: 22, 22, 0,
+    # median 22
     assert deviation[0] == pytest.approx(22 / 40)
     np.testing.assert_allclose(smoothed(history), [[26, 0, 46, 40]])
 
@@ -68,7 +76,9 @@ def test_step_of_medians_by_hand() -> None:
 def test_both_forms_agree_for_two_boxes() -> None:
     history = history_of([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1], n_kept=2)
     for form in get_args(Form):
-        np.testing.assert_allclose(median_prediction(history, 0.2, form=form)[0], [[18, 12, 42, 56]])
+        np.testing.assert_allclose(
+            median_prediction(history, 0.2, form=form)[0], [[18, 12, 42, 56]]
+        )
     np.testing.assert_allclose(smoothed(history), [[14, 11, 36, 53]])
 
 
@@ -80,7 +90,9 @@ def test_step_of_medians_lags_by_half_the_buffer(n: int, step_px: float, dt_s: f
     # frames between the middle of the newest boxes, at most 5, and the last
     lag = (min(n, 5) - 1) / 2
     np.testing.assert_allclose(steps[0, 0] - medians[0, 0], lag * step_px, atol=1e-6)
-    np.testing.assert_allclose(smoothed(history)[0, 0], history.last_xyxy_px[0, 0] - lag * step_px, atol=1e-6)
+    np.testing.assert_allclose(
+        smoothed(history)[0, 0], history.last_xyxy_px[0, 0] - lag * step_px, atol=1e-6
+    )
 
 
 def test_smoothed_box_of_short_and_long_histories() -> None:
@@ -89,7 +101,9 @@ def test_smoothed_box_of_short_and_long_histories() -> None:
     assert smoothed(steady(9))[0].tolist() == [130, 50, 190, 90]  # of the last 5 of 9 the third
 
 
-@given(times_s=st.lists(st.floats(0.01, 0.5), min_size=2, max_size=8), missing_s=st.floats(0.0, 1.0))
+@given(
+    times_s=st.lists(st.floats(0.01, 0.5), min_size=2, max_size=8), missing_s=st.floats(0.0, 1.0)
+)
 @settings(deadline=None)
 def test_prediction_is_exact_for_a_steady_box(times_s: list[float], missing_s: float) -> None:
     t = np.cumsum(times_s)
@@ -136,23 +150,38 @@ def test_a_steady_track_is_predicted() -> None:
 @pytest.mark.parametrize(
     ("history", "time_s", "gates"),
     [
-        (steady(6), 0.8, PredictionGates(max_missing_s=0.25, min_hit_streak_visible=5)),  # 0.3 s missing
+        # 0.3 s missing
+        (steady(6), 0.8, PredictionGates(max_missing_s=0.25, min_hit_streak_visible=5)),
         (steady(4), 0.4, PredictionGates(min_hit_streak=5, min_hit_streak_visible=2)),
         (steady(14), 1.4, PredictionGates()),
-        (steady(1), 0.1, PredictionGates(min_hit_streak=2, min_hit_streak_visible=1)),  # no step is known
-        (history_of([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, AT_ONCE),
+        # no step is known
+        (steady(1), 0.1, PredictionGates(min_hit_streak=2, min_hit_streak_visible=1)),
+        (
+            history_of(
+                [[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]
+            ),
+            0.6,
+            AT_ONCE,
+        ),
         (steady(6, x_px=1154.0), 0.6, AT_ONCE),  # right edge would be at 1244
         (steady(6, x_px=1150.0), 0.6, AT_ONCE),  # right edge at 1240: nearer than 0.05 of 40 px
         (steady(6, x_px=22.0, step_px=-4.0), 0.6, AT_ONCE),  # left edge would be at -2
     ],
-    ids="too long,too new,too new and visible,single box,unsteady,leaves right,too near,leaves left".split(","),
+    ids="too long,too new,too new and visible,single box,unsteady,leaves right,too near,leaves "
+    "left".split(","),
 )
-def test_gates_prevent_prediction(history: BoxHistory, time_s: float, gates: PredictionGates) -> None:
-    assert predict_missing(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist() == []
+def test_gates_prevent_prediction(
+    history: BoxHistory, time_s: float, gates: PredictionGates
+) -> None:
+    assert (
+        predict_missing(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist()
+        == []
+    )
 
 
 NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
-"""Occludes (145 - 130) / 60 of the width and 30 / 40 of the height of the box predicted from `steady(6)`."""
+"""Occludes (145 - 130) / 60 of the width and 30 / 40 of the height of the box predicted from
+`steady(6)`."""
 
 
 @pytest.mark.parametrize(
@@ -165,8 +194,10 @@ NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
             PredictionGates(min_occlusion=0.01),
             False,
         ),  # lower edge at 80 px, above 90: farther away
-        (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),  # nearer, but without overlap
-        (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),  # three that occlude the same part
+        # nearer, but without overlap
+        (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),
+        # three that occlude the same part
+        (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),
         (np.array([[0.0, 0.0, 500.0, 300.0]]), PredictionGates(), True),  # fully occluded
         (None, PredictionGates(), False),
     ],
@@ -184,25 +215,33 @@ def test_visible_box_needs_a_longer_streak() -> None:
 
 
 def test_form_of_the_gates_is_used() -> None:
-    by_form = [predict_missing(steady(15), 1.5, gates=PredictionGates(form=form))[1][0, 0] for form in get_args(Form)]
+    by_form = [
+        predict_missing(steady(15), 1.5, gates=PredictionGates(form=form))[1][0, 0]
+        for form in get_args(Form)
+    ]
     assert by_form == pytest.approx([175.0, 165.0])
 
 
 def test_inverted_prediction_is_dropped() -> None:
-    history = history_of([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
+    # width 0 at 0.5 s
+    history = history_of([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])
     shrinking = BoxHistory(history.boxes[:, :-1], history.hit_streak)
     assert predict_missing(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
 
 
 def test_unknown_border() -> None:
-    assert predict_missing(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == [0]
+    assert predict_missing(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[
+        0
+    ].tolist() == [0]
 
 
 def test_tracks_do_not_mix() -> None:
     both = steady(6).concatenate(steady(2, step_px=-3.0))
     alone, _ = median_prediction(steady(2, step_px=-3.0), 0.6)
     np.testing.assert_array_equal(median_prediction(both, 0.6)[0][1:], alone)
-    rows, boxes = predict_missing(both.select(np.array([1, 0])), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
+    rows, boxes = predict_missing(
+        both.select(np.array([1, 0])), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX
+    )
     assert rows.tolist() == [1]
     np.testing.assert_array_equal(boxes, median_prediction(both, 0.6)[0][:1])
     assert len(both.select(np.array([False, True]))) == 1
@@ -210,7 +249,10 @@ def test_tracks_do_not_mix() -> None:
 
 def test_no_tracks() -> None:
     rows, boxes = predict_missing(
-        initiate(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=PredictionGates(), border_xyxy_px=BORDER_XYXY_PX
+        initiate(np.zeros((0, 4)), 0.0, n_kept=6),
+        0.1,
+        gates=PredictionGates(),
+        border_xyxy_px=BORDER_XYXY_PX,
     )
     assert rows.shape == (0,)
     assert boxes.shape == (0, 4)

@@ -23,7 +23,9 @@ from track_range.tracking.motion import (
 NOISE = MotionNoise()
 
 
-def step(filters: BoxFilters, dt_s: float, xyxy_px: np.ndarray, noise: MotionNoise = NOISE) -> BoxFilters:
+def step(
+    filters: BoxFilters, dt_s: float, xyxy_px: np.ndarray, noise: MotionNoise = NOISE
+) -> BoxFilters:
     return update(predict(filters, dt_s, noise), xyxy_px, noise, np.ones(len(filters), np.bool_))[0]
 
 
@@ -41,12 +43,16 @@ def oracle(box_cxcywh: np.ndarray, noise: MotionNoise) -> KalmanFilter:
     filter8 = KalmanFilter(dim_x=8, dim_z=4)
     filter8.x = np.stack([box_cxcywh, np.zeros(4)], axis=1).reshape(8, 1)
     height = box_cxcywh[3]
-    filter8.P = np.kron(np.eye(4), np.diag([(noise.measured * height) ** 2, (noise.first_rate * height) ** 2]))
+    filter8.P = np.kron(
+        np.eye(4), np.diag([(noise.measured * height) ** 2, (noise.first_rate * height) ** 2])
+    )
     filter8.H = np.kron(np.eye(4), [[1.0, 0.0]])
     return filter8
 
 
-def oracle_step(filter8: KalmanFilter, dt_s: float, height_px: float, z: np.ndarray, noise: MotionNoise) -> None:
+def oracle_step(
+    filter8: KalmanFilter, dt_s: float, height_px: float, z: np.ndarray, noise: MotionNoise
+) -> None:
     s2 = height_px**2
     white = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])
     Q = s2 * (noise.acceleration**2 * white + noise.drift**2 * np.array([[dt_s, 0], [0, 0]]))
@@ -58,14 +64,20 @@ def oracle_step(filter8: KalmanFilter, dt_s: float, height_px: float, z: np.ndar
 @settings(max_examples=20, deadline=None)
 def test_equals_filterpy_on_random_sequences(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0, person_size_rate=1.0)
+    noise = MotionNoise(
+        measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0, person_size_rate=1.0
+    )
     boxes = np.concatenate([rng.uniform(0, 500, (3, 2)), rng.uniform(20, 200, (3, 2))], axis=1)
-    xyxy = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+    xyxy = np.concatenate(
+        [boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1
+    )
     filters, oracles = initiate(xyxy, noise), [oracle(box, noise) for box in boxes]
     for _ in range(6):
         dt_s = rng.uniform(0.01, 0.3)
         moved = boxes + rng.normal(0, 5, (3, 4))
-        xyxy = np.concatenate([moved[:, :2] - moved[:, 2:] / 2, moved[:, :2] + moved[:, 2:] / 2], axis=1)
+        xyxy = np.concatenate(
+            [moved[:, :2] - moved[:, 2:] / 2, moved[:, :2] + moved[:, 2:] / 2], axis=1
+        )
         filters = step(filters, dt_s, xyxy, noise)
         for filter8, old, new in zip(oracles, boxes, moved, strict=True):
             oracle_step(filter8, dt_s, old[3], new, noise)
@@ -127,7 +139,9 @@ def test_gating_distance_is_chi_square() -> None:
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     sigma = np.sqrt(filters.P_xx[0] + (0.05 * 80) ** 2)
     cxcywh = filters.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
-    xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
+    xyxy = np.concatenate(
+        [cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1
+    )
     distance = gating_distance(filters, xyxy, NOISE)[0]
     for fraction in (0.5, 0.9, 0.99):
         assert np.mean(distance <= chi2.ppf(fraction, df=4)) == pytest.approx(fraction, abs=0.02)
@@ -158,7 +172,8 @@ def test_inputs_are_not_modified() -> None:
 
 
 def test_innovations_are_standard_normal() -> None:
-    """Boxes that move by the filter's model: innovations have variance 1, and their sum is chi-square distributed."""
+    """Boxes that move by the filter's model: innovations have variance 1, and their sum is
+    chi-square distributed."""
     rng, dt_s, n = np.random.default_rng(3), 0.1, 300
     noise = MotionNoise(measured=0.05, drift=0.1, acceleration=0.5, first_rate=0.5)
     height = 80.0
@@ -173,7 +188,12 @@ def test_innovations_are_standard_normal() -> None:
     half = 0.5 * noise.acceleration * height * dt_s**1.5
     for _ in range(30):
         w1, w2 = rng.normal(0, 1, (2, n, 2))  # integrated white noise of the acceleration
-        value = value + rate * dt_s + half * (w1 + w2 / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
+        value = (
+            value
+            + rate * dt_s
+            + half * (w1 + w2 / np.sqrt(3))
+            + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
+        )
         rate = rate + noise.acceleration * height * dt_s**0.5 * w1
         filters = predict(filters, dt_s, noise)
         filters, innovation = update(filters, box(value), noise, np.zeros(len(filters), np.bool_))
@@ -184,7 +204,9 @@ def test_innovations_are_standard_normal() -> None:
 
 
 def test_noise_scale_increases_variance() -> None:
-    low, high = (predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=scale) for scale in (0.1, 1.0))
+    low, high = (
+        predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=scale) for scale in (0.1, 1.0)
+    )
     assert low.P_xx[0] < high.P_xx[0]
     assert low.position_sigma[0] == pytest.approx(np.sqrt(low.P_xx[0]) / 80.0)
 
@@ -192,7 +214,9 @@ def test_noise_scale_increases_variance() -> None:
 def test_camera_motion_of_filters() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
     one = np.ones(1)
-    filters = BoxFilters(np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one, 80.0 * one)
+    filters = BoxFilters(
+        np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one, 80.0 * one
+    )
     later = compensate_camera_motion(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
     np.testing.assert_allclose(later.x, [[-170.0, 240.0, 80.0, 160.0]])
     np.testing.assert_allclose(later.v, [[-6.0, 6.0, 6.0, 6.0]])
@@ -202,8 +226,13 @@ def test_camera_motion_of_filters() -> None:
 
 def test_camera_motion_of_past_boxes() -> None:
     now_from_before = np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]])
-    past = np.array([[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]])
-    expected = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
+    past = np.array(
+        [[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]]
+    )
+    expected = [
+        [[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]],
+        [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]],
+    ]
     np.testing.assert_allclose(transformed(past, now_from_before), expected)
 
 
@@ -218,7 +247,11 @@ def test_rates_of_persons_sizes_have_a_lower_gain() -> None:
 
 def test_smoothed_box_has_the_filters_size_and_a_third_of_its_shift() -> None:
     filters = BoxFilters(
-        np.array([[120.0, 90.0, 40.0, 80.0]]), np.zeros((1, 4)), *np.full((3, 1), 1.0), np.array([80.0])
+        np.array([[120.0, 90.0, 40.0, 80.0]]),
+        np.zeros((1, 4)),
+        *np.full((3, 1), 1.0),
+        np.array([80.0]),
     )
     detected = np.array([[108.0, 50.0, 144.0, 142.0]])  # centre 126, 96; 36 x 92
-    np.testing.assert_allclose(smoothed(filters, detected), [[104.0, 54.0, 144.0, 134.0]])  # centre 124, 94; 40 x 80
+    # centre 124, 94; 40 x 80
+    np.testing.assert_allclose(smoothed(filters, detected), [[104.0, 54.0, 144.0, 134.0]])

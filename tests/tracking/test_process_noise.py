@@ -39,7 +39,8 @@ def test_at_most_ten_tracks_count() -> None:
 def test_outliers_are_clipped() -> None:
     inliers, outlier = [[1.0, 0.0]] * 9, [[100.0, 0.0]]
     value = estimated(inliers + outlier, [[-1.0, 0.0]] * 9 + [[-100.0, 0.0]])
-    assert value == pytest.approx(np.exp(-0.3))  # clipped to 2 sigmas, it counts as one of ten tracks
+    # clipped to 2 sigmas, it counts as one of ten tracks
+    assert value == pytest.approx(np.exp(-0.3))
 
 
 def test_limits_and_empty_input() -> None:
@@ -50,7 +51,8 @@ def test_limits_and_empty_input() -> None:
 
 @pytest.mark.parametrize(("true_noise", "low", "high"), [(0.02, 0.0, 0.2), (1.0, 0.6, 1.0)])
 def test_scale_converges_to_true_noise(true_noise: float, low: float, high: float) -> None:
-    """Boxes in random motion with a share of the filters' process noise: the scale converges to that share."""
+    """Boxes in random motion with a share of the filters' process noise: the scale converges to
+    that share."""
     from track_range.tracking.motion import MotionNoise, initiate, predict, update
 
     rng, noise, dt_s, n, height = np.random.default_rng(1), MotionNoise(), 0.1, 12, 80.0
@@ -63,7 +65,11 @@ def test_scale_converges_to_true_noise(true_noise: float, low: float, high: floa
     scale, filters, before = ProcessNoiseScale(ProcessNoiseSettings()), initiate(box(), noise), None
     for _ in range(300):
         acceleration = rng.normal(0, 1, (n, 2)) * np.sqrt(true_noise)
-        value = value + rate * dt_s + rng.normal(0, 1, (n, 2)) * noise.drift * height * np.sqrt(true_noise * dt_s)
+        value = (
+            value
+            + rate * dt_s
+            + rng.normal(0, 1, (n, 2)) * noise.drift * height * np.sqrt(true_noise * dt_s)
+        )
         rate = rate + noise.acceleration * height * dt_s**0.5 * acceleration
         filters = predict(filters, dt_s, noise, noise_scale=scale.value)
         z = box()

@@ -1,4 +1,5 @@
-"""Trackers by name, by `module:Class` and by entry point; `tests/toys/toy_tracker.py` is another package's tracker."""
+"""Trackers by name, by `module:Class` and by entry point; `tests/toys/toy_tracker.py` is another
+package's tracker."""
 
 import numpy as np
 import pytest
@@ -45,7 +46,9 @@ def test_reid_is_handed_to_deepsort():
 
     for name, n_calls in (("deepsort", 1), ("sort", 0)):
         reid = Counting()
-        create_tracker(name, TrackerOptions(reid=reid)).update(BOX, 0.0, np.zeros((60, 60, 3), np.uint8))
+        create_tracker(name, TrackerOptions(reid=reid)).update(
+            BOX, 0.0, np.zeros((60, 60, 3), np.uint8)
+        )
         assert reid.n_calls == n_calls
 
 
@@ -113,7 +116,13 @@ def test_names_that_cannot_be_registered(name):
     ],
 )
 def test_wrong_tracks_of_another_package(ids, x2_px, key_word):
-    tracks = Tracks(np.array(ids), np.array([[10, 10, x2_px, 50]] * 2), np.array([2, 2]), np.ones(2), np.ones(2, bool))
+    tracks = Tracks(
+        np.array(ids),
+        np.array([[10, 10, x2_px, 50]] * 2),
+        np.array([2, 2]),
+        np.ones(2),
+        np.ones(2, bool),
+    )
     with pytest.raises(TrackerError, match=key_word):
         checked_tracks(GreedyIouTracker(TrackerOptions()), tracks)
     right = Tracks(

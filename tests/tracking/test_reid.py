@@ -1,4 +1,5 @@
-"""Re-identification networks: a tiny one with known features, networks of other kinds, and OSNet on real cars."""
+"""Re-identification networks: a tiny one with known features, networks of other kinds, and OSNet on
+real cars."""
 
 from __future__ import annotations
 
@@ -18,21 +19,26 @@ MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
 
 
 def write_mean_network(path, *, input_shape, split_at_row=None):
-    """Features (batch, 6): mean of each channel over the upper half of the input, then over the lower half."""
+    """Features (batch, 6): mean of each channel over the upper half of the input, then over the
+    lower half."""
     height = split_at_row or input_shape[2]
     constants = {
-        name: np.array([value]) for name, value in (("0", 0), ("half", height // 2), ("all", height), ("2", 2))
+        name: np.array([value])
+        for name, value in (("0", 0), ("half", height // 2), ("all", height), ("2", 2))
     }
     nodes = []
     for name, start, end in (("upper", "0", "half"), ("lower", "half", "all")):
         nodes.append(helper.make_node("Slice", ["images", start, end, "2"], [f"{name}_half"]))
-        nodes.append(helper.make_node("ReduceMean", [f"{name}_half"], [name], axes=[2, 3], keepdims=0))
+        nodes.append(
+            helper.make_node("ReduceMean", [f"{name}_half"], [name], axes=[2, 3], keepdims=0)
+        )
     nodes.append(helper.make_node("Concat", ["upper", "lower"], ["features"], axis=1))
     image = helper.make_tensor_value_info("images", TensorProto.FLOAT, input_shape)
     features = helper.make_tensor_value_info("features", TensorProto.FLOAT, [input_shape[0], 6])
     weights = [numpy_helper.from_array(value, name) for name, value in constants.items()]
     model = helper.make_model(
-        helper.make_graph(nodes, "means", [image], [features], weights), opset_imports=[helper.make_opsetid("", 13)]
+        helper.make_graph(nodes, "means", [image], [features], weights),
+        opset_imports=[helper.make_opsetid("", 13)],
     )
     model.ir_version = 9
     onnx.save(model, path)
@@ -40,8 +46,10 @@ def write_mean_network(path, *, input_shape, split_at_row=None):
 
 
 def picture(n):
-    """An image of `n` objects, 30 x 60 px, in two colours each; their boxes; and their expected embeddings."""
-    colours = np.random.default_rng(4).integers(0, 256, (n, 2, 3)).astype(np.uint8)  # blue, green, red
+    """An image of `n` objects, 30 x 60 px, in two colours each; their boxes; and their expected
+    embeddings."""
+    # blue, green, red
+    colours = np.random.default_rng(4).integers(0, 256, (n, 2, 3)).astype(np.uint8)
     image = np.zeros((100, 40 * n + 20, 3), np.uint8)
     boxes = np.array([[10.0 + 40 * i, 20, 40 + 40 * i, 80] for i in range(n)]).reshape(-1, 4)
     for (x1, y1, x2, y2), (upper, lower) in zip(boxes.astype(int), colours, strict=True):
@@ -54,7 +62,9 @@ def picture(n):
 @pytest.mark.parametrize("batch", [1, 4, 32, "batch"])
 @pytest.mark.parametrize("n", [0, 1, 3, 4, 9, 19])
 def test_features_by_hand_for_every_batch(tmp_path, batch, n):
-    model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[batch, 3, 60, 30]), ONE_THREAD)
+    model = ReidModel(
+        write_mean_network(tmp_path / "m.onnx", input_shape=[batch, 3, 60, 30]), ONE_THREAD
+    )
     assert (model.input_hw, model.n_values) == ((60, 30), 6)
     image, boxes, expected = picture(n)
     embedding = model.embed(image, boxes)
@@ -64,22 +74,28 @@ def test_features_by_hand_for_every_batch(tmp_path, batch, n):
 
 @pytest.mark.parametrize("size", [(20, 10), (64, 32), (240, 90)])
 def test_crops_are_resized_to_the_networks_input(tmp_path, size):
-    model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=["batch", 3, *size]), ONE_THREAD)
+    model = ReidModel(
+        write_mean_network(tmp_path / "m.onnx", input_shape=["batch", 3, *size]), ONE_THREAD
+    )
     image, boxes, expected = picture(3)
-    np.testing.assert_allclose(model.embed(image, boxes), expected, atol=0.03)  # the edge between the halves blurs
+    # the edge between the halves blurs
+    np.testing.assert_allclose(model.embed(image, boxes), expected, atol=0.03)
 
 
 def test_crops_are_shrunk_by_area(tmp_path):
     model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 4, 4]), ONE_THREAD)
     image = np.zeros((16, 16, 3), np.uint8)
-    image[:, ::4] = 252  # sampling between pixels, without averaging over the area, would miss these columns
+    # sampling between pixels, without averaging over the area, would miss these columns
+    image[:, ::4] = 252
     feature = ((np.full(3, 63 / 255) - MEAN) / STD)[[0, 1, 2, 0, 1, 2]]
     embedding = model.embed(image, np.array([[-0.5, -0.5, 15.5, 15.5]]))
     np.testing.assert_allclose(embedding[0], feature / np.linalg.norm(feature), atol=1e-4)
 
 
 def test_default_input_size(tmp_path):
-    path = write_mean_network(tmp_path / "m.onnx", input_shape=["batch", 3, "height", "width"], split_at_row=256)
+    path = write_mean_network(
+        tmp_path / "m.onnx", input_shape=["batch", 3, "height", "width"], split_at_row=256
+    )
     model = ReidModel(path, ONE_THREAD)
     assert model.input_hw == (256, 128)
     image, boxes, expected = picture(2)
@@ -87,9 +103,17 @@ def test_default_input_size(tmp_path):
 
 
 def test_unusable_boxes_and_boxes_at_the_border(tmp_path):
-    model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[2, 3, 60, 30]), ONE_THREAD)
+    model = ReidModel(
+        write_mean_network(tmp_path / "m.onnx", input_shape=[2, 3, 60, 30]), ONE_THREAD
+    )
     image, boxes, expected = picture(2)
-    bad = [[-50, 0, -10, 90], [5, 5, 5, 90], [np.nan, 0, 10, 10], [10, 20, 12, 80], [-1e300, -1e300, 1e300, 1e300]]
+    bad = [
+        [-50, 0, -10, 90],
+        [5, 5, 5, 90],
+        [np.nan, 0, 10, 10],
+        [10, 20, 12, 80],
+        [-1e300, -1e300, 1e300, 1e300],
+    ]
     embedding = model.embed(image, np.concatenate([boxes[:1], bad, boxes[1:]]))
     np.testing.assert_allclose(embedding, [expected[0], *np.zeros((5, 6)), expected[1]], atol=1e-5)
     cut = model.embed(image[:, 25:], boxes - [25, 0, 25, 0])  # half of the first object is outside
@@ -98,7 +122,9 @@ def test_unusable_boxes_and_boxes_at_the_border(tmp_path):
 
 
 def test_boxes_in_a_tiny_image(tmp_path):
-    model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 60, 30]), ONE_THREAD)
+    model = ReidModel(
+        write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 60, 30]), ONE_THREAD
+    )
     for shift in np.linspace(0, 1, 11):
         box = np.array([[-2.9 + shift, -2.9 + shift, 1.1 + shift, 1.1 + shift]])
         embedding = model.embed(np.full((2, 2, 3), 200, np.uint8), box)
@@ -149,7 +175,11 @@ def test_osnet_on_real_cars(shared_data):
     np.testing.assert_array_equal(id_a, id_b)
     assert len(id_a) >= 3
     distance = 1 - a @ b.T
-    assert distance.argmin(axis=1).tolist() == distance.argmin(axis=0).tolist() == list(range(len(distance)))
+    assert (
+        distance.argmin(axis=1).tolist()
+        == distance.argmin(axis=0).tolist()
+        == list(range(len(distance)))
+    )
     assert 0.01 < np.diag(distance).min() <= np.diag(distance).max() < model.max_cosine_distance
     assert np.median(distance[~np.eye(len(distance), dtype=bool)]) > model.max_cosine_distance
 

@@ -1,4 +1,6 @@
-"""Evaluations as functions: options of `track-range evaluate` as keyword arguments, results as a dictionary."""
+"""Evaluations as functions: options of `track-range evaluate` as keyword arguments, results as a
+dictionary.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -18,27 +20,34 @@ from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 
 @KeywordsInErrors(RangeEvaluationSettings)
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of the methods that need only boxes, on KITTI labels; like `track-range evaluate ranges --json`.
+    """Distance errors of the methods that need only boxes, on KITTI labels; like `track-range
+    evaluate ranges --json`.
 
     Args:
         labels: folder of KITTI tracking labels, NAME.txt for each sequence.
         calib: folder of KITTI calibration files with the same names.
-        options: options of the command, with underscores: `noise_px=2`, `cross_validate=True`, `filter="default"`.
+        options: options of the command, with underscores: `noise_px=2`, `cross_validate=True`,
+            `filter="default"`.
 
     Raises:
         UsageError: an option is unknown or invalid.
         LabelFileError, RigError, CurveError: a file cannot be used.
     """
-    return _evaluate_ranges(RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options}))
+    return _evaluate_ranges(
+        RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options})
+    )
 
 
 @KeywordsInErrors(MotionEvaluationSettings)
 def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
-    """Errors of closing speeds, speeds over ground and times to collision; like `track-range evaluate motion --json`.
+    """Errors of closing speeds, speeds over ground and times to collision; like `track-range
+    evaluate motion --json`.
 
     Args:
-        labels: folder of KITTI tracking labels, or the labels of another data set (`data="nuscenes"`).
-        options: options of the command, with underscores: `calib="calib"`, `poses="poses"`, `noise_px=2`.
+        labels: folder of KITTI tracking labels, or the labels of another data set
+            (`data="nuscenes"`).
+        options: options of the command, with underscores: `calib="calib"`, `poses="poses"`,
+            `noise_px=2`.
 
     Raises:
         UsageError: an option is unknown, invalid or missing.
@@ -49,7 +58,8 @@ def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
 
 @KeywordsInErrors(StereoEvaluationSettings)
 def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of stereo matchers on pairs with true disparities; like `track-range evaluate stereo --json`.
+    """Distance errors of stereo matchers on pairs with true disparities; like `track-range evaluate
+    stereo --json`.
 
     Example:
         >>> import track_range as tr
@@ -59,7 +69,8 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
     Args:
         pairs: folder in the layout of KITTI 2015, or of a drive with labels.
-        options: options of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`, `seed=0`.
+        options: options of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`,
+            `seed=0`.
 
     Raises:
         UsageError: an option is unknown or invalid.
@@ -70,31 +81,40 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
 @KeywordsInErrors(TrackEvaluationSettings)
 def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> dict[str, Any]:
-    """HOTA, CLEAR and identity metrics of tracks against ground truth; like `track-range evaluate tracks --json`.
+    """HOTA, CLEAR and identity metrics of tracks against ground truth; like `track-range evaluate
+    tracks --json`.
 
     Args:
         truth: ground truth in MOT or KITTI format: a file, or a folder of sequences.
         results: tracks in either format.
-        options: options of the command: `truth_format="kitti"`, `road_class="car"`, `compare="motmetrics"`.
+        options: options of the command: `truth_format="kitti"`, `road_class="car"`,
+            `compare="motmetrics"`.
 
     Raises:
         UsageError: an option is unknown or invalid.
         MotFormatError, LabelFileError: a file cannot be used.
     """
-    return _evaluate_tracks(TrackEvaluationSettings.of({"truth": truth, "results": results, **options}))
+    return _evaluate_tracks(
+        TrackEvaluationSettings.of({"truth": truth, "results": results, **options})
+    )
 
 
 @KeywordsInErrors(EventEvaluationSettings)
 def evaluate_events(events: str | Path, truth: str | Path, **options: Any) -> dict[str, Any]:
-    """Hits, misses, false alarms and lead times of warnings or events; like `track-range evaluate events --json`.
+    """Hits, misses, false alarms and lead times of warnings or events; like `track-range evaluate
+    events --json`.
 
     Args:
         events: events.csv or events.parquet of a run, or its folder.
-        truth: contacts (contacts.csv of a simulated drive), or labelled events with the columns of events.csv.
-        options: options of the command: `tracks="run/tracks.csv"`, `boxes="truth.csv"`, `hours=2.5`, `min_lead_s=0.8`.
+        truth: contacts (contacts.csv of a simulated drive), or labelled events with the columns of
+            events.csv.
+        options: options of the command: `tracks="run/tracks.csv"`, `boxes="truth.csv"`,
+            `hours=2.5`, `min_lead_s=0.8`.
 
     Raises:
         UsageError: an option is unknown or invalid.
         EventFileError, OutputError, LabelFileError: a file cannot be used.
     """
-    return _evaluate_events(EventEvaluationSettings.of({"events": events, "truth": truth, **options}))
+    return _evaluate_events(
+        EventEvaluationSettings.of({"events": events, "truth": truth, **options})
+    )

@@ -1,4 +1,5 @@
-"""Detector, tracker and calibration files for separate use, with the options of the command line as keyword arguments.
+"""Detector, tracker and calibration files for separate use, with the options of the command line as
+keyword arguments.
 
 detector, tracker = tr.Detector("road"), tr.Tracker()
 ranger = tr.StereoRanger(tr.load_rig("rig.yaml"))
@@ -29,7 +30,9 @@ from track_range.tracking.tracks import Tracks
 open_recording = KeywordsInErrors(RunSettings)(recording.open_recording)
 
 
-def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
+def load_rig(
+    path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
+) -> StereoRig:
     """Stereo rig of a calibration file: rig.yaml, or a format of cameras, scripts and data sets.
 
     Example:
@@ -39,11 +42,13 @@ def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_gre
 
     Args:
         path: calibration file.
-        size_px: (width, height) of the images; None = as in the file. KITTI's files do not contain it.
+        size_px: (width, height) of the images; None = as in the file. KITTI's files do not contain
+            it.
         is_grey: whether to use the grey pair of a KITTI file that also has a colour pair.
 
     Raises:
-        RigError: the file cannot be read, contains a single camera, or has no image size and `size_px` is None.
+        RigError: the file cannot be read, contains a single camera, or has no image size and
+            `size_px` is None.
     """
     rig, _ = load_calibration(Path(path), size_px=size_px, is_grey=is_grey)
     if not isinstance(rig, StereoRig):
@@ -82,10 +87,12 @@ class Detector:
         Args:
             model: an ONNX file, or a name from `track-range models list`.
             names: class names in the order of the network; None = the names in the model file.
-            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = as in the model file.
-            letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = as usual for
-            the network family.
-            layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their shapes and values.
+            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = as in
+                the model file.
+            letterbox: placement of the image and grey level of the padding, such as "centred-114";
+                None = as usual for the network family.
+            layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their
+                shapes and values.
             min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
             size: longer side of the network input in px, for a network of variable input size.
             threads: CPU threads of the network; 0 = one per core.
@@ -116,11 +123,14 @@ class Detector:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages about the model, such as the source of its class names or a fallback to the CPU."""
+        """Messages about the model, such as the source of its class names or a fallback to the
+        CPU.
+        """
         return self._network.notes
 
     def detect(self, image: Image) -> Detections:
-        """Road users in `image`, (H, W, 3) uint8 BGR, highest score first; boxes in pixels of the image.
+        """Road users in `image`, (H, W, 3) uint8 BGR, highest score first; boxes in pixels of the
+        image.
 
         Raises:
             ValueError: the image has another shape or type.
@@ -142,12 +152,18 @@ class Tracker:
     """
 
     def __init__(
-        self, name: str = "deepsort", *, reid: str | Path | None = None, threads: int = 0, device: Device = "auto"
+        self,
+        name: str = "deepsort",
+        *,
+        reid: str | Path | None = None,
+        threads: int = 0,
+        device: Device = "auto",
     ) -> None:
         """Create a tracker without tracks.
 
         Args:
-            name: "deepsort" (motion and appearance), "sort" (motion only), a registered tracker or `module:Class`.
+            name: "deepsort" (motion and appearance), "sort" (motion only), a registered tracker or
+                `module:Class`.
             reid: an ONNX re-identification network for appearance; None = the built-in descriptor.
             threads: CPU threads of that network; 0 = one per core.
             device: device that runs that network.

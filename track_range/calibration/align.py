@@ -32,7 +32,8 @@ from track_range.stereo.rig_formats.reading import find_rig
 
 _MATCHER = "patch"
 _CORRECTION = "a run with this alignment corrects it"
-_N_ROW_PAIRS = 12  # number of image pairs on which the row offset is measured; it hardly varies between pairs
+# number of image pairs on which the row offset is measured; it hardly varies between pairs
+_N_ROW_PAIRS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +60,22 @@ class RigAlignment:
 
     @classmethod
     def of(
-        cls, rig: StereoRig, measured: Alignment, notes: Iterable[str], windows: tuple[Window, ...] = ()
+        cls,
+        rig: StereoRig,
+        measured: Alignment,
+        notes: Iterable[str],
+        windows: tuple[Window, ...] = (),
     ) -> RigAlignment:
-        """The result of a measurement, with a note on the rows of left and right, if they differ."""
+        """The result of a measurement, with a note on the rows of left and right, if they
+        differ.
+        """
         health = RigHealth(rig, measured, measured.if_clear(), windows)
         if health.has_row_error:
             note = (
                 f"Left and right have a vertical offset of {measured.row_offset_px:+.2f} px, roll "
                 f"{measured.roll_deg:+.3f} degrees, focal length of the right camera "
-                f"{100 * (measured.focal_ratio - 1):+.2f} %: a run corrects this, but the rig does not fit these "
-                "images well; calibrate again."
+                f"{100 * (measured.focal_ratio - 1):+.2f} %: a run corrects this, but the rig does "
+                "not fit these images well; calibrate again."
             )
             notes = (*notes, note)
         return cls(health.applied, measured, health, tuple(notes))
@@ -91,36 +98,52 @@ class RigAlignment:
         """The alignment, its meaning for distances, and the notes, for the user."""
         baseline = UNSEEN if self.baseline is None else self.baseline.sentence
         alignment = self.applied.sentence(correction=_CORRECTION)
-        sentences = (alignment, self.health.sentence(), self.health.move_sentence(), baseline, *self.notes)
+        sentences = (
+            alignment,
+            self.health.sentence(),
+            self.health.move_sentence(),
+            baseline,
+            *self.notes,
+        )
         return [sentence for sentence in sentences if sentence]
 
     def save(self, settings: AlignmentSettings) -> None:
-        """Write the alignment file and the results, if `settings.json_file` is given; OutputError or RigError."""
+        """Write the alignment file and the results, if `settings.json_file` is given; OutputError
+        or RigError.
+        """
         save_alignment(self.applied, settings.out)
         write_json(settings.json_file, self.figures)
 
 
 def align(
-    settings: AlignmentSettings, progress: StepProgress = no_progress, check_baseline: CheckBaseline | None = None
+    settings: AlignmentSettings,
+    progress: StepProgress = no_progress,
+    check_baseline: CheckBaseline | None = None,
 ) -> RigAlignment:
     """Estimate the disparity error of a rig; nothing is written before `RigAlignment.save`.
 
-    Raises UsageError without a source, or with drives and a reference, RigError if the rig cannot be used, or there is
-    too little data, PairFileError, LabelFileError or VideoError if videos, images or labels cannot be used, and
-    OutputError if a result would overwrite an input.
+    Raises UsageError without a source, or with drives and a reference, RigError if the rig cannot
+    be used, or there is too little data, PairFileError, LabelFileError or VideoError if videos,
+    images or labels cannot be used, and OutputError if a result would overwrite an input.
     """
-    check_outputs([file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings))
+    check_outputs(
+        [file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings)
+    )
     if settings.reference is None:
         return _from_drives(settings, progress, check_baseline)
     if settings.checks_baseline:
-        raise UsageError("--detector, --detections and --ego-speed check a drive; omit them with --reference.")
+        raise UsageError(
+            "--detector, --detections and --ego-speed check a drive; omit them with --reference."
+        )
     if settings.drives:
         raise UsageError("--reference and --drive exclude each other; give one of them.")
     return _from_reference(settings.reference, settings, progress)
 
 
 def check_rig_health(
-    settings: RigCheckSettings, progress: StepProgress = no_progress, check_baseline: CheckBaseline | None = None
+    settings: RigCheckSettings,
+    progress: StepProgress = no_progress,
+    check_baseline: CheckBaseline | None = None,
 ) -> RigAlignment:
     """Measure the present state of a rig on drives; nothing is written except `settings.json_file`.
 
@@ -135,32 +158,50 @@ def check_rig_health(
 def _inputs(settings: AlignmentSettings | RigCheckSettings) -> list[Path]:
     reference = settings.reference if isinstance(settings, AlignmentSettings) else None
     folders = [folder for folder in (*settings.drives, reference) if folder is not None]
-    videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
+    videos = [
+        *(settings.stereo or ()),
+        *(folder / name for folder in folders for name in (LEFT, RIGHT)),
+    ]
     named = (settings.rig, reference, *map(find_rig, videos))
     return [*videos, *(path for path in named if path is not None)]
 
 
 def _from_drives(
-    settings: AlignmentSettings | RigCheckSettings, progress: StepProgress, check_baseline: CheckBaseline | None
+    settings: AlignmentSettings | RigCheckSettings,
+    progress: StepProgress,
+    check_baseline: CheckBaseline | None,
 ) -> RigAlignment:
     sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
         if isinstance(settings, RigCheckSettings):
             raise UsageError("expected a drive: give --stereo LEFT RIGHT or --drive DIR.")
-        raise UsageError("expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR or --reference FILE.")
+        raise UsageError(
+            "expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR "
+            "or --reference FILE."
+        )
     with ExitStack() as opened:
         recordings, rigs = [], []
         prior, notes = _prior(*sources[0], settings)
         for left, right in sources:
             recording, rig = open_pair(
-                left, right, settings.rig, align=prior, has_checks=True, stereo_layout=settings.stereo_layout
+                left,
+                right,
+                settings.rig,
+                align=prior,
+                has_checks=True,
+                stereo_layout=settings.stereo_layout,
             )
             opened.callback(recording.close)
             recordings.append(recording)
             rigs.append(rig)
-        if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
-            raise RigError("the drives were recorded with different rigs; align each rig separately.")
+        if any(
+            rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m)
+            for rig in rigs[1:]
+        ):
+            raise RigError(
+                "the drives were recorded with different rigs; align each rig separately."
+            )
         estimator = DriveAlignment(rigs[0], prior)
         with progress("frames") as advance:
             for recording in recordings:
@@ -173,12 +214,21 @@ def _from_drives(
                 recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
-        raise RigError(f"{sources[0][0]}: {measured.source}; use a longer drive past static objects.")
+        raise RigError(
+            f"{sources[0][0]}: {measured.source}; use a longer drive past static objects."
+        )
     # in the alignment file, "this drive" would be ambiguous
-    names = ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
+    names = ", ".join(
+        real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources
+    )
     named = replace(measured, source=measured.source.replace("this drive", names))
     notes += tuple(note for recording in recordings for note in recording.calibration.file_notes)
-    notes += tuple(note for recording in recordings if recording.sync is not None for note in recording.sync.notes)
+    notes += tuple(
+        note
+        for recording in recordings
+        if recording.sync is not None
+        for note in recording.sync.notes
+    )
     aligned = RigAlignment.of(rigs[0], named, dict.fromkeys(notes), estimator.windows())
     if check_baseline is None or not settings.checks_baseline:
         return aligned
@@ -188,23 +238,34 @@ def _from_drives(
 def _prior(
     left: Path, right: Path, settings: AlignmentSettings | RigCheckSettings
 ) -> tuple[Alignment, tuple[str, ...]]:
-    """The correction with which the estimate starts, from the first images, and a note on how they fit the rig."""
+    """The correction with which the estimate starts, from the first images, and a note on how they
+    fit the rig.
+    """
     layout = settings.stereo_layout
-    with closing(open_recording(left, right, rig=settings.rig, align="off", stereo_layout=layout)) as recording:
+    with closing(
+        open_recording(left, right, rig=settings.rig, align="off", stereo_layout=layout)
+    ) as recording:
         finding = recording.finding
     if finding is None:
         return NOT_MEASURED, ()
     return finding.prior, tuple(filter(None, [finding.sentence.replace(GIVEN, CORRECTED)]))
 
 
-def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:
+def _from_reference(
+    reference: Path, settings: AlignmentSettings, progress: StepProgress
+) -> RigAlignment:
     rows_px, rigs = list[float](), list[StereoRig]()
-    pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig, stereo_layout=settings.stereo_layout)
+    pairs = reference_pairs(
+        reference, stereo=settings.stereo, rig=settings.rig, stereo_layout=settings.stereo_layout
+    )
     with progress("pairs") as advance:
         measured = measure_pairs(_with_row_offsets(pairs, rows_px, rigs, advance), (_MATCHER,))
     objects, column = measured.objects, measured.columns[_MATCHER]
     if not objects.cameras:
-        raise RigError(f"{reference}: none of the objects refers to a frame of the videos; check the frame numbers.")
+        raise RigError(
+            f"{reference}: none of the objects refers to a frame of the videos; check "
+            "the frame numbers."
+        )
     fitted = fit_reference(
         column.disparity_px,
         objects.true_px,
@@ -219,9 +280,14 @@ def _from_reference(reference: Path, settings: AlignmentSettings, progress: Step
 
 
 def _with_row_offsets(
-    pairs: Iterator[StereoPair], rows_px: list[float], rigs: list[StereoRig], advance: Callable[[int, int | None], None]
+    pairs: Iterator[StereoPair],
+    rows_px: list[float],
+    rigs: list[StereoRig],
+    advance: Callable[[int, int | None], None],
 ) -> Iterator[StereoPair]:
-    """The pairs; row offsets of the first pairs are appended to `rows_px`, the rectified rig of each to `rigs`."""
+    """The pairs; row offsets of the first pairs are appended to `rows_px`, the rectified rig of
+    each to `rigs`.
+    """
     for number, pair in enumerate(pairs):
         rigs.append(pair.rig)
         if number < _N_ROW_PAIRS:

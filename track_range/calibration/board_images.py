@@ -1,4 +1,5 @@
-"""BoardImages: the images for a calibration, from a pattern of file names, a folder or a video, of one or two cameras.
+"""BoardImages: the images for a calibration, from a pattern of file names, a folder or a video, of
+one or two cameras.
 
 Left and right images are paired as follows:
 
@@ -15,7 +16,11 @@ from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
-from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.formats.image_labels.labelled_images import (
+    ImageFileError,
+    images_in,
+    read_image,
+)
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.frame import TIME_EPSILON_S, VideoFrame
@@ -28,14 +33,16 @@ from track_range.recording.pairs.video_half import image_half
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards
-_SHORTEST_STEP_S = 0.2  # minimum time between these frames, s; a hand-held board hardly moves in a shorter time
+# minimum time between these frames, s; a hand-held board hardly moves in a shorter time
+_SHORTEST_STEP_S = 0.2
 
 _N_COMPARED = 5  # number of images whose halves are compared, until two match
 _MIN_ASPECT = 2.4  # width / height of images that can only be two beside each other
 
 _WILDCARD = re.compile(r"[*?\[]")
 
-Key = Callable[[Path], str]  # function that returns the same text for the paths of the left and right image of a pair
+# function that returns the same text for the paths of the left and right image of a pair
+Key = Callable[[Path], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +59,8 @@ class ImageFiles:
 
     paths: tuple[tuple[Path, ...], ...]  # one tuple of paths per shot, with one path per camera
     unpaired: tuple[RejectedView, ...] = ()  # images without a counterpart from the other camera
-    layout: StereoLayout | None = None  # of the images of two cameras in each file; None = one camera per file
+    # of the images of two cameras in each file; None = one camera per file
+    layout: StereoLayout | None = None
     is_video: ClassVar[bool] = False
 
     @property
@@ -81,7 +89,9 @@ class ImageFiles:
 
 
 class VideoShots:
-    """Shots from a video, or from two synchronised videos, at regular intervals; VideoError for an unreadable video."""
+    """Shots from a video, or from two synchronised videos, at regular intervals; VideoError for an
+    unreadable video.
+    """
 
     is_video: ClassVar[bool] = True  # many frames of a video may not show the board
     unpaired: tuple[RejectedView, ...] = ()
@@ -96,12 +106,15 @@ class VideoShots:
             self._pair = RecordedPair(first, open_video(paths[1]))
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
-        self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None  # estimate
+        # estimate
+        self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None
 
     def __iter__(self) -> Iterator[Shot]:
         """Shots at least one step apart, named by their times."""
         next_s = -float("inf")
-        shots: Iterable[tuple[VideoFrame, ...]] = zip(self._first) if self._pair is None else self._pair
+        shots: Iterable[tuple[VideoFrame, ...]] = (
+            zip(self._first) if self._pair is None else self._pair
+        )
         for frames in shots:
             time_s = frames[0].time_s
             if time_s >= next_s - TIME_EPSILON_S:
@@ -114,38 +127,47 @@ BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated 
 
 
 def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> BoardImages:
-    """The images of one camera from one source, or of two cameras from two sources (equal if images have a `layout`).
+    """The images of one camera from one source, or of two cameras from two sources (equal if images
+    have a `layout`).
 
-    Raises ImageFileError for a pattern or folder without images, sources of different kinds, or images that cannot be
-    paired, and VideoError if a video cannot be read.
+    Raises ImageFileError for a pattern or folder without images, sources of different kinds, or
+    images that cannot be paired, and VideoError if a video cannot be read.
     """
     are_videos = [_is_video(source) for source in sources]
     if all(are_videos):
         return VideoShots([Path(source) for source in sources], layout)
     if any(are_videos):
-        raise ImageFileError(f"{sources[0]} and {sources[1]}: expected two videos, or two sets of images.")
+        raise ImageFileError(
+            f"{sources[0]} and {sources[1]}: expected two videos, or two sets of images."
+        )
     files = [_files(source) for source in sources]
     if len(files) == 1:
         return ImageFiles(tuple((path,) for path in files[0]))
     if sources[0] == sources[1]:
-        return ImageFiles(tuple((path,) for path in files[0]), layout=_layout(sources[0], files[0], layout))
+        return ImageFiles(
+            tuple((path,) for path in files[0]), layout=_layout(sources[0], files[0], layout)
+        )
     return _paired(sources, files)
 
 
 def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoLayout:
-    """The layout of images of two cameras; wide images are taken as side by side, as few points of boards match."""
+    """The layout of images of two cameras; wide images are taken as side by side, as few points of
+    boards match.
+    """
     if layout != "auto" and layout != "tracks":
         return layout
     paths = files[:_N_COMPARED] if layout == "auto" else ()
     images = [image for path in paths if (image := _readable(path)) is not None]
-    if (matched := next(filter(None, (matching_halves([image]) for image in images)), None)) is not None:
+    if (
+        matched := next(filter(None, (matching_halves([image]) for image in images)), None)
+    ) is not None:
         return matched.layout
     if images and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
         return "side-by-side"
     raise ImageFileError(
-        f"{source}: expected images of both cameras in each file, found no two halves that match; give the images of "
-        "the right camera as well, or --stereo-layout side-by-side, right-left, top-bottom or bottom-top (Python: "
-        "stereo_layout)."
+        f"{source}: expected images of both cameras in each file, found no two halves that match; "
+        "give the images of the right camera as well, or --stereo-layout side-by-side, right-left, "
+        "top-bottom or bottom-top (Python: stereo_layout)."
     )
 
 
@@ -161,14 +183,18 @@ def _files(source: str) -> list[Path]:
         return sorted(images_in(path), key=lambda image: natural_key(str(image)))
     if path.is_file():
         raise ImageFileError(
-            f"{source}: expected several images, got one; give a pattern such as 'boards/*.jpg' in quotes, or a folder."
+            f"{source}: expected several images, got one; give a pattern such as 'boards/*.jpg' in "
+            "quotes, or a folder."
         )
     matches = [Path(name) for name in glob.glob(source, recursive=True)]
     images = [path for path in matches if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES]
     if not images:
-        reason = "no image has a matching name" if _WILDCARD.search(source) else "no such file or folder"
+        reason = (
+            "no image has a matching name" if _WILDCARD.search(source) else "no such file or folder"
+        )
         raise ImageFileError(
-            f"{source}: {reason}; give a pattern such as 'boards/*.jpg' in quotes, a folder or a video."
+            f"{source}: {reason}; give a pattern such as 'boards/*.jpg' in quotes, a folder or a "
+            "video."
         )
     return sorted(images, key=lambda image: natural_key(str(image)))
 
@@ -179,19 +205,30 @@ def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
     if all(_WILDCARD.search(source) for source in sources):
         tried.insert(0, (_wildcard_key(sources[0]), _wildcard_key(sources[1])))
     for keys in tried:
-        by_key = [{key(path): path for path in paths} for key, paths in zip(keys, files, strict=True)]
+        by_key = [
+            {key(path): path for path in paths} for key, paths in zip(keys, files, strict=True)
+        ]
         common = [key for key in by_key[0] if key in by_key[1]]
-        is_unique = all(len(keyed) == len(paths) for keyed, paths in zip(by_key, files, strict=True))
+        is_unique = all(
+            len(keyed) == len(paths) for keyed, paths in zip(by_key, files, strict=True)
+        )
         if is_unique and common:
-            alone = [path for side in (0, 1) for key, path in by_key[side].items() if key not in by_key[1 - side]]
+            alone = [
+                path
+                for side in (0, 1)
+                for key, path in by_key[side].items()
+                if key not in by_key[1 - side]
+            ]
             is_ambiguous = any(by_key[0][key].name == by_key[1][key].name for key in common)
             reason = "the other camera's image is missing"
-            unpaired = tuple(RejectedView(_name(path, with_folder=is_ambiguous), reason) for path in alone)
+            unpaired = tuple(
+                RejectedView(_name(path, with_folder=is_ambiguous), reason) for path in alone
+            )
             return ImageFiles(tuple((by_key[0][key], by_key[1][key]) for key in common), unpaired)
     if len(files[0]) != len(files[1]):
         raise ImageFileError(
-            f"{sources[0]} has {len(files[0])} images and {sources[1]} {len(files[1])}, and they cannot be paired by "
-            "name; give matching images the same number."
+            f"{sources[0]} has {len(files[0])} images and {sources[1]} {len(files[1])}, and they "
+            "cannot be paired by name; give matching images the same number."
         )
     return ImageFiles(tuple(zip(files[0], files[1], strict=True)))
 
@@ -200,7 +237,11 @@ def _wildcard_key(pattern: str) -> Key:
     """Function that returns the parts of a path that match the wildcards of `pattern`, joined."""
     parts = re.split(r"(\*\*/|\*|\?|\[[^\]]*\])", str(Path(pattern)))
     groups = {"**/": "(.*)", "*": "([^/]*)", "?": "(.)"}
-    regex = re.compile("".join(groups.get(part, f"({part})" if part[:1] == "[" else re.escape(part)) for part in parts))
+    regex = re.compile(
+        "".join(
+            groups.get(part, f"({part})" if part[:1] == "[" else re.escape(part)) for part in parts
+        )
+    )
 
     def key(path: Path) -> str:
         match = regex.fullmatch(str(path))

@@ -1,7 +1,9 @@
-"""Search for the board in the images of a calibration: usable views, and the reasons why others are rejected.
+"""Search for the board in the images of a calibration: usable views, and the reasons why others are
+rejected.
 
-Rejected are unreadable images, images without a complete board, images of another size (a difference of up to two
-pixels is cropped) and blurred images. Of many views in a video, the most different ones are used.
+Rejected are unreadable images, images without a complete board, images of another size (a
+difference of up to two pixels is cropped) and blurred images. Of many views in a video, the most
+different ones are used.
 """
 
 from collections import Counter
@@ -27,11 +29,15 @@ from track_range.stereo.calibration.coverage import most_different
 Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]
 Size = tuple[int, int]
-MAX_VIEWS = 60  # largest number of views for a calibration; more cost time without improving accuracy
-_MAX_CROP_PX = 2  # difference in size up to which images are from one camera, rounded or cropped by other software
+# largest number of views for a calibration; more cost time without improving accuracy
+MAX_VIEWS = 60
+# difference in size up to which images are from one camera, rounded or cropped by other software
+_MAX_CROP_PX = 2
 _BLURRED_PX = 4.0  # edge width, px, above which an image may be blurred; see `_BLURRED_RATIO`
-_BLURRED_RATIO = 2.5  # the same relative to the 25th percentile of all images; both must be exceeded
-_N_SAMPLES = 6  # number of images from which the size of the board is determined if the given board is not found
+# the same relative to the 25th percentile of all images; both must be exceeded
+_BLURRED_RATIO = 2.5
+# number of images from which the size of the board is determined if the given board is not found
+_N_SAMPLES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +51,11 @@ class BoardSearch:
 
 
 def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSearch:
-    """Search all images for the board; `advance` is called with the numbers of searched and of all shots.
+    """Search all images for the board; `advance` is called with the numbers of searched and of all
+    shots.
 
-    Raises CalibrationError for no board in any image, or a board of another size, and VideoError for a damaged video.
+    Raises CalibrationError for no board in any image, or a board of another size, and VideoError
+    for a damaged video.
     """
     finder = BoardFinder(board)
     shots: list[Views] = []
@@ -91,28 +99,48 @@ def _views(finder: BoardFinder, shot: Shot, *, is_video: bool) -> Views | Reject
         return (views[0],)
     left, right = common_corners(views[0], views[1], finder.board)
     n_common = len(left.corner_id)
-    return (left, right) if n_common >= 6 else RejectedView(left.name, f"only {n_common} corners seen by both cameras")
+    return (
+        (left, right)
+        if n_common >= 6
+        else RejectedView(left.name, f"only {n_common} corners seen by both cameras")
+    )
 
 
 def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[str]) -> list[Views]:
-    """The shots with images of the most common size per camera; differences of up to two pixels are cropped."""
+    """The shots with images of the most common size per camera; differences of up to two pixels are
+    cropped.
+    """
     if not shots:
         return shots
     n_cameras = len(shots[0])
-    common = [Counter(shot[camera].size_px for shot in shots).most_common(1)[0][0] for camera in range(n_cameras)]
+    common = [
+        Counter(shot[camera].size_px for shot in shots).most_common(1)[0][0]
+        for camera in range(n_cameras)
+    ]
     accepted, cropped = [], []
     for shot in shots:
         deviating = [
             camera
             for camera in range(n_cameras)
-            if any(abs(a - b) > _MAX_CROP_PX for a, b in zip(shot[camera].size_px, common[camera], strict=True))
+            if any(
+                abs(a - b) > _MAX_CROP_PX
+                for a, b in zip(shot[camera].size_px, common[camera], strict=True)
+            )
         ]
         if deviating:
             view, size = shot[deviating[0]], common[deviating[0]]
-            rejected.append(RejectedView(view.name, f"{_text(view.size_px)} px, while most have {_text(size)} px"))
+            rejected.append(
+                RejectedView(
+                    view.name, f"{_text(view.size_px)} px, while most have {_text(size)} px"
+                )
+            )
             continue
-        cropped += [view.name for view, size in zip(shot, common, strict=True) if view.size_px != size]
-        accepted.append(tuple(replace(view, size_px=size) for view, size in zip(shot, common, strict=True)))
+        cropped += [
+            view.name for view, size in zip(shot, common, strict=True) if view.size_px != size
+        ]
+        accepted.append(
+            tuple(replace(view, size_px=size) for view, size in zip(shot, common, strict=True))
+        )
     if cropped:
         sizes = " and ".join(dict.fromkeys(_text(size) for size in common))
         notes.append(f"Cropped to {sizes} px at the right and lower edges: {', '.join(cropped)}.")
@@ -132,7 +160,9 @@ def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
     for shot in shots:
         worst = max(shot, key=lambda view: view.edge_px)
         if worst.edge_px > limit_px:
-            rejected.append(RejectedView(worst.name, f"blurred: its edges are {worst.edge_px:.1f} px wide"))
+            rejected.append(
+                RejectedView(worst.name, f"blurred: its edges are {worst.edge_px:.1f} px wide")
+            )
     return [shot for shot, width in zip(shots, widths, strict=True) if width <= limit_px]
 
 
@@ -148,24 +178,35 @@ def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_imag
     # A single image may show part of a board, or a chequered shirt.
     if commonest != expected and votes > seen[expected] and votes >= min(2, len(samples)):
         raise CalibrationError(
-            f"expected a board of {board.name} inner corners, found {_text(commonest)} in {votes} of {len(samples)} "
-            f"images; give --board {_text(commonest)} (count the points where black squares touch, not the squares)."
+            f"expected a board of {board.name} inner corners, found {_text(commonest)} in {votes} "
+            f"of {len(samples)} images; give --board {_text(commonest)} (count the points where "
+            "black squares touch, not the squares)."
         )
     if not n_found:
         raise CalibrationError(
-            f"no board of {board.name} inner corners found in {counted(n_images, 'image')}; it must be completely "
-            "visible, flat, evenly lit and with a white border, and --board counts the points where black squares "
-            "touch."
+            f"no board of {board.name} inner corners found in {counted(n_images, 'image')}; it "
+            "must be completely visible, flat, evenly lit and with a white border, and --board "
+            "counts the points where black squares touch."
         )
 
 
 def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images: int) -> str:
     seen = count_markers(samples[:2])
-    # A dictionary of 100 markers starts with the dictionary of 50: the smallest of equally good ones is right.
-    best = max(seen, key=lambda name: (seen[name], -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0))
+    # A dictionary of 100 markers starts with the dictionary of 50: the smallest of equally good
+    # ones is right.
+    best = max(
+        seen,
+        key=lambda name: (
+            seen[name],
+            -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0,
+        ),
+    )
     problem = f"no board {board.name} found in {counted(n_images, 'image')}"
     if not seen[best]:
-        return f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 px wide."
+        return (
+            f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 "
+            "px wide."
+        )
     if seen[board.dictionary] < seen[best]:
         return f"{problem}; the markers belong to the dictionary {best}; append it to --board."
     return f"{problem}, but its markers were found; check the numbers of squares, columns first."

@@ -1,4 +1,5 @@
-"""Stereo pairs with objects of known distance or disparity, to which the alignment of a rig is fitted.
+"""Stereo pairs with objects of known distance or disparity, to which the alignment of a rig is
+fitted.
 
     DIR          KITTI 2015's layout, or a labelled drive, as written by `simulate` or the demo: left.mp4, right.mp4,
                  rig.yaml (or calib.txt), truth.csv (or truth.txt, label.txt: KITTI tracking labels)
@@ -6,9 +7,10 @@
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown) of two videos; frames count
                  from 0
 
-A distance belongs to the visible surface on the ray through the box centre, along the left camera's optical axis: from
-truth.csv, else from the label's 3-D box. Of a drive, objects are the labels that `ranging.evaluation.truth` evaluates
-(not truncated, at most partly occluded, of a road class). The true disparity is f B / distance.
+A distance belongs to the visible surface on the ray through the box centre, along the left camera's
+optical axis: from truth.csv, else from the label's 3-D box. Of a drive, objects are the labels that
+`ranging.evaluation.truth` evaluates (not truncated, at most partly occluded, of a road class). The
+true disparity is f B / distance.
 """
 
 from __future__ import annotations
@@ -23,7 +25,12 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
+from track_range.detection.formats.limits import (
+    MAX_COORDINATE_PX,
+    MAX_FRAME,
+    MAX_ID,
+    are_plausible_boxes,
+)
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
@@ -34,14 +41,21 @@ from track_range.recording.names import LayoutOption
 from track_range.recording.recording import Recording, open_recording
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import WITHOUT_STEREO
-from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, read_pairs
+from track_range.stereo.evaluation.kitti_2015 import (
+    PairFileError,
+    StereoPair,
+    is_kitti_2015,
+    read_pairs,
+)
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
-LABELS = ("truth.csv", "truth.txt", "label.txt")  # names of label files; the first one that exists is used
+# names of label files; the first one that exists is used
+LABELS = ("truth.csv", "truth.txt", "label.txt")
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
-_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}  # accepted range of each kind of value
+# accepted range of each kind of value
+_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
 
 
 def is_drive(folder: Path) -> bool:
@@ -67,7 +81,9 @@ class KnownObjects:
 
 
 def known_pairs(recording: Recording, rig: StereoRig, known: KnownObjects) -> Iterator[StereoPair]:
-    """The pairs of a recording in order of time, named by frame, with their known objects, perhaps none."""
+    """The pairs of a recording in order of time, named by frame, with their known objects, perhaps
+    none.
+    """
     for frame in recording.frames:
         if frame.right is None:
             continue
@@ -86,18 +102,25 @@ def known_pairs(recording: Recording, rig: StereoRig, known: KnownObjects) -> It
         )
 
 
-def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
-    """The pairs of a drive in order of time, named by frame; pairs without evaluated objects are included.
+def read_drive(
+    folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0
+) -> Iterator[StereoPair]:
+    """The pairs of a drive in order of time, named by frame; pairs without evaluated objects are
+    included.
 
-    `rig` is a rig file, None = the one in the folder; `row_offset_px`, y_right - y_left, is corrected in the right
-    images. Raises VideoError, RigError, LabelFileError or PairFileError if videos, rig or labels cannot be used.
+    `rig` is a rig file, None = the one in the folder; `row_offset_px`, y_right - y_left, is
+    corrected in the right images. Raises VideoError, RigError, LabelFileError or PairFileError if
+    videos, rig or labels cannot be used.
     """
     rows = Alignment(row_offset_px=row_offset_px)
     recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
     with closing(recording):
         labels = next((folder / name for name in LABELS if (folder / name).is_file()), None)
         if labels is None:
-            raise PairFileError(f"{folder}: expected labels in {', '.join(LABELS[:-1])} or {LABELS[-1]}, found none.")
+            raise PairFileError(
+                f"{folder}: expected labels in {', '.join(LABELS[:-1])} or "
+                f"{LABELS[-1]}, found none."
+            )
         truth = read_truth(labels, rectified.left, recording.calibration.left_from_reference_m)
         is_in_range = (truth.distance_m >= BANDS_M[0]) & (truth.distance_m <= BANDS_M[-1])
         known = KnownObjects.of(truth.select((truth.class_id >= 0) & is_in_range), rectified)
@@ -115,27 +138,38 @@ def open_pair(
 ) -> tuple[Recording, StereoRig]:
     """Open a calibrated pair; returns the recording and its rectified rig.
 
-    `rig` is a rig file, None = the one next to the left video; other arguments: see `open_recording`. Raises VideoError
-    if a video cannot be used, and RigError without a usable rig, or, with checks, if left and right are swapped.
+    `rig` is a rig file, None = the one next to the left video; other arguments: see
+    `open_recording`. Raises VideoError if a video cannot be used, and RigError without a usable
+    rig, or, with checks, if left and right are swapped.
     """
-    recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks, stereo_layout=stereo_layout)
+    recording = open_recording(
+        left, right, rig=rig, align=align, has_checks=has_checks, stereo_layout=stereo_layout
+    )
     if recording.rig is None:
         finding = recording.finding
         recording.close()
         if finding is not None:
             raise RigError(f"{left}: {finding.sentence.removesuffix(WITHOUT_STEREO)}")
-        raise RigError(f"{left}: no rig.yaml or calib.txt next to it; give the calibration file with --rig FILE.")
+        raise RigError(
+            f"{left}: no rig.yaml or calib.txt next to it; give the calibration file "
+            "with --rig FILE."
+        )
     return recording, recording.rig
 
 
 def reference_pairs(
-    reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None, stereo_layout: LayoutOption = "auto"
+    reference: Path,
+    *,
+    stereo: tuple[Path, Path] | None,
+    rig: Path | None,
+    stereo_layout: LayoutOption = "auto",
 ) -> Iterator[StereoPair]:
     """The pairs with their known objects, read one by one.
 
-    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file (equal for
-    one video of both cameras), `rig` a rig file, None = the one next to the images. Raises UsageError for a file
-    without videos or a folder with videos; PairFileError, LabelFileError, VideoError or RigError for an unusable input.
+    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for
+    a file (equal for one video of both cameras), `rig` a rig file, None = the one next to the
+    images. Raises UsageError for a file without videos or a folder with videos; PairFileError,
+    LabelFileError, VideoError or RigError for an unusable input.
     """
     if not reference.exists():
         raise LabelFileError(f"{reference}: no such file or folder; check the name.")
@@ -143,22 +177,31 @@ def reference_pairs(
         if stereo is not None:
             raise UsageError("--reference DIR includes the images; omit --stereo, or give a file.")
         is_labelled_drive = is_drive(reference) and not is_kitti_2015(reference)
-        return read_drive(reference, rig=rig) if is_labelled_drive else read_pairs(reference, rig=rig)
+        return (
+            read_drive(reference, rig=rig) if is_labelled_drive else read_pairs(reference, rig=rig)
+        )
     if stereo is None:
-        raise UsageError("--reference FILE needs the videos of its objects; give them with --stereo LEFT RIGHT.")
+        raise UsageError(
+            "--reference FILE needs the videos of its objects; give them with --stereo LEFT RIGHT."
+        )
     return _video_pairs(reference, *open_pair(*stereo, rig, stereo_layout=stereo_layout))
 
 
-def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:
+def _video_pairs(
+    reference: Path, recording: Recording, rectified: StereoRig
+) -> Iterator[StereoPair]:
     with closing(recording):
         if reference.suffix.lower() == ".csv" and not has_label_columns(reference):
             known = _of_table(reference, rectified)
         else:
-            truth = read_truth(reference, rectified.left, recording.calibration.left_from_reference_m)
+            truth = read_truth(
+                reference, rectified.left, recording.calibration.left_from_reference_m
+            )
             truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
             if not len(truth):
                 raise LabelFileError(
-                    f"{reference}: expected objects of a road class with a known distance, found none."
+                    f"{reference}: expected objects of a road class with a known distance, found "
+                    "none."
                 )
             known = KnownObjects.of(truth, rectified)
         if known.track_id is not None and (known.track_id < 0).any():
@@ -172,7 +215,10 @@ def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) ->
 
 
 def _of_table(path: Path, rig: StereoRig) -> KnownObjects:
-    expected = "a header and rows of frame,x1,y1,x2,y2 and either distance_m or disparity_px (and id, if known)"
+    expected = (
+        "a header and rows of frame,x1,y1,x2,y2 and either distance_m or disparity_px (and id, if "
+        "known)"
+    )
     table = read_csv_table(path, LabelFileError, expected)
     given = [name for name in _KNOWN if name in table]
     if len(given) != 1 or not len(table) or not {"frame", *_BOX} <= set(table.header):
@@ -182,7 +228,10 @@ def _of_table(path: Path, rig: StereoRig) -> KnownObjects:
     low, high = _PLAUSIBLE[given[0]]
     table.check(given[0], value, (value >= low) & (value <= high), f"{low:g} .. {high:g}")
     for row in np.flatnonzero(~(are_valid_boxes(box) & are_plausible_boxes(box)))[:1].tolist():
-        raise table.fault(row, f"expected a box with x1 < x2, y1 < y2 and edges up to {MAX_COORDINATE_PX:,.0f} px.")
+        raise table.fault(
+            row,
+            f"expected a box with x1 < x2, y1 < y2 and edges up to {MAX_COORDINATE_PX:,.0f} px.",
+        )
     _check_integers(table, "frame", 0, MAX_FRAME)
     ids = np.full(len(table), -1)
     if "id" in table:

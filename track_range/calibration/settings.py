@@ -15,8 +15,8 @@ OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no fi
 _Stereo = Annotated[
     tuple[Path, Path] | None,
     option(
-        "Left and right video of a drive past static objects (buildings, parked cars, trees), or one video with the "
-        "images of both cameras.",
+        "Left and right video of a drive past static objects (buildings, parked cars, trees), or "
+        "one video with the images of both cameras.",
         metavar="LEFT RIGHT|BOTH",
     ),
 ]
@@ -24,22 +24,27 @@ _Stereo = Annotated[
 _StereoLayout = Annotated[
     LayoutOption,
     option(
-        "Layout of one video with the images of both cameras: beside or below each other, the left camera's image "
-        "first or second, or two video tracks (default: as the file, its name or the images show)."
+        "Layout of one video with the images of both cameras: beside or below each other, the left "
+        "camera's image first or second, or two video tracks (default: as the file, its name or "
+        "the images show)."
     ),
 ]
 
 _Drives = Annotated[
     tuple[Path, ...],
     option(
-        "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
+        "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same "
+        "rig.",
         flag="--drive",
         metavar="DIR",
         is_repeated=True,
     ),
 ]
 
-_Rig = Annotated[Path | None, option("Calibration file (default: the calibration file in the folder of the images).")]
+_Rig = Annotated[
+    Path | None,
+    option("Calibration file (default: the calibration file in the folder of the images)."),
+]
 
 
 class BaselineOptions(Options):
@@ -47,15 +52,22 @@ class BaselineOptions(Options):
 
     detector: Annotated[
         str | None,
-        option("Detector of road users, whose sizes check the baseline: a name or an ONNX file.", panel=_BASELINE),
+        option(
+            "Detector of road users, whose sizes check the baseline: a name or an ONNX file.",
+            panel=_BASELINE,
+        ),
     ] = None
     detections: Annotated[
-        Path | None, option("File with boxes of road users, instead of a detector.", panel=_BASELINE, metavar="FILE")
+        Path | None,
+        option(
+            "File with boxes of road users, instead of a detector.", panel=_BASELINE, metavar="FILE"
+        ),
     ] = None
     ego_speed: Annotated[
         str | None,
         option(
-            "Speed of the camera, which checks the baseline: a constant in km/h, a file, or KITTI's oxts folder.",
+            "Speed of the camera, which checks the baseline: a constant in km/h, a file, or "
+            "KITTI's oxts folder.",
             panel=_BASELINE,
             metavar="KMH|FILE|DIR",
         ),
@@ -73,16 +85,16 @@ class CalibrationSettings(Options):
     mono: Annotated[
         str | None,
         option(
-            "Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video; without --board, "
-            "images of a drive.",
+            "Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video; "
+            "without --board, images of a drive.",
             metavar="IMAGES",
         ),
     ] = None
     stereo: Annotated[
         tuple[str, str] | None,
         option(
-            "Images of the left and the right camera: patterns in quotes, folders, or videos; or one of these with the "
-            "images of both cameras.",
+            "Images of the left and the right camera: patterns in quotes, folders, or videos; or "
+            "one of these with the images of both cameras.",
             metavar="LEFT RIGHT|BOTH",
         ),
     ] = None
@@ -90,38 +102,48 @@ class CalibrationSettings(Options):
     board: Annotated[
         str | None,
         option(
-            "Board: MxN inner corners of a chessboard, in a row and in a column, such as 9x6, or a ChArUco board with "
-            "MxN squares, charuco:MxN:SQUARE_MM:MARKER_MM[:DICTIONARY].",
+            "Board: MxN inner corners of a chessboard, in a row and in a column, such as 9x6, or a "
+            "ChArUco board with MxN squares, charuco:MxN:SQUARE_MM:MARKER_MM[:DICTIONARY].",
             metavar="BOARD",
         ),
     ] = None
-    square_mm: Annotated[float | None, option("Side length of the chessboard's squares in mm.", metavar="MM")] = None
+    square_mm: Annotated[
+        float | None, option("Side length of the chessboard's squares in mm.", metavar="MM")
+    ] = None
     lens: Annotated[
         str,
         option(
-            "Lens model: pinhole, or fisheye (Kannala-Brandt) for fields of view from about 100 degrees.",
+            "Lens model: pinhole, or fisheye (Kannala-Brandt) for fields of view from about 100 "
+            "degrees.",
             metavar="pinhole|fisheye",
         ),
     ] = "pinhole"
     lens_terms: Annotated[
         int,
         option(
-            "Number of distortion coefficients of a pinhole camera: 4 = k1 k2 p1 p2; 5 adds k3; 8 adds k4 k5 k6.",
+            "Number of distortion coefficients of a pinhole camera: 4 = k1 k2 p1 p2; 5 adds k3; 8 "
+            "adds k4 k5 k6.",
             metavar="0|4|5|8",
         ),
     ] = 5
     out: Annotated[Path, option("Calibration file to write, rig.yaml.", metavar="FILE")]
     picture: Annotated[
         Path | None,
-        option("Picture of the residuals and the image coverage (default: beside --out).", metavar="FILE.png"),
+        option(
+            "Picture of the residuals and the image coverage (default: beside --out).",
+            metavar="FILE.png",
+        ),
     ] = None
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+    ] = None
     known_distance: Annotated[
         tuple[str, ...],
         option(
-            "Known distance of an object, along the camera's axis to its nearest surface, with its box in pixels of "
-            "the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; if the detector does not find the object, "
-            "add a class after Y2: 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat the option for further objects.",
+            "Known distance of an object, along the camera's axis to its nearest surface, with its "
+            "box in pixels of the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; if "
+            "the detector does not find the object, add a class after Y2: "
+            "'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat the option for further objects.",
             **_KNOWN_BOX,
         ),
     ] = ()
@@ -130,12 +152,16 @@ class CalibrationSettings(Options):
     ] = ()
     known_width: Annotated[
         tuple[str, ...],
-        option("Known width of an object seen from behind or the front, with its box as above.", **_KNOWN_BOX),
+        option(
+            "Known width of an object seen from behind or the front, with its box as above.",
+            **_KNOWN_BOX,
+        ),
     ] = ()
     known_lane_width: Annotated[
         tuple[str, ...],
         option(
-            "Known distance between two lane lines, with their columns in one row: 'T_S,X1,X2,Y=3.5'.",
+            "Known distance between two lane lines, with their columns in one row: "
+            "'T_S,X1,X2,Y=3.5'.",
             metavar="ROW=M",
             panel=_ROAD,
             is_repeated=True,
@@ -143,22 +169,40 @@ class CalibrationSettings(Options):
     ] = ()
     camera_height_m: Annotated[
         float | None,
-        option("Measured height of the camera above the road in m.", metavar="M", panel=_ROAD, gt=0.2, le=5),
+        option(
+            "Measured height of the camera above the road in m.",
+            metavar="M",
+            panel=_ROAD,
+            gt=0.2,
+            le=5,
+        ),
     ] = None
     force: Annotated[
         bool,
-        option("Output of the calibration even if the measurements contradict each other.", panel=_ROAD),
+        option(
+            "Output of the calibration even if the measurements contradict each other.", panel=_ROAD
+        ),
     ] = False
     camera_model: Annotated[
         str | None,
-        option("Camera model with a published field of view, such as 'comma EON'.", metavar="NAME", panel=_ROAD),
+        option(
+            "Camera model with a published field of view, such as 'comma EON'.",
+            metavar="NAME",
+            panel=_ROAD,
+        ),
     ] = None
     detector: Annotated[
         str | None,
-        option("Detector of the road users, a name or an ONNX file (default: the packaged detector).", panel=_ROAD),
+        option(
+            "Detector of the road users, a name or an ONNX file (default: the packaged detector).",
+            panel=_ROAD,
+        ),
     ] = None
     curves: Annotated[
-        Path | None, option("Size curves, written by `track-range fit` (default: the packaged curves).", panel=_ROAD)
+        Path | None,
+        option(
+            "Size curves, written by `track-range fit` (default: the packaged curves).", panel=_ROAD
+        ),
     ] = None
 
     @property
@@ -176,15 +220,22 @@ class AlignmentSettings(BaselineOptions):
     reference: Annotated[
         Path | None,
         option(
-            "Objects at known distances: a folder in KITTI 2015's layout or of a labelled drive; with --stereo, KITTI "
-            "tracking labels or a CSV with frame, x1, y1, x2, y2 and distance_m or disparity_px.",
+            "Objects at known distances: a folder in KITTI 2015's layout or of a labelled drive; "
+            "with --stereo, KITTI tracking labels or a CSV with frame, x1, y1, x2, y2 and "
+            "distance_m or disparity_px.",
             metavar="DIR|LABELS|CSV",
         ),
     ] = None
     rig: _Rig = None
-    out: Annotated[Path, option("Alignment file to write, for the option --align of a run.", metavar="FILE")]
-    seed: Annotated[int, option("Random seed for the resampling that estimates the uncertainty.", ge=0)] = 0
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    out: Annotated[
+        Path, option("Alignment file to write, for the option --align of a run.", metavar="FILE")
+    ]
+    seed: Annotated[
+        int, option("Random seed for the resampling that estimates the uncertainty.", ge=0)
+    ] = 0
+    json_file: Annotated[
+        Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+    ] = None
 
 
 class RigCheckSettings(BaselineOptions):
@@ -194,7 +245,9 @@ class RigCheckSettings(BaselineOptions):
     stereo_layout: _StereoLayout = "auto"
     drives: _Drives = ()
     rig: _Rig = None
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+    ] = None
 
 
 class StereoEvaluationSettings(Options):
@@ -203,17 +256,20 @@ class StereoEvaluationSettings(Options):
     pairs: Annotated[
         Path,
         option(
-            "Folder in KITTI 2015's layout (image_2, image_3, disp_occ_0, obj_map, calib.txt), or of a drive "
-            "(left.mp4, right.mp4, rig.yaml, and truth.csv or truth.txt).",
+            "Folder in KITTI 2015's layout (image_2, image_3, disp_occ_0, obj_map, calib.txt), or "
+            "of a drive (left.mp4, right.mp4, rig.yaml, and truth.csv or truth.txt).",
             metavar="DIR",
         ),
     ]
-    rig: Annotated[Path | None, option("Calibration file (default: the calibration file in the folder).")] = None
+    rig: Annotated[
+        Path | None, option("Calibration file (default: the calibration file in the folder).")
+    ] = None
     matchers: Annotated[
         tuple[str, ...],
         option(
-            "Matchers to evaluate: patch, sgbm, and OpenCV's other SGBM modes sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4; "
-            "with -centre appended (not patch), the disparity at the box centre is used.",
+            "Matchers to evaluate: patch, sgbm, and OpenCV's other SGBM modes sgbm-3way, "
+            "sgbm-5way, sgbm-hh, sgbm-hh4; with -centre appended (not patch), the disparity at the "
+            "box centre is used.",
             flag="--matcher",
             metavar="A,B,...",
             min_length=1,
@@ -222,7 +278,8 @@ class StereoEvaluationSettings(Options):
     align: Annotated[
         str,
         option(
-            "Disparity correction: an alignment file, none (off), or cross-validated, leaving two pairs out at a time.",
+            "Disparity correction: an alignment file, none (off), or cross-validated, leaving two "
+            "pairs out at a time.",
             metavar="FILE|off|leave-two-out",
         ),
     ] = OFF

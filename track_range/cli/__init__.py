@@ -1,1 +1,3 @@
-"""The command line: the application, its help pages and its output; the commands are in `commands`."""
+"""The command line: the application, its help pages and its output; the commands are in
+`commands`.
+"""

@@ -1,6 +1,7 @@
 """The command line: its commands, and the handling of errors, which are printed as one sentence.
 
-Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by the user, 2 = wrong usage.
+Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by the user, 2 = wrong
+usage.
 """
 
 import errno
@@ -23,8 +24,8 @@ COMMANDS = {
     "run": Lazy(
         "track_range.cli.commands.run",
         "Track road users in one video or a stereo pair and measure their distances.",
-        "The word 'run' may be omitted. Writes tracks.csv, mot.txt, tracks.parquet, overlay.mp4, report.html and "
-        "summary.json.",
+        "The word 'run' may be omitted. Writes tracks.csv, mot.txt, tracks.parquet, overlay.mp4, "
+        "report.html and summary.json.",
         (
             "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
             "track-range --mono dashcam.mp4 --focal-px 1150 --out drive-1",
@@ -32,7 +33,9 @@ COMMANDS = {
             "track-range --settings drive-1/settings.yaml",
         ),
     ),
-    "fleet": Lazy("track_range.cli.commands.fleet", "Process many recordings on the workers of a Ray cluster."),
+    "fleet": Lazy(
+        "track_range.cli.commands.fleet", "Process many recordings on the workers of a Ray cluster."
+    ),
     "demo": Lazy(
         "track_range.cli.commands.demo",
         "Simulate a short stereo drive, process it, and print a summary.",
@@ -41,13 +44,16 @@ COMMANDS = {
     "report": Lazy(
         "track_range.cli.commands.report",
         "Rewrite the report of a run, or compare several runs on one page.",
-        examples=("track-range report drive-1", "track-range report drive-1 drive-2 --out comparison.html"),
+        examples=(
+            "track-range report drive-1",
+            "track-range report drive-1 drive-2 --out comparison.html",
+        ),
     ),
     "export": Lazy(
         "track_range.cli.commands.export",
         "Write a finished run or a label file in another format.",
-        "Formats: parquet, mcap, rrd and openscenario (runs only), kitti, coco, cvat, mot and yolo. An existing file "
-        "is replaced only if it has this format.",
+        "Formats: parquet, mcap, rrd and openscenario (runs only), kitti, coco, cvat, mot and "
+        "yolo. An existing file is replaced only if it has this format.",
         (
             "track-range export drive-1 --to cvat --out drive-1.xml",
             "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",
@@ -56,8 +62,8 @@ COMMANDS = {
     "surrogate": Lazy(
         "track_range.cli.commands.surrogate",
         "Print surrogate measures of safety of a run or a fleet, by class and road user.",
-        "The measures are gap, headway, time to collision (TTC, TET, TIT), required deceleration (DRAC, MDRAC) and "
-        "post-encroachment time.",
+        "The measures are gap, headway, time to collision (TTC, TET, TIT), required deceleration "
+        "(DRAC, MDRAC) and post-encroachment time.",
         (
             "track-range surrogate drive-1 --csv measures.csv",
             "track-range surrogate results --parquet measures.parquet",
@@ -66,16 +72,17 @@ COMMANDS = {
     "view": Lazy(
         "track_range.cli.commands.view",
         "Show a finished run in the Rerun viewer.",
-        "Shows video, bird's-eye view and plots. Writes run.rrd to the folder of the run unless the file exists. "
-        "Requires the extra rerun.",
+        "Shows video, bird's-eye view and plots. Writes run.rrd to the folder of the run unless "
+        "the file exists. Requires the extra rerun.",
         ("track-range view drive-1", "track-range view drive-1 --web"),
     ),
     "calibrate": Lazy(
         "track_range.cli.commands.calibrate",
         "Calibrate a camera or a stereo pair from images of a board, or a camera from its drives.",
-        "The board is a chessboard or a ChArUco board. Prints the residual of every view and the standard deviation of "
-        "every parameter (jackknife over views). Without a board, the focal length, height and pitch of one camera are "
-        "fitted to distances and sizes that you know, and to the road users in its video.",
+        "The board is a chessboard or a ChArUco board. Prints the residual of every view and the "
+        "standard deviation of every parameter (jackknife over views). Without a board, the focal "
+        "length, height and pitch of one camera are fitted to distances and sizes that you know, "
+        "and to the road users in its video.",
         (
             "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 \\\n"
             "      --square-mm 40 --out rig.yaml",
@@ -85,12 +92,14 @@ COMMANDS = {
         ),
     ),
     "rig": Lazy(
-        "track_range.cli.commands.rig", "Show, check or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."
+        "track_range.cli.commands.rig",
+        "Show, check or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr).",
     ),
     "align": Lazy(
         "track_range.cli.commands.align",
         "Estimate the disparity error of a calibrated stereo pair.",
-        "The error is estimated from drives past static objects, or from objects at known distances.",
+        "The error is estimated from drives past static objects, or from objects at known "
+        "distances.",
         (
             "track-range align --stereo left.mp4 right.mp4 --rig rig.yaml --out align.yaml",
             "track-range align --reference kitti2015/ --out align.yaml",
@@ -105,35 +114,44 @@ COMMANDS = {
         ),
     ),
     "evaluate": Lazy(
-        "track_range.cli.commands.evaluate", "Evaluate tracks, distances, events, detectors or stereo matchers."
+        "track_range.cli.commands.evaluate",
+        "Evaluate tracks, distances, events, detectors or stereo matchers.",
     ),
     "fit": Lazy(
         "track_range.cli.commands.fit",
-        "Fit the size curves of the mono method to labels from your camera, or the errors of a detector's boxes.",
+        "Fit the size curves of the mono method to labels from your camera, or the errors of a "
+        "detector's boxes.",
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
             "track-range fit --detector-boxes net.onnx --images left.mp4 --labels label.txt",
         ),
     ),
-    "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import and convert detectors."),
+    "models": Lazy(
+        "track_range.cli.commands.models", "List, download, inspect, import and convert detectors."
+    ),
     "train": Lazy(
         "track_range.cli.commands.training.train",
         "Train a detector on labelled images and export it as an ONNX file.",
         "The file can be used with --detector. Requires PyTorch.",
-        ("track-range train --data data.yaml --epochs 100", "track-range train --data data.yaml --epochs 100 --resume"),
+        (
+            "track-range train --data data.yaml --epochs 100",
+            "track-range train --data data.yaml --epochs 100 --resume",
+        ),
     ),
     "anchors": Lazy(
         "track_range.cli.commands.training.train:anchors_app",
         "Fit anchors to the boxes of a data set (k-means++).",
-        "Prints the anchors and their mean best IoU with the boxes, compared with the networks' default anchors.",
+        "Prints the anchors and their mean best IoU with the boxes, compared with the networks' "
+        "default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
     "pseudo-label": Lazy(
         "track_range.cli.commands.training.pseudo_label",
         "Label training images with an ensemble of detectors, for `train`.",
-        "The boxes of the detectors, in each image and its mirror image, are fused, and their scores are calibrated to "
-        "probabilities on the completely labelled classes. Prints the lines for data.yaml.",
+        "The boxes of the detectors, in each image and its mirror image, are fused, and their "
+        "scores are calibrated to probabilities on the completely labelled classes. Prints the "
+        "lines for data.yaml.",
         (
             "track-range pseudo-label --data data.yaml --model yolov5n.onnx \\\n"
             "      --model picodet_s.onnx --out labels_soft",
@@ -151,7 +169,8 @@ COMMANDS = {
     "doctor": Lazy(
         "track_range.cli.commands.doctor",
         "Print versions, codecs and folders of the installation, and test it.",
-        "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = a check failed.",
+        "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = "
+        "a check failed.",
         ("track-range doctor", "track-range doctor --json"),
     ),
 }
@@ -175,8 +194,8 @@ app = lazy_app(
     COMMANDS,
     add_completion=True,
     pretty_exceptions_enable=False,
-    help="Track every road user in a video and measure its distance, the uncertainty of the distance, its closing "
-    "speed and its time to collision.",
+    help="Track every road user in a video and measure its distance, the uncertainty of the "
+    "distance, its closing speed and its time to collision.",
     examples=(
         "track-range demo",
         "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
@@ -186,7 +205,11 @@ app = lazy_app(
 
 
 @app.callback(invoke_without_command=True)
-def _root(is_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+def _root(
+    is_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.")
+    ] = False,
+) -> None:
     if is_version:
         from importlib.metadata import version
 
@@ -230,13 +253,15 @@ def main() -> None:
 
 
 def _report_note(arguments: list[str]) -> str:
-    """Last line of the traceback of an unexpected error; addresses are without user names and passwords."""
+    """Last line of the traceback of an unexpected error; addresses are without user names and
+    passwords.
+    """
     from track_range.recording.live.address import LiveAddress
 
     shown = shlex.join(str(LiveAddress(argument)) for argument in arguments)
     return (
-        f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the output of "
-        f"`{PROGRAM} doctor` and the command: {PROGRAM} {shown}"
+        f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these "
+        f"lines, the output of `{PROGRAM} doctor` and the command: {PROGRAM} {shown}"
     )
 
 
@@ -260,7 +285,11 @@ def _exit_if_full(error: Exception) -> None:
 
 def _is_run(arguments: list[str]) -> bool:
     """Whether the arguments are options of `run`, given without its name."""
-    return bool(arguments) and arguments[0].startswith("-") and not arguments[0].startswith(_ROOT_OPTIONS)
+    return (
+        bool(arguments)
+        and arguments[0].startswith("-")
+        and not arguments[0].startswith(_ROOT_OPTIONS)
+    )
 
 
 def _print_error(message: str) -> None:
@@ -270,15 +299,23 @@ def _print_error(message: str) -> None:
 
     # no emoji: ":X:" may be a part of the user's text
     Console(stderr=True, emoji=False).print(
-        f"{PROGRAM}: {printable(message)}", style="red", highlight=False, markup=False, soft_wrap=True
+        f"{PROGRAM}: {printable(message)}",
+        style="red",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
     )
 
 
 def _complete_as_run(environment: MutableMapping[str, str]) -> None:
-    """Insert `run` into the command line that a shell completes, where its options are given without its name."""
+    """Insert `run` into the command line that a shell completes, where its options are given
+    without its name.
+    """
     for variable in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"):  # bash, and the other shells
         program, *words = environment.get(variable, "").split(maxsplit=1) or [""]
-        if f"_{PROGRAM.replace('-', '_').upper()}_COMPLETE" in environment and _is_run("".join(words).split()):
+        if f"_{PROGRAM.replace('-', '_').upper()}_COMPLETE" in environment and _is_run(
+            "".join(words).split()
+        ):
             environment[variable] = f"{program} run {words[0]}"
             if "COMP_CWORD" in environment:
                 environment["COMP_CWORD"] = str(int(environment["COMP_CWORD"]) + 1)

@@ -1,4 +1,6 @@
-"""Recordings given without --mono or --stereo, and patterns of files that the shell has expanded."""
+"""Recordings given without --mono or --stereo, and patterns of files that the shell has
+expanded.
+"""
 
 import re
 import shlex
@@ -17,17 +19,23 @@ def run_of_recordings(arguments: list[str], program: str) -> list[str]:
     UsageError: several recordings, whose roles are unknown; the message has the possible commands.
     """
     names = [*takewhile(lambda argument: not argument.startswith("-"), arguments)]
-    if not names or not all(_is_recorded(name) or "://" in name or Path(name).exists() for name in names):
+    if not names or not all(
+        _is_recorded(name) or "://" in name or Path(name).exists() for name in names
+    ):
         return arguments
     if len(names) == 1:
         typer.echo(f"{program} --mono {shlex.join(arguments)}", err=True)
         return ["run", "--mono", *arguments]
     refuse_expanded("--mono", names, most=2)
     parts = shlex.join(part for name in names for part in ("--mono", name))
-    pair = f"`{program} --stereo {shlex.join(names)}` for a left and a right camera, or " if len(names) == 2 else ""
+    pair = (
+        f"`{program} --stereo {shlex.join(names)}` for a left and a right camera, or "
+        if len(names) == 2
+        else ""
+    )
     raise UsageError(
-        f"expected --mono or --stereo before the recordings, found {len(names)} recordings without either: use "
-        f"{pair}`{program} {parts}` for the parts of one recording."
+        f"expected --mono or --stereo before the recordings, found {len(names)} recordings without "
+        f"either: use {pair}`{program} {parts}` for the parts of one recording."
     )
 
 
@@ -38,17 +46,20 @@ def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
     if most == 1 and len(names) == 2:
         first, second = map(shlex.quote, names)
         raise UsageError(
-            f"{option}: expected one recording, found 2: give {option} {first} {option} {second} for the parts of one "
-            f"recording, --stereo {first} {second} for two cameras, or quote the pattern that the shell has expanded."
+            f"{option}: expected one recording, found 2: give {option} {first} {option} {second} "
+            f"for the parts of one recording, --stereo {first} {second} for two cameras, or quote "
+            "the pattern that the shell has expanded."
         )
     paths = [*map(Path, names)]
-    patterns = {path.with_name(f"{re.split(r'[0-9]', path.stem)[0]}*{path.suffix}") for path in paths}
+    patterns = {
+        path.with_name(f"{re.split(r'[0-9]', path.stem)[0]}*{path.suffix}") for path in paths
+    }
     if len(patterns) > most:  # the names have no common beginning, or too many
         patterns = {path.with_name(f"*{path.suffix}") for path in paths}
     expected = "one recording" if most == 1 else "at most two recordings"
     raise UsageError(
-        f"{option}: expected {expected}, found {len(names)} files, as after a pattern that the shell has expanded; "
-        f"quote the pattern: {option} {shlex.join(map(str, sorted(patterns)))}"
+        f"{option}: expected {expected}, found {len(names)} files, as after a pattern that the "
+        f"shell has expanded; quote the pattern: {option} {shlex.join(map(str, sorted(patterns)))}"
     )
 
 

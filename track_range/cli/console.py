@@ -1,6 +1,7 @@
 """Output to the terminal: lines, notes and tables.
 
-A table wider than the terminal is split into parts below each other, so that no figure is broken over two lines.
+A table wider than the terminal is split into parts below each other, so that no figure is broken
+over two lines.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -45,7 +46,9 @@ def print_summary(console: Console, summary: Mapping[str, Any]) -> None:
 
 
 def print_grid(console: Console, *shown: Grid) -> None:
-    """Print grids with the best values bold and green; columns that do not fit are in further tables below."""
+    """Print grids with the best values bold and green; columns that do not fit are in further
+    tables below.
+    """
     for grid in shown:
         if grid.title and grid.columns:
             # a separate line, because Rich wraps the title of a table at the width of the table
@@ -56,7 +59,9 @@ def print_grid(console: Console, *shown: Grid) -> None:
 
 
 def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
-    """Parts of the grid that are at most `width` characters wide, each with the first column and at least one other."""
+    """Parts of the grid that are at most `width` characters wide, each with the first column and at
+    least one other.
+    """
     if not grid.columns:
         return
     needed = [_width(grid, i) + 1 for i in range(len(grid.columns))]

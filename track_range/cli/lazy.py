@@ -1,7 +1,9 @@
-"""Groups of commands whose modules are imported when a command is invoked, and the layout of all help pages.
+"""Groups of commands whose modules are imported when a command is invoked, and the layout of all
+help pages.
 
-Help pages are plain text that reads well at 80 columns: options under their headings, then examples. Rich's boxes would
-show the types of values in a column, cut off long option names and leave 30 characters for texts.
+Help pages are plain text that reads well at 80 columns: options under their headings, then
+examples. Rich's boxes would show the types of values in a column, cut off long option names and
+leave 30 characters for texts.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from typing import Any, ClassVar, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-_OPTION_COLUMNS = 26  # largest width of the first column, in characters; longer names have their text on the next line
+# largest width of the first column, in characters; longer names have their text on the next line
+_OPTION_COLUMNS = 26
 
 
 class HelpPage:
@@ -24,7 +27,9 @@ class HelpPage:
     examples: Sequence[str] = ()
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments, and options under the headings of their panels, in the order of declaration."""
+        """Write arguments, and options under the headings of their panels, in the order of
+        declaration.
+        """
         arguments: list[tuple[str, str]] = []
         panels: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):  # type: ignore[attr-defined]
@@ -39,7 +44,11 @@ class HelpPage:
         _write_list(formatter, "Arguments", arguments)
         help_option = panels.pop("Help", [])
         if len(panels) <= 1:  # a page with one list has --help at its end
-            _write_list(formatter, "Options", [*(row for rows in panels.values() for row in rows), *help_option])
+            _write_list(
+                formatter,
+                "Options",
+                [*(row for rows in panels.values() for row in rows), *help_option],
+            )
             return
         for panel, rows in panels.items():
             _write_list(formatter, panel, rows)
@@ -75,12 +84,16 @@ class HelpCommand(HelpPage, TyperCommand):
 
 
 class HelpGroup(HelpPage, TyperGroup):
-    """Group of commands with a help page of this layout, which lists the commands with their full summaries."""
+    """Group of commands with a help page of this layout, which lists the commands with their full
+    summaries.
+    """
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, then the options of the group."""
         listed = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
-        commands = [(name, command.help or "") for name, command in listed if command and not command.hidden]
+        commands = [
+            (name, command.help or "") for name, command in listed if command and not command.hidden
+        ]
         _write_list(formatter, "Commands", commands)
         super().format_options(ctx, formatter)
 
@@ -100,7 +113,10 @@ def _write_list(formatter: Any, heading: str, rows: Iterable[tuple[str, str]]) -
         for name, text in rows:
             # no line breaks at hyphens, which are parts of names (unlike click's own lists)
             lines = textwrap.wrap(
-                text, formatter.width - column - len(margin), break_on_hyphens=False, break_long_words=False
+                text,
+                formatter.width - column - len(margin),
+                break_on_hyphens=False,
+                break_long_words=False,
             ) or [""]
             if len(name) > column - 2:
                 lines.insert(0, name)
@@ -115,7 +131,9 @@ def _argument_name(parameter: Any) -> str:
 
 
 def _option_name(parameter: Any) -> str:
-    """Names of an option and the placeholder of its value, such as "--start S" or "--sgbm / --no-sgbm"."""
+    """Names of an option and the placeholder of its value, such as "--start S" or "--sgbm /
+    --no-sgbm".
+    """
     names = ", ".join(parameter.opts)
     if parameter.secondary_opts:
         return f"{names} / {', '.join(parameter.secondary_opts)}"
@@ -132,7 +150,9 @@ class Lazy(NamedTuple):
 
 
 class LazyGroup(HelpGroup):
-    """A group that lists its commands by their summaries and imports only the command that is invoked."""
+    """A group that lists its commands by their summaries and imports only the command that is
+    invoked.
+    """
 
     modules: ClassVar[Mapping[str, Lazy]] = {}
 
@@ -146,15 +166,26 @@ class LazyGroup(HelpGroup):
         return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Name of the invoked command, the command itself (imported), and the remaining arguments."""
+        """Name of the invoked command, the command itself (imported), and the remaining
+        arguments.
+        """
         name, command, rest = super().resolve_command(ctx, args)
         return name, command if name is None else self.load(name), rest
 
 
-def lazy_app(modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any) -> typer.Typer:
-    """A group of the commands in `modules`; `examples` only for a top-level group; `settings` for typer.Typer."""
+def lazy_app(
+    modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any
+) -> typer.Typer:
+    """A group of the commands in `modules`; `examples` only for a top-level group; `settings` for
+    typer.Typer.
+    """
     group = type("Group", (LazyGroup,), {"modules": modules, "examples": examples})
-    app = typer.Typer(cls=group, no_args_is_help=True, rich_markup_mode=None, **{"add_completion": False, **settings})
+    app = typer.Typer(
+        cls=group,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        **{"add_completion": False, **settings},
+    )
     for name, lazy in modules.items():
         app.command(name, help=lazy.summary)(_placeholder)
     return app

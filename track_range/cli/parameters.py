@@ -18,26 +18,34 @@ from track_range.foundation.options import Options, choices_of, is_list, option_
 
 _O = TypeVar("_O", bound=Options)
 
-_PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}  # in the help, by type; "" for a switch
+# in the help, by type; "" for a switch
+_PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}
 
 
 class PairCommand(HelpCommand):
-    """Command with the option --stereo, which takes one or two values: one is the recording of both cameras."""
+    """Command with the option --stereo, which takes one or two values: one is the recording of both
+    cameras.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line with --stereo as its parameter takes it; see `_split_pairs`.
 
-        UsageError: more files than --mono or --stereo takes, as after a pattern that was not quoted.
+        UsageError: more files than --mono or --stereo takes, as after a pattern that was not
+        quoted.
         """
         for option, most in (("--mono", 1), ("--stereo", 2)):
             after = args[args.index(option) + 1 :] if option in args else []
-            refuse_expanded(option, [*takewhile(lambda value: not value.startswith("-"), after)], most)
+            refuse_expanded(
+                option, [*takewhile(lambda value: not value.startswith("-"), after)], most
+            )
         stereo = next(parameter for parameter in self.params if parameter.name == "stereo")
         return super().parse_args(ctx, _split_pairs(args, is_single=stereo.nargs == 1))
 
 
 def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:
-    """Arguments in which `--stereo` has two values: two options if `is_single`; a missing RIGHT is "", or else LEFT."""
+    """Arguments in which `--stereo` has two values: two options if `is_single`; a missing RIGHT is
+    "", or else LEFT.
+    """
     split, rest = list[str](), list(args)
     while rest:
         name, equals, value = rest.pop(0).partition("=")
@@ -59,16 +67,22 @@ def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:
 
 
 def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
-    """Application of one command with the fields of `model` as parameters; it calls `function` with the options."""
+    """Application of one command with the fields of `model` as parameters; it calls `function` with
+    the options.
+    """
 
     def callback(**values: Any) -> None:
         function(model.of(given_values(model, values)))
 
-    return command_of(callback, parameters(model), PairCommand if "stereo" in model.model_fields else HelpCommand)
+    return command_of(
+        callback, parameters(model), PairCommand if "stereo" in model.model_fields else HelpCommand
+    )
 
 
 def command_of(
-    callback: Callable[..., None], listed: list[Parameter], command_class: type[HelpCommand] = HelpCommand
+    callback: Callable[..., None],
+    listed: list[Parameter],
+    command_class: type[HelpCommand] = HelpCommand,
 ) -> typer.Typer:
     """Application of one command, which calls `callback` with the given parameters."""
     callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
@@ -81,9 +95,9 @@ def command_of(
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
     """Parameters of the options of a model, with hidden ones for old names.
 
-    Options that are not given are None, so that the model knows which are. With `is_only_given`, no option is required,
-    since a settings file may contain it, and values are checked only by the model, whose errors are one sentence for
-    any source.
+    Options that are not given are None, so that the model knows which are. With `is_only_given`, no
+    option is required, since a settings file may contain it, and values are checked only by the
+    model, whose errors are one sentence for any source.
     """
     listed = []
     for name, field in model.model_fields.items():
@@ -117,7 +131,9 @@ def given_values(model: type[Options], values: Mapping[str, Any]) -> dict[str, A
 
 def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Parameter:
     value: Any = kind | None if default is None else kind
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration])
+    return Parameter(
+        name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration]
+    )
 
 
 def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
@@ -132,7 +148,9 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
         "rich_help_panel": model.panel_of(name),
     }
     if (choices := choices_of(field)) and not is_checked:
-        common["autocompletion"] = lambda incomplete: [word for word in choices if word.startswith(incomplete)]
+        common["autocompletion"] = lambda incomplete: [
+            word for word in choices if word.startswith(incomplete)
+        ]
     if kind in (int, float) and is_checked:
         common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
         common["max"] = next((mark.le for mark in field.metadata if isinstance(mark, Le)), None)
@@ -142,7 +160,9 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
 
 
 def _typer_type(field: FieldInfo) -> Any:
-    """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by the model."""
+    """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by
+    the model.
+    """
     if choices := choices_of(field):
         return Literal[*choices]
     kind, is_repeated = value_type(field), option_of(field).is_repeated

@@ -15,7 +15,11 @@ from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
-from track_range.stereo.evaluation.dense_confidence import BEST_MEASURE, DENSE_MATCHER, ConfidenceRecorder
+from track_range.stereo.evaluation.dense_confidence import (
+    BEST_MEASURE,
+    DENSE_MATCHER,
+    ConfidenceRecorder,
+)
 from track_range.stereo.evaluation.disparity_errors import (
     MatcherColumn,
     common_figures,
@@ -24,18 +28,28 @@ from track_range.stereo.evaluation.disparity_errors import (
     matcher_figures,
     risk_coverage,
 )
-from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.evaluation.kitti_2015 import (
+    PairFileError,
+    StereoPair,
+    is_kitti_2015,
+    pair_names,
+    read_pairs,
+)
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.tracking.tracks import Tracks
 
 
-def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
-    """Errors, calibration of sigma and times per matcher, with confidence intervals, as plain values for JSON.
+def evaluate_stereo(
+    settings: StereoEvaluationSettings, progress: StepProgress = no_progress
+) -> dict[str, Any]:
+    """Errors, calibration of sigma and times per matcher, with confidence intervals, as plain
+    values for JSON.
 
-    Raises UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs. Raises PairFileError,
-    RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
+    Raises UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs. Raises
+    PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment
+    cannot be used.
     """
     for name in settings.matchers:
         if name not in MATCHER_NAMES:
@@ -50,15 +64,23 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         pairs = pairs if recorder is None else recorder.recorded(pairs)
         measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
     if not len(measured.objects):
-        raise PairFileError(f"{settings.pairs}: expected objects with known disparities, found none.")
+        raise PairFileError(
+            f"{settings.pairs}: expected objects with known disparities, found none."
+        )
     columns, alignment = _aligned(measured, settings, known)
     matchers = matcher_figures(columns, measured.objects, seed=settings.seed)
     for name, row in matchers.items():
         row["ms_per_frame"] = round(measured.ms_per_frame[name], 3)
-    # curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure
-    curves = {name: {"sigma": risk_coverage(column, measured.objects.true_px)} for name, column in columns.items()}
+    # curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence
+    # measure
+    curves = {
+        name: {"sigma": risk_coverage(column, measured.objects.true_px)}
+        for name, column in columns.items()
+    }
     for measure, uncertainty in () if recorder is None else recorder.measures.items():
-        curves[DENSE_MATCHER][measure] = risk_coverage(columns[DENSE_MATCHER], measured.objects.true_px, uncertainty)
+        curves[DENSE_MATCHER][measure] = risk_coverage(
+            columns[DENSE_MATCHER], measured.objects.true_px, uncertainty
+        )
     return {
         "pairs": str(settings.pairs),
         "n_pairs": len(measured.objects.cameras),
@@ -66,7 +88,9 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         "align": settings.align,
         "alignment": alignment,
         "matchers": matchers,
-        "common": common_figures(columns, measured.objects, seed=settings.seed) if len(columns) > 1 else {},
+        "common": common_figures(columns, measured.objects, seed=settings.seed)
+        if len(columns) > 1
+        else {},
         "risk_coverage": curves,
         "best_confidence": {DENSE_MATCHER: BEST_MEASURE} if recorder is not None else {},
         "notes": list(measured.notes),
@@ -77,18 +101,22 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
     """Number of pairs; None = unknown before the drive is read."""
     if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
         raise PairFileError(
-            f"{settings.pairs}: expected a folder with KITTI 2015's image_2, image_3, disp_occ_0 and obj_map, or with "
-            "a drive's left.mp4, right.mp4 and truth.csv or truth.txt."
+            f"{settings.pairs}: expected a folder with KITTI 2015's image_2, image_3, disp_occ_0 "
+            "and obj_map, or with a drive's left.mp4, right.mp4 and truth.csv or truth.txt."
         )
     if not is_kitti_2015(settings.pairs):
         if settings.align == LEAVE_TWO_OUT:
             raise UsageError(
-                f"--align {LEAVE_TWO_OUT}: expected a set of single pairs, but {settings.pairs} is a drive."
+                f"--align {LEAVE_TWO_OUT}: expected a set of single pairs, but {settings.pairs} is "
+                "a drive."
             )
         return None
     n_pairs = len(pair_names(settings.pairs))
     if settings.align == LEAVE_TWO_OUT and n_pairs < 4:
-        raise UsageError(f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, but {settings.pairs} has {n_pairs}.")
+        raise UsageError(
+            f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, but "
+            f"{settings.pairs} has {n_pairs}."
+        )
     return n_pairs
 
 
@@ -100,7 +128,9 @@ def _pairs(
 ) -> Iterator[StereoPair]:
     row_offset_px = 0.0 if known is None else known.row_correction_px
     read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
-    for number, pair in enumerate(read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)):
+    for number, pair in enumerate(
+        read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
+    ):
         yield pair
         advance(number + 1, n_pairs)
 
@@ -114,16 +144,24 @@ def _aligned(
     if settings.align != LEAVE_TWO_OUT:
         alignment = known or Alignment()
         everywhere = dict.fromkeys(range(n_pairs), alignment)
-        return {name: corrected(column, objects, everywhere) for name, column in columns.items()}, alignment.to_dict()
+        return {
+            name: corrected(column, objects, everywhere) for name, column in columns.items()
+        }, alignment.to_dict()
     by_pair = {
         name: left_out_alignments(column, objects, fit_reference, seed=settings.seed)
         for name, column in columns.items()
     }
     means = {
-        name: {"mean_offset_px": float(np.mean([alignment.offset_px for alignment in alignments.values()]))}
+        name: {
+            "mean_offset_px": float(
+                np.mean([alignment.offset_px for alignment in alignments.values()])
+            )
+        }
         for name, alignments in by_pair.items()
     }
-    return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
+    return {
+        name: corrected(column, objects, by_pair[name]) for name, column in columns.items()
+    }, means
 
 
 def expected_disparities(pair: StereoPair) -> ExpectedDisparity:
@@ -135,4 +173,6 @@ def expected_disparities(pair: StereoPair) -> ExpectedDisparity:
         return ExpectedDisparity.unknown(n)
     tracks = Tracks(np.arange(n), pair.xyxy_px, np.maximum(class_id, 0), np.ones(n), class_id >= 0)
     by_size = SizeRanger(pair.rig.left).measure(tracks, Frame(0, 0.0, pair.left, None))
-    return disparities_by_size(by_size, pair.xyxy_px, pair.rig, (pair.left.shape[0], pair.left.shape[1]))
+    return disparities_by_size(
+        by_size, pair.xyxy_px, pair.rig, (pair.left.shape[0], pair.left.shape[1])
+    )

@@ -47,10 +47,10 @@ def run_fleet(
 ) -> FleetResult:
     """Process the clips that are not complete.
 
-    `options`: options of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in
-    a worker (default: `engine.clip_run.run_clip`). Complete clips remain in any case. Raises UsageError: an option is
-    invalid; FleetError, FolderLockError, StorageError: the fleet cannot run or continue; RunStoppedError: the user
-    stopped it.
+    `options`: options of the runs, by name of the setting; `console`: for the progress; `process`:
+    processes a clip in a worker (default: `engine.clip_run.run_clip`). Complete clips remain in any
+    case. Raises UsageError: an option is invalid; FleetError, FolderLockError, StorageError: the
+    fleet cannot run or continue; RunStoppedError: the user stopped it.
     """
     import pyarrow as pa
 
@@ -63,7 +63,8 @@ def run_fleet(
     pa.set_memory_pool(pa.system_memory_pool())
     if plan.out.is_web:
         raise FleetError(
-            f"{plan.out}: expected a folder or an object store (s3://, gs://) for --out, found a web server."
+            f"{plan.out}: expected a folder or an object store (s3://, gs://) for --out, found a "
+            "web server."
         )
     with stop_on_interrupt(), locked_output(plan.out):
         remove_unfinished(plan.out)
@@ -77,7 +78,9 @@ class _FleetRun:
     def __init__(self, plan: FleetPlan, clips: Sequence[Clip], console: Console) -> None:
         self._plan, self._clips, self._console = plan, clips, console
         options = _options(plan)
-        self._state = FleetState(state="running", total=len(clips), settings_hash=plan.settings_hash, options=options)
+        self._state = FleetState(
+            state="running", total=len(clips), settings_hash=plan.settings_hash, options=options
+        )
         self._next_heartbeat_s = 0.0
         self._table = ClipTable(plan.out)
 
@@ -91,11 +94,15 @@ class _FleetRun:
         except KeyboardInterrupt:
             self._finish("stopped", "stopped by the user")
             raise RunStoppedError(
-                f"stopped by the user; {state.skipped + state.done} of {state.total} clips are complete; repeat the "
-                "command to continue."
+                f"stopped by the user; {state.skipped + state.done} of {state.total} clips are "
+                "complete; repeat the command to continue."
             ) from None
         except Exception as error:
-            kind = "" if isinstance(error, UserError) else f"unexpected error, {type(error).__name__}: "
+            kind = (
+                ""
+                if isinstance(error, UserError)
+                else f"unexpected error, {type(error).__name__}: "
+            )
             self._finish("failed", f"{kind}{error}")
             raise
         self._write_state("finished")
@@ -109,8 +116,10 @@ class _FleetRun:
         )
         if not todo:
             return
-        with connected(plan.settings) as n_available, stop_on_interrupt():  # Ray has replaced the handlers
-            from track_range.fleet.engine.driver import Driver  # imports Ray, which reads its environment then
+        # Ray has replaced the handlers
+        with connected(plan.settings) as n_available, stop_on_interrupt():
+            # imports Ray, which reads its environment then
+            from track_range.fleet.engine.driver import Driver
 
             n_workers = min(n_available, len(todo))
             if not self._console.quiet:
@@ -124,7 +133,9 @@ class _FleetRun:
                     now_s = time.monotonic()
                     if now_s >= self._next_heartbeat_s:
                         self._next_heartbeat_s = now_s + HEARTBEAT_S
-                        self._write_state("running", workers=[worker_state(slot) for slot in slots[:_MAX_STATES]])
+                        self._write_state(
+                            "running", workers=[worker_state(slot) for slot in slots[:_MAX_STATES]]
+                        )
 
                 driver = Driver(plan, process, n_workers, table, todo, state, report)
                 try:
@@ -141,9 +152,16 @@ class _FleetRun:
             with suppress(StorageError):
                 self._write_state(state, reason)
 
-    def _write_state(self, name: State, reason: str = "", workers: Sequence[Mapping[str, Any]] = ()) -> None:
+    def _write_state(
+        self, name: State, reason: str = "", workers: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
         state = self._state
-        state.state, state.reason, state.workers, state.heartbeat_s = name, reason, workers, time.time()
+        state.state, state.reason, state.workers, state.heartbeat_s = (
+            name,
+            reason,
+            workers,
+            time.time(),
+        )
         state.write(self._plan.out)
 
 
@@ -151,7 +169,10 @@ def _options(plan: FleetPlan) -> dict[str, Any]:
     own = plan.settings.model_dump(mode="json", exclude_none=True)
     own["recordings"] = own["recordings"][:10]
     plain = (str, int, float, bool, list, dict, type(None))
-    run = {key: value if isinstance(value, plain) else str(value) for key, value in plan.options.items()}
+    run = {
+        key: value if isinstance(value, plain) else str(value)
+        for key, value in plan.options.items()
+    }
     if plan.is_anonymized:
         own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
         run = without_folders(run)

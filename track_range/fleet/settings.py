@@ -11,10 +11,13 @@ from pydantic import field_validator
 
 from track_range.foundation.options import Options, option
 
-_input, _output, _workers = (partial(option, panel=heading) for heading in ("Recordings", "Results", "Workers"))
+_input, _output, _workers = (
+    partial(option, panel=heading) for heading in ("Recordings", "Results", "Workers")
+)
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}  # bytes by prefix of the unit
-_SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,3})?)\s*([kmgt]?)i?b?", re.IGNORECASE)  # a size as text: 2GB, 500 MB
+# a size as text: 2GB, 500 MB
+_SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,3})?)\s*([kmgt]?)i?b?", re.IGNORECASE)
 
 
 def size_bytes(text: str) -> int:
@@ -31,72 +34,87 @@ class FleetSettings(Options):
     recordings: Annotated[
         tuple[str, ...],
         option(
-            "Folders, patterns such as 'DIR/*.mp4', or one manifest (CSV or Parquet: clip, left, right, rig, ...); "
-            "local or s3://, gs://, https://.",
+            "Folders, patterns such as 'DIR/*.mp4', or one manifest (CSV or Parquet: clip, left, "
+            "right, rig, ...); local or s3://, gs://, https://.",
             metavar="RECORDINGS",
             is_argument=True,
             is_repeated=True,
             min_length=1,
         ),
     ]
-    out: Annotated[str, _output("Folder of the results: a local folder, or s3://BUCKET/PREFIX.", metavar="DIR|URI")]
+    out: Annotated[
+        str,
+        _output("Folder of the results: a local folder, or s3://BUCKET/PREFIX.", metavar="DIR|URI"),
+    ]
     pattern: Annotated[
         str | None,
         _input(
-            "Names of the files of a clip below RECORDINGS, left and right: '{clip}_left.mp4,{clip}_right.mp4' "
-            "(default: each video is one clip).",
+            "Names of the files of a clip below RECORDINGS, left and right: "
+            "'{clip}_left.mp4,{clip}_right.mp4' (default: each video is one clip).",
             metavar="PATTERN",
         ),
     ] = None
     rig: Annotated[
         str | None,
         _input(
-            "Calibration of all clips, or a pattern with {clip} and other names of --pattern (default: rig.yaml or "
-            "calib.txt beside the left video).",
+            "Calibration of all clips, or a pattern with {clip} and other names of --pattern "
+            "(default: rig.yaml or calib.txt beside the left video).",
             metavar="FILE|PATTERN",
         ),
     ] = None
     settings: Annotated[
         Path | None,
         _input(
-            "Settings of an earlier run (settings.yaml), without its inputs and outputs; other options override them.",
+            "Settings of an earlier run (settings.yaml), without its inputs and outputs; other "
+            "options override them.",
             metavar="FILE",
         ),
     ] = None
-    dry_run: Annotated[bool, _input("List of the clips with problems in their headers, without processing them.")] = (
+    dry_run: Annotated[
+        bool, _input("List of the clips with problems in their headers, without processing them.")
+    ] = False
+    retry_failed: Annotated[bool, _output("Repetition of clips that failed in an earlier run.")] = (
         False
     )
-    retry_failed: Annotated[bool, _output("Repetition of clips that failed in an earlier run.")] = False
-    reports: Annotated[bool, _output("Report (report.html, summary.json) of each clip in runs/clip=NAME.")] = False
+    reports: Annotated[
+        bool, _output("Report (report.html, summary.json) of each clip in runs/clip=NAME.")
+    ] = False
     workers: Annotated[
         int | None,
-        _workers("Number of workers (default: cores of the cluster / --threads).", metavar="N", ge=1, le=100_000),
+        _workers(
+            "Number of workers (default: cores of the cluster / --threads).",
+            metavar="N",
+            ge=1,
+            le=100_000,
+        ),
     ] = None
     threads: Annotated[int, _workers("CPU threads of a worker.", metavar="N", ge=1, le=1024)] = 1
     worker_memory: Annotated[
         str,
         _workers(
-            "Memory that is reserved for a worker, and its limit; a clip that takes more is repeated once and then "
-            "fails.",
+            "Memory that is reserved for a worker, and its limit; a clip that takes more is "
+            "repeated once and then fails.",
             metavar="SIZE",
         ),
     ] = "2GB"
     gpus_per_worker: Annotated[
-        float, _workers("Number of GPUs of a worker, which may be a fraction.", metavar="N", ge=0, le=64)
+        float,
+        _workers("Number of GPUs of a worker, which may be a fraction.", metavar="N", ge=0, le=64),
     ] = 0.0
     address: Annotated[
         str | None,
         _workers(
-            "Ray cluster: HOST:PORT, or auto for the cluster on this machine or in RAY_ADDRESS (default: a cluster on "
-            "this machine for the duration of the run).",
+            "Ray cluster: HOST:PORT, or auto for the cluster on this machine or in RAY_ADDRESS "
+            "(default: a cluster on this machine for the duration of the run).",
             metavar="auto|HOST:PORT",
         ),
     ] = None
     timeout: Annotated[
         float,
         _workers(
-            "Time limit of a clip: 60 s and this number of seconds for each second of video, or for each 10 processed "
-            "frames, whichever is more; a clip that takes longer is repeated once and then fails.",
+            "Time limit of a clip: 60 s and this number of seconds for each second of video, or "
+            "for each 10 processed frames, whichever is more; a clip that takes longer is repeated "
+            "once and then fails.",
             metavar="FACTOR",
             ge=0.01,
             le=1e6,
@@ -105,13 +123,14 @@ class FleetSettings(Options):
     cache_dir: Annotated[
         Path | None,
         _workers(
-            "Folder on the workers for remote recordings and unfinished results (default: the temporary folder).",
+            "Folder on the workers for remote recordings and unfinished results (default: the "
+            "temporary folder).",
             metavar="DIR",
         ),
     ] = None
-    cache_size: Annotated[str, _workers("Largest size of a remote clip in the cache of a worker.", metavar="SIZE")] = (
-        "20GB"
-    )
+    cache_size: Annotated[
+        str, _workers("Largest size of a remote clip in the cache of a worker.", metavar="SIZE")
+    ] = "20GB"
 
     @field_validator("worker_memory", "cache_size")
     @classmethod

@@ -1,1 +1,3 @@
-"""Modules that all packages may import: array aliases, files, options, errors, statistics and per-track state."""
+"""Modules that all packages may import: array aliases, files, options, errors, statistics and
+per-track state.
+"""

@@ -10,12 +10,15 @@ FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
-Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice  # mask, row numbers or slice
+# mask, row numbers or slice
+Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice
 Image = npt.NDArray[np.uint8]  # (H, W, 3) BGR or (H, W) grey
 
 
 def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, ...]) -> None:
-    """Raise ValueError unless `array` is an array and has the shape `expected` (None matches any length)."""
+    """Raise ValueError unless `array` is an array and has the shape `expected` (None matches any
+    length).
+    """
     if not hasattr(array, "shape"):
         raise ValueError(f"{name}: expected an array, got {type(array).__name__}")
     shape = array.shape
@@ -30,10 +33,11 @@ def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, 
 
 
 def row_numbers(rows: Rows, n_rows: int) -> IntArray:
-    """(M,) the row numbers that `rows` selects among `n_rows`, for `take`, which is faster than indexing.
+    """(M,) the row numbers that `rows` selects among `n_rows`, for `take`, which is faster than
+    indexing.
 
-    Negative numbers count from the end. An IndexError means that a mask has another length, or that the numbers are not
-    integers; `take` checks that the rows exist.
+    Negative numbers count from the end. An IndexError means that a mask has another length, or that
+    the numbers are not integers; `take` checks that the rows exist.
     """
     if isinstance(rows, slice):
         return np.arange(n_rows)[rows]

@@ -1,11 +1,12 @@
-"""ConstantVelocity: Kalman filters of values x and their rates v, one per element of arrays of any shape.
+"""ConstantVelocity: Kalman filters of values x and their rates v, one per element of arrays of any
+shape.
 
     predict    x' = x + v dt     v' = v     P' = F P F^T + Q     F = [[1, dt], [0, 1]]
                Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
     update     S = P_xx + R      K = [P_xx, P_xv] / S      [x, v]' = [x, v] + K nu      P' = P - K S K^T
 
-q is the power spectral density of continuous noise, so that two steps of dt/2 equal one step of dt. nu = z - x is
-the innovation of a measurement z of x with variance R.
+q is the power spectral density of continuous noise, so that two steps of dt/2 equal one step of dt.
+nu = z - x is the innovation of a measurement z of x with variance R.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ConstantVelocity:
-    """Values x, rates v per second and covariances P; shared covariances may have axes of length 1."""
+    """Values x, rates v per second and covariances P; shared covariances may have axes of length
+    1.
+    """
 
     x: FloatArray
     v: FloatArray
@@ -46,7 +49,9 @@ class ConstantVelocity:
     def update(
         self, innovation: FloatArray, R: FloatArray | float, *, valid: BoolArray | bool = True
     ) -> ConstantVelocity:
-        """The states after measurements with innovation nu and variance R > 0; states outside `valid` do not change."""
+        """The states after measurements with innovation nu and variance R > 0; states outside
+        `valid` do not change.
+        """
         weight, nu = 1.0 / (self.P_xx + R), innovation
         if valid is not True:
             weight, nu = np.where(valid, weight, 0.0), np.where(valid, innovation, 0.0)

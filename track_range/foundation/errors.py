@@ -1,7 +1,7 @@
 """Base classes of all errors that a user's input can cause.
 
-The command line prints such an error as one sentence and exits with its status; any other exception is a defect of the
-program and keeps its traceback.
+The command line prints such an error as one sentence and exits with its status; any other exception
+is a defect of the program and keeps its traceback.
 """
 
 import traceback
@@ -21,18 +21,23 @@ class ConfigError(UserError):
 
 
 class UsageError(ConfigError):
-    """Options that contradict each other or are out of range: wrong usage, not an unusable input."""
+    """Options that contradict each other or are out of range: wrong usage, not an unusable
+    input.
+    """
 
     exit_status: ClassVar[int] = 2
 
 
 class RunStoppedError(UserError):
-    """The user stopped a run early with Ctrl-C or SIGTERM; the results of the finished frames are kept."""
+    """The user stopped a run early with Ctrl-C or SIGTERM; the results of the finished frames are
+    kept.
+    """
 
 
 @contextmanager
 def named_errors(module: str, name: str, kind: type[UserError]) -> Iterator[None]:
-    """Context that turns exceptions of a user's code in `module` into `kind`, with its name, the cause and the line.
+    """Context that turns exceptions of a user's code in `module` into `kind`, with its name, the
+    cause and the line.
 
     UserErrors, and all exceptions of our own modules, are raised as they are.
     """
@@ -51,7 +56,9 @@ def named_errors(module: str, name: str, kind: type[UserError]) -> Iterator[None
 
 
 def call_all(steps: Iterable[Callable[[], object]]) -> None:
-    """Call functions in order, even after a UserError; the first such error is raised at the end."""
+    """Call functions in order, even after a UserError; the first such error is raised at the
+    end.
+    """
     errors = []
     for step in steps:
         try:

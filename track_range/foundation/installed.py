@@ -1,19 +1,34 @@
-"""Versions of installed packages, of which some come in several distributions that replace each other."""
+"""Versions of installed packages, of which some come in several distributions that replace each
+other.
+"""
 
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
-_DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {  # with the same modules, by the one that is required
+# with the same modules, by the one that is required
+_DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {
     "opencv-python-headless": (
-        *("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"),
+        *(
+            "opencv-python-headless",
+            "opencv-python",
+            "opencv-contrib-python-headless",
+            "opencv-contrib-python",
+        ),
     ),
-    "onnxruntime": ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino"),
+    "onnxruntime": (
+        "onnxruntime",
+        "onnxruntime-gpu",
+        "onnxruntime-directml",
+        "onnxruntime-openvino",
+    ),
 }
 
 
 def installed_versions(name: str) -> dict[str, str]:
-    """Versions of the installed distributions that have the modules of a package, by name; empty = not installed."""
+    """Versions of the installed distributions that have the modules of a package, by name; empty =
+    not installed.
+    """
     versions = {}
     for distribution in _DISTRIBUTIONS.get(name, (name,)):
         try:
@@ -25,10 +40,13 @@ def installed_versions(name: str) -> dict[str, str]:
 
 @cache
 def conflicts() -> tuple[str, ...]:
-    """A sentence for each package that is installed in several distributions, which overwrite each other's files."""
+    """A sentence for each package that is installed in several distributions, which overwrite each
+    other's files.
+    """
     several = [versions for name in _DISTRIBUTIONS if len(versions := installed_versions(name)) > 1]
     return tuple(
-        f"{' and '.join(f'{key} {value}' for key, value in versions.items())} are installed and overwrite each other's "
-        f"files: pip uninstall -y {' '.join(versions)}, then pip install the package that you need."
+        f"{' and '.join(f'{key} {value}' for key, value in versions.items())} are installed and "
+        f"overwrite each other's files: pip uninstall -y {' '.join(versions)}, then pip install "
+        "the package that you need."
         for versions in several
     )

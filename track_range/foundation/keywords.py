@@ -1,7 +1,7 @@
 """Names of options in errors: `--focal-px` on the command line, `focal_px=` in Python.
 
-Sentences name options by their flags. Functions of the Python API have the decorator `KeywordsInErrors`, which replaces
-the flags by keywords, except on the command line.
+Sentences name options by their flags. Functions of the Python API have the decorator
+`KeywordsInErrors`, which replaces the flags by keywords, except on the command line.
 """
 
 from __future__ import annotations
@@ -20,8 +20,12 @@ if TYPE_CHECKING:
 
 _is_command_line = ContextVar("is_command_line", default=False)
 
-_FLAG = re.compile(r"`[^`]*`|\btrack-range [a-z -]+ --.*|(?<![\w-])(--[a-z][a-z0-9-]*)(?:([ =])(?=(\S*)))?", re.DOTALL)
-"""A command to type, or a flag, the character before the next word, and this word, which may be its value."""
+_FLAG = re.compile(
+    r"`[^`]*`|\btrack-range [a-z -]+ --.*|(?<![\w-])(--[a-z][a-z0-9-]*)(?:([ =])(?=(\S*)))?",
+    re.DOTALL,
+)
+"""A command to type, or a flag, the character before the next word, and this word, which may be its
+value."""
 
 
 @contextmanager
@@ -44,16 +48,22 @@ class KeywordsInErrors(ContextDecorator):
         pass
 
     def __exit__(
-        self, _type: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+        self,
+        _type: type[BaseException] | None,
+        error: BaseException | None,
+        _at: TracebackType | None,
     ) -> None:
         if isinstance(error, UserError) and not _is_command_line.get():
             error.args = tuple(
-                with_keywords(part, self._model) if isinstance(part, str) else part for part in error.args
+                with_keywords(part, self._model) if isinstance(part, str) else part
+                for part in error.args
             )
 
 
 def with_keywords(sentence: str, model: type[Options]) -> str:
-    """A sentence with keywords for the flags of a model: `focal_px: ...` at its beginning, `focal_px=` elsewhere."""
+    """A sentence with keywords for the flags of a model: `focal_px: ...` at its beginning,
+    `focal_px=` elsewhere.
+    """
     from track_range.foundation.options import choices_of, option_of, value_type  # imports pydantic
 
     fields = {model.flag(name): name for name in model.model_fields}
@@ -64,16 +74,25 @@ def with_keywords(sentence: str, model: type[Options]) -> str:
         name = fields.get(f"--{flag.removeprefix('--no-')}" if is_off else flag)
         if name is None:
             return match[0]
-        before, after, field = sentence[: match.start()], sentence[match.end() :], model.model_fields[name]
-        if after.startswith((":", ", --")) and all(part.startswith("--") for part in before.split()):
+        before, after, field = (
+            sentence[: match.start()],
+            sentence[match.end() :],
+            model.model_fields[name],
+        )
+        if after.startswith((":", ", --")) and all(
+            part.startswith("--") for part in before.split()
+        ):
             return name
         if value_type(field) is bool:
             return f"{name}={not is_off}{separator or ''}"
         words = (*option_of(field).words, *choices_of(field))
-        is_value = separator == "=" or _VALUE.match(word or "") or (word or "").rstrip(".,;:") in words
+        is_value = (
+            separator == "=" or _VALUE.match(word or "") or (word or "").rstrip(".,;:") in words
+        )
         return f"{name}={'' if is_value else separator or ''}"
 
     return _FLAG.sub(keyword, sentence)
 
 
-_VALUE = re.compile(r"'|-?\d|[A-Z]|\S+:$")  # a quoted text, a number, a placeholder, or what is before a colon
+# a quoted text, a number, a placeholder, or what is before a colon
+_VALUE = re.compile(r"'|-?\d|[A-Z]|\S+:$")

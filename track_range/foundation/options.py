@@ -1,7 +1,8 @@
-"""Options of commands and functions: pydantic models in which each option is declared once, as a field.
+"""Options of commands and functions: pydantic models in which each option is declared once, as a
+field.
 
-`track_range.cli.parameters` creates the parameters of the command line from the fields; settings files and the Python
-API use the same names.
+`track_range.cli.parameters` creates the parameters of the command line from the fields; settings
+files and the Python API use the same names.
 """
 
 import difflib
@@ -12,7 +13,15 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, ClassVar, Literal, Self, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.errors import UsageError
@@ -24,33 +33,44 @@ from track_range.foundation.validation import first_problem
 class Declaration:
     """Everything about an option besides its type, default and help text."""
 
-    flag: str | None = None  # such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens
+    # such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens
+    flag: str | None = None
     metavar: str | None = None  # placeholder of the value in the help, without the words
     words: tuple[str, ...] = ()  # values with a special meaning, such as "auto" and "off"
-    # returns the values of an option of type `str` that has no others; called when they are needed, since tables of
-    # formats import libraries
+    # returns the values of an option of type `str` that has no others; called when they are needed,
+    # since tables of formats import libraries
     choices: Callable[[], Iterable[str]] | None = None
-    # heading of the option's section in the help; None = that of the model in which the option is declared
+    # heading of the option's section in the help; None = that of the model in which the option is
+    # declared
     panel: str | None = None
-    is_repeated: bool = False  # the option is repeated for each value of a list, instead of given once with commas
+    # the option is repeated for each value of a list, instead of given once with commas
+    is_repeated: bool = False
     is_argument: bool = False  # the option is positional, without a flag
     is_file_only: bool = False  # the option exists only in settings files, not on the command line
-    is_file: bool = False  # a text that may be the path of a file or folder; fields of type `Path` are
+    # a text that may be the path of a file or folder; fields of type `Path` are
+    is_file: bool = False
     # the option selects or shapes files of results: it does not change their rows, and is no input
     is_output: bool = False
-    is_per_clip: bool = False  # the clips of a fleet may have different values, in a column of the manifest
-    is_shared: bool = False  # all clips of a fleet have one value: a manifest has no column with this name
-    instead: str = ""  # why a fleet does not take the option, and what to do instead; "" = it takes it
-    old_names: tuple[str, ...] = ()  # earlier names of the field, still accepted in files and as hidden options
+    # the clips of a fleet may have different values, in a column of the manifest
+    is_per_clip: bool = False
+    # all clips of a fleet have one value: a manifest has no column with this name
+    is_shared: bool = False
+    # why a fleet does not take the option, and what to do instead; "" = it takes it
+    instead: str = ""
+    # earlier names of the field, still accepted in files and as hidden options
+    old_names: tuple[str, ...] = ()
 
 
 def option(description: str, **given: Any) -> Any:
     """Describe a field of `Options`, in its annotation `Annotated[TYPE, ...]`.
 
-    `description` is the help text: a noun phrase with unit, allowed values and default where they are not obvious;
-    `given` contains attributes of `Declaration` and limits, which are arguments of `pydantic.Field`.
+    `description` is the help text: a noun phrase with unit, allowed values and default where they
+    are not obvious; `given` contains attributes of `Declaration` and limits, which are arguments of
+    `pydantic.Field`.
     """
-    limits = {name: given.pop(name) for name in {"ge", "le", "gt", "lt", "min_length"} & given.keys()}
+    limits = {
+        name: given.pop(name) for name in {"ge", "le", "gt", "lt", "min_length"} & given.keys()
+    }
     declaration: Any = Declaration(**given)
     return Field(description=description, json_schema_extra={"option": declaration}, **limits)
 
@@ -87,7 +107,13 @@ def is_file(field: FieldInfo) -> bool:
 def choices_of(field: FieldInfo) -> Sequence[str]:
     """The allowed values of a field with a fixed choice; () for other fields."""
     python_type, listed = value_type(field), option_of(field).choices
-    return get_args(python_type) if get_origin(python_type) is Literal else () if listed is None else tuple(listed())
+    return (
+        get_args(python_type)
+        if get_origin(python_type) is Literal
+        else ()
+        if listed is None
+        else tuple(listed())
+    )
 
 
 class Options(BaseModel):
@@ -99,7 +125,11 @@ class Options(BaseModel):
     panel: ClassVar[str | None] = None  # heading in the help; None = that of the other options
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False, coerce_numbers_to_str=True
+        extra="forbid",
+        frozen=True,
+        defer_build=True,
+        allow_inf_nan=False,
+        coerce_numbers_to_str=True,
     )  # built when first used: --help is faster
 
     @model_validator(mode="before")
@@ -117,7 +147,9 @@ class Options(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _in_its_type(cls, value: Any, info: ValidationInfo) -> Any:
-        """A value from Python or YAML in the type of its field where the meaning is clear; the choices are checked."""
+        """A value from Python or YAML in the type of its field where the meaning is clear; the
+        choices are checked.
+        """
         field = cls.model_fields[info.field_name or ""]
         python_type, declaration = value_type(field), option_of(field)
         if isinstance(value, str) and is_list(field):
@@ -128,8 +160,15 @@ class Options(BaseModel):
             return "off"  # YAML reads an unquoted `off` as false
         if isinstance(value, list | tuple) and all(isinstance(part, str) for part in value):
             return ",".join(value)
-        if declaration.choices is not None and value is not None and value not in (names := choices_of(field)):
-            raise ValueError(f"expected {', '.join(map(repr, names[:-1]))} or {names[-1]!r}, found {quoted(value)}")
+        if (
+            declaration.choices is not None
+            and value is not None
+            and value not in (names := choices_of(field))
+        ):
+            raise ValueError(
+                f"expected {', '.join(map(repr, names[:-1]))} or {names[-1]!r}, found "
+                f"{quoted(value)}"
+            )
         return os.fspath(value) if isinstance(value, os.PathLike) else value
 
     @classmethod
@@ -145,7 +184,9 @@ class Options(BaseModel):
 
     @classmethod
     def flag(cls, name: str) -> str:
-        """The option of a field, such as "--start", or the metavar of an argument; unknown names are unchanged."""
+        """The option of a field, such as "--start", or the metavar of an argument; unknown names
+        are unchanged.
+        """
         field = cls.model_fields.get(name)
         if field is None or option_of(field).is_file_only:
             return name
@@ -156,8 +197,12 @@ class Options(BaseModel):
 
     @classmethod
     def keywords(cls) -> dict[str, str]:
-        """Fields by keyword in Python: the name, or the flag's name, such as `duration` for duration_s."""
-        flags = {name: cls.flag(name).removeprefix("--").replace("-", "_") for name in cls.model_fields}
+        """Fields by keyword in Python: the name, or the flag's name, such as `duration` for
+        duration_s.
+        """
+        flags = {
+            name: cls.flag(name).removeprefix("--").replace("-", "_") for name in cls.model_fields
+        }
         return {keyword: name for name, of_flag in flags.items() for keyword in (of_flag, name)}
 
     @classmethod
@@ -167,13 +212,17 @@ class Options(BaseModel):
         if first["type"] == "extra_forbidden":
             name = str(first["loc"][0])
             near = difflib.get_close_matches(name, cls.model_fields, n=1)
-            return f"{shortened(name)}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
+            return (
+                f"{shortened(name)}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
+            )
         place = f"{cls.flag(str(first['loc'][0]))}: " if first["loc"] else ""
         return f"{place}{first_problem(error)[1]}."
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Options from values by name, None = not given; UsageError for missing, invalid or conflicting options."""
+        """Options from values by name, None = not given; UsageError for missing, invalid or
+        conflicting options.
+        """
         try:
             return cls(**{name: value for name, value in given.items() if value is not None})
         except ValidationError as error:

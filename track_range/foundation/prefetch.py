@@ -1,9 +1,10 @@
-"""prefetch: computes the next items of a stage in a thread while the caller processes the current one.
+"""prefetch: computes the next items of a stage in a thread while the caller processes the current
+one.
 
     items -> thread -> [ at most `depth` items ] -> caller
 
-Stages that release the GIL (decoding, inference, encoding) then run in parallel, and the time per frame is the time of
-the slowest stage instead of the sum of all stages.
+Stages that release the GIL (decoding, inference, encoding) then run in parallel, and the time per
+frame is the time of the slowest stage instead of the sum of all stages.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ _NICENESS = 15  # of low-priority threads (0..19); a thirtieth of the weight of 
 
 
 def lower_thread_priority() -> None:
-    """Lower the priority of this thread and its child threads (Linux only), so that inference goes first."""
+    """Lower the priority of this thread and its child threads (Linux only), so that inference goes
+    first.
+    """
     if sys.platform == "linux":  # on other systems niceness applies to the whole process
-        # starts OpenCV's threads, which serve the whole process and would otherwise have the priority of this one
+        # starts OpenCV's threads, which serve the whole process and would otherwise have the
+        # priority of this one
         cv2.cvtColor(np.zeros((512, 512, 3), np.uint8), cv2.COLOR_BGR2GRAY)
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
@@ -35,22 +39,27 @@ def prefetch(
 ) -> Generator[T, None, None]:
     """Yield the items in order, computed in a thread that is at most `depth` items ahead.
 
-    The thread starts when the first item is requested. It ends, and closes `items` if that is a generator, when the
-    items end, when they raise (the error is raised in the caller), or when the returned generator is closed or
-    garbage-collected; closing waits for the item in progress.
+    The thread starts when the first item is requested. It ends, and closes `items` if that is a
+    generator, when the items end, when they raise (the error is raised in the caller), or when the
+    returned generator is closed or garbage-collected; closing waits for the item in progress.
 
-    `depth` is the number of items queued or in progress, besides the item that the caller holds; ValueError below 1.
-    For `low_priority` see `lower_thread_priority`; `name` is the thread's name, for profilers.
+    `depth` is the number of items queued or in progress, besides the item that the caller holds;
+    ValueError below 1. For `low_priority` see `lower_thread_priority`; `name` is the thread's name,
+    for profilers.
     """
     if depth < 1:
         raise ValueError(f"depth: expected at least 1, got {depth}")
     return _consume(items, depth, low_priority, name)
 
 
-def _consume(items: Iterable[T], depth: int, low_priority: bool, name: str) -> Generator[T, None, None]:
+def _consume(
+    items: Iterable[T], depth: int, low_priority: bool, name: str
+) -> Generator[T, None, None]:
     queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon thread, so that the program can end while a traceback still refers to the generator.
-    thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name=name, daemon=True)
+    thread = threading.Thread(
+        target=_produce, args=(items, queue, low_priority), name=name, daemon=True
+    )
     del items  # now referenced only by the thread
     thread.start()
     try:
@@ -60,7 +69,8 @@ def _consume(items: Iterable[T], depth: int, low_priority: bool, name: str) -> G
             raise queue.error
     finally:
         queue.close()
-        if thread is not threading.current_thread():  # the garbage collector may close the generator inside the thread
+        # the garbage collector may close the generator inside the thread
+        if thread is not threading.current_thread():
             thread.join()
         queue.error = None  # breaks a reference cycle: error -> traceback -> this frame -> queue
 
@@ -88,7 +98,9 @@ def _produce(items: Iterable[T], queue: ClosableQueue[T], low_priority: bool) ->
 
 
 class ClosableQueue(Generic[T]):
-    """Bounded queue that producer and consumer can end (`queue.Queue.shutdown` requires Python 3.13)."""
+    """Bounded queue that producer and consumer can end (`queue.Queue.shutdown` requires Python
+    3.13).
+    """
 
     def __init__(self, depth: int) -> None:
         self.error: BaseException | None = None
@@ -96,7 +108,8 @@ class ClosableQueue(Generic[T]):
         self._items: deque[T] = deque()
         self._is_finished = False
         self._is_closed = False
-        self._changed = threading.Condition()  # re-entrant: the garbage collector may call close() inside put()
+        # re-entrant: the garbage collector may call close() inside put()
+        self._changed = threading.Condition()
 
     def wait_for_room(self) -> bool:
         """Producer: wait until there is room for an item; False = the queue was closed."""

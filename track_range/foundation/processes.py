@@ -1,7 +1,7 @@
 """Processes and processor cores of this machine, and settings that hold for a whole process.
 
-The library changes none of these settings by itself. Only the command line and the workers of a fleet, whose processes
-serve nothing else, and programs that call `tuned_process` change them.
+The library changes none of these settings by itself. Only the command line and the workers of a
+fleet, whose processes serve nothing else, and programs that call `tuned_process` change them.
 """
 
 import gc
@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
-_SWITCH_INTERVAL_S = 0.0005  # longest wait for the GIL; Python's default, 5 ms, is a tenth of the time per frame
+# longest wait for the GIL; Python's default, 5 ms, is a tenth of the time per frame
+_SWITCH_INTERVAL_S = 0.0005
 _FEW_CORES = 2  # up to which inference and the other stages need all of them
 
 _is_owned = False  # whether the process serves track-range alone
@@ -28,25 +29,35 @@ def is_running(pid: int) -> bool:
 
 
 def n_usable_cores() -> int:
-    """Cores that this process may use by its affinity (`taskset`), at most the quota of its container."""
-    n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use by its affinity (`taskset`), at most the quota of its
+    container.
+    """
+    n_cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return max(1, math.ceil(min(n_cores, _quota_cores())))
 
 
 def n_limited_cores() -> int:
-    """`n_usable_cores` if they are fewer than the machine has, else 0: libraries then choose by the physical cores."""
+    """`n_usable_cores` if they are fewer than the machine has, else 0: libraries then choose by the
+    physical cores.
+    """
     return n_cores if (n_cores := n_usable_cores()) < (os.cpu_count() or 1) else 0
 
 
 def _quota_cores(root: Path = Path("/")) -> float:
-    """Processor time per time that the control groups of this process and their parents allow, in cores.
+    """Processor time per time that the control groups of this process and their parents allow, in
+    cores.
 
-    Version 1 has cpu.cfs_quota_us and cpu.cfs_period_us, version 2 both in cpu.max (Linux's cgroup-v1 and cgroup-v2
-    documentation). A container sees its own group at the top, under whatever name the host has for it. inf = no limit.
+    Version 1 has cpu.cfs_quota_us and cpu.cfs_period_us, version 2 both in cpu.max (Linux's
+    cgroup-v1 and cgroup-v2 documentation). A container sees its own group at the top, under
+    whatever name the host has for it. inf = no limit.
     """
     quotas = [math.inf]
     try:
-        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()]
+        groups = [
+            line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()
+        ]
     except OSError:  # not Linux
         return math.inf
     for _, controllers, name in groups:
@@ -57,7 +68,9 @@ def _quota_cores(root: Path = Path("/")) -> float:
         for folder in (group, *group.parents):
             with suppress(OSError, ValueError):  # no such file, or "max" or -1: no limit
                 names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
-                quota_us, period_us = (int(text) for name in names for text in (folder / name).read_text().split())
+                quota_us, period_us = (
+                    int(text) for name in names for text in (folder / name).read_text().split()
+                )
                 quotas += [quota_us / period_us] if quota_us > 0 < period_us else []
             if folder == top:
                 break
@@ -66,11 +79,13 @@ def _quota_cores(root: Path = Path("/")) -> float:
 
 @contextmanager
 def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
-    """Context for the loop over a run in a process that serves only this run, as on the command line.
+    """Context for the loop over a run in a process that serves only this run, as on the command
+    line.
 
-    Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist before, since
-    searching them takes 60 ms; if the program has frozen objects itself, nothing changes. On two cores or fewer, OpenCV
-    uses one thread, since further threads would interrupt inference. The end of the context restores the settings.
+    Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist
+    before, since searching them takes 60 ms; if the program has frozen objects itself, nothing
+    changes. On two cores or fewer, OpenCV uses one thread, since further threads would interrupt
+    inference. The end of the context restores the settings.
 
     Example:
         >>> import track_range as tr
@@ -79,8 +94,8 @@ def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
         ...     n_frames = sum(1 for frame in run)
 
     Args:
-        has_dense_stereo: whether the run matches each image densely (`sgbm`), which is then the bottleneck and has all
-            of OpenCV's threads.
+        has_dense_stereo: whether the run matches each image densely (`sgbm`), which is then the
+            bottleneck and has all of OpenCV's threads.
     """
     interval_s, is_frozen = sys.getswitchinterval(), gc.get_freeze_count() > 0
     is_single = n_usable_cores() <= _FEW_CORES and not has_dense_stereo
@@ -111,7 +126,9 @@ def one_opencv_thread() -> Iterator[None]:
 
 @contextmanager
 def owned_process() -> Iterator[None]:
-    """Context of the command line and of a fleet's worker, in which `search_current_folder` has an effect."""
+    """Context of the command line and of a fleet's worker, in which `search_current_folder` has an
+    effect.
+    """
     global _is_owned
     before, _is_owned = _is_owned, True
     try:
@@ -121,6 +138,8 @@ def owned_process() -> Iterator[None]:
 
 
 def search_current_folder() -> None:
-    """Let modules be imported from the current folder too, after installed modules, if the process is ours."""
+    """Let modules be imported from the current folder too, after installed modules, if the process
+    is ours.
+    """
     if _is_owned and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

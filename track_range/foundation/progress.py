@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 StepProgress = Callable[[str], AbstractContextManager[Callable[[int, int | None], None]]]
-"""Called with the name of a task; the context manager yields a function of (steps done, total steps or None)."""
+"""Called with the name of a task; the context manager yields a function of (steps done, total steps
+or None)."""
 
 
 @contextmanager
@@ -14,7 +15,8 @@ def no_progress(_task: str) -> Iterator[Callable[[int, int | None], None]]:
 
 
 FrameProgress = Callable[[int | None], AbstractContextManager[Callable[[], None]]]
-"""Called with the number of frames (None = unknown); the context manager yields a function to call once per frame."""
+"""Called with the number of frames (None = unknown); the context manager yields a function to call
+once per frame."""
 
 
 @contextmanager

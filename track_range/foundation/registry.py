@@ -1,4 +1,6 @@
-"""Registry: objects of one kind by name, built in, from other packages (entry points), or registered at run time."""
+"""Registry: objects of one kind by name, built in, from other packages (entry points), or
+registered at run time.
+"""
 
 import os
 import sys
@@ -12,9 +14,11 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Objects of one kind by name; a text "package.module:attribute" stands for the object that `imported` returns.
+    """Objects of one kind by name; a text "package.module:attribute" stands for the object that
+    `imported` returns.
 
-    `built_in` are our own objects, in their order; other packages register with the `group` of entry points.
+    `built_in` are our own objects, in their order; other packages register with the `group` of
+    entry points.
     """
 
     def __init__(self, group: str, built_in: Mapping[str, T | str]) -> None:
@@ -23,17 +27,27 @@ class Registry(Generic[T]):
 
     @property
     def installed(self) -> tuple[metadata.EntryPoint, ...]:
-        """Entry points sorted by name; packages that were installed since the last call are seen."""
+        """Entry points sorted by name; packages that were installed since the last call are
+        seen.
+        """
         # takes 0.1 ms; reading all of 200 packages each time would take 30 ms
-        return _entry_points(self.group, tuple((folder, _changed_ns(folder)) for folder in sys.path))
+        return _entry_points(
+            self.group, tuple((folder, _changed_ns(folder)) for folder in sys.path)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of built-in objects, registered objects, then entry points."""
-        return tuple(dict.fromkeys((*self.built_in, *self.registered, *(point.name for point in self.installed))))
+        return tuple(
+            dict.fromkeys(
+                (*self.built_in, *self.registered, *(point.name for point in self.installed))
+            )
+        )
 
     def find(self, name: str) -> T | str | None:
-        """The object with a name, None if there is none; built-in objects have precedence, then registered objects."""
+        """The object with a name, None if there is none; built-in objects have precedence, then
+        registered objects.
+        """
         installed = {point.name: point.value for point in reversed(self.installed)}
         return {**installed, **self.registered, **self.built_in}.get(name)
 
@@ -48,7 +62,8 @@ class Registry(Generic[T]):
 
 
 def imported(thing: T | str) -> T:
-    """The object that a text "package.module:attribute" names; other values are returned as they are.
+    """The object that a text "package.module:attribute" names; other values are returned as they
+    are.
 
     Errors of the import are not caught.
     """
@@ -60,7 +75,9 @@ def imported(thing: T | str) -> T:
 
 
 @lru_cache(maxsize=32)
-def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> tuple[metadata.EntryPoint, ...]:
+def _entry_points(
+    group: str, _folders: tuple[tuple[str, int], ...]
+) -> tuple[metadata.EntryPoint, ...]:
     return tuple(sorted(metadata.entry_points(group=group), key=lambda point: point.name))
 
 

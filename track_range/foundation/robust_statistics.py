@@ -7,11 +7,14 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 
-MAD_TO_SIGMA = 1.4826  # sigma over median absolute deviation (MAD) of a normal distribution: 1 / 0.6745
+# sigma over median absolute deviation (MAD) of a normal distribution: 1 / 0.6745
+MAD_TO_SIGMA = 1.4826
 
 
 def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """(...) median of (..., N) values, N >= 1, without NaN, as `np.median`, which takes up to six times as long."""
+    """(...) median of (..., N) values, N >= 1, without NaN, as `np.median`, which takes up to six
+    times as long.
+    """
     middle = values.shape[-1] // 2
     if values.shape[-1] % 2:
         return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
@@ -20,22 +23,27 @@ def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def mad_sigma(values: FloatArray) -> float:
-    """Standard deviation of (N,) values estimated from their median absolute deviation about their median."""
+    """Standard deviation of (N,) values estimated from their median absolute deviation about their
+    median.
+    """
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    """Median of (N,) values with weights (N,) > 0, interpolated between the two values at half of the weight."""
+    """Median of (N,) values with weights (N,) > 0, interpolated between the two values at half of
+    the weight.
+    """
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order]) - weight[order] / 2
     return float(np.interp(weight.sum() / 2, cumulative, values[order]))
 
 
 def jackknife_sigma(estimates: FloatArray) -> FloatArray:
-    """(P,) standard deviations of P parameters from (G, P) estimates, each made without one of G groups of the data.
+    """(P,) standard deviations of P parameters from (G, P) estimates, each made without one of G
+    groups of the data.
 
-    sigma^2 = (G - 1) / G sum_g (theta_g - mean theta)^2, the delete-a-group jackknife (Efron, "The jackknife, the
-    bootstrap and other resampling plans", 1982).
+    sigma^2 = (G - 1) / G sum_g (theta_g - mean theta)^2, the delete-a-group jackknife (Efron, "The
+    jackknife, the bootstrap and other resampling plans", 1982).
     """
     return np.asarray(np.sqrt(np.diag(jackknife_covariance(estimates))))
 

@@ -1,8 +1,9 @@
-"""Sparse optical flow on small grey images: corners in a grid, a mask of boxes, and pyramidal Lucas-Kanade.
+"""Sparse optical flow on small grey images: corners in a grid, a mask of boxes, and pyramidal
+Lucas-Kanade.
 
-Tracking uses it to move predicted boxes with the background; odometry uses it to measure the motion of the camera. They
-share a `BackgroundFlow`, so that the small image, the corners and their flow are computed once per frame. Pixels belong
-to the small image, with pixel centres at integers.
+Tracking uses it to move predicted boxes with the background; odometry uses it to measure the motion
+of the camera. They share a `BackgroundFlow`, so that the small image, the corners and their flow
+are computed once per frame. Pixels belong to the small image, with pixel centres at integers.
 """
 
 import math
@@ -16,17 +17,24 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
 
-_CELL_PX = 8  # side of the cells of the mask, small pixels: boxes grow by up to one, so that few windows overlap
-_GRID_PX = 8  # side of the squares of the half-size image with one feature each: 16 small pixels, two cells
-_MIN_EIGENVALUE = 1e-5  # minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area
-_TENSOR_PX, _MIN_TENSOR = 5, 1e-6  # window of the structure tensor at half size, and smallest eigenvalue that counts
-_WINDOW_PX, _N_LEVELS = 9, 4  # tracked window, and pyramid levels, for motions larger than the window
+# side of the cells of the mask, small pixels: boxes grow by up to one, so that few windows overlap
+_CELL_PX = 8
+# side of the squares of the half-size image with one feature each: 16 small pixels, two cells
+_GRID_PX = 8
+# minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area
+_MIN_EIGENVALUE = 1e-5
+# window of the structure tensor at half size, and smallest eigenvalue that counts
+_TENSOR_PX, _MIN_TENSOR = 5, 1e-6
+# tracked window, and pyramid levels, for motions larger than the window
+_WINDOW_PX, _N_LEVELS = 9, 4
 _MIN_SIDE_PX = 32  # of a small image that has room for windows
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations and step in px
 
 
 def small_grey(image: Image, n_halved: int) -> Image:
-    """The green channel, which is faster than grey, halved `n_halved` times by 2x2 means, which prevent aliasing."""
+    """The green channel, which is faster than grey, halved `n_halved` times by 2x2 means, which
+    prevent aliasing.
+    """
     grey = image if image.ndim == 2 else np.asarray(cv2.extractChannel(image, 1), np.uint8)
     for _ in range(n_halved):
         grey = halved(grey)
@@ -43,8 +51,8 @@ def halved(image: Image) -> Image:
 def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> BoolArray:
     """(rows, columns) whether a box touches a cell of the small image; invalid boxes are ignored.
 
-    The boxes (N, 4) are in pixels of the full image, which was halved `n_halved` times to the height and width
-    `grey_hw`.
+    The boxes (N, 4) are in pixels of the full image, which was halved `n_halved` times to the
+    height and width `grey_hw`.
     """
     n_rows, n_columns = -(-grey_hw[0] // _CELL_PX), -(-grey_hw[1] // _CELL_PX)
     is_valid = np.isfinite(xyxy_px).all(axis=1) & (xyxy_px[:, 2:] > xyxy_px[:, :2]).all(axis=1)
@@ -53,7 +61,12 @@ def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> 
     left, top = np.floor(cells[:, :2]).astype(np.int64).T
     right, bottom = np.ceil(cells[:, 2:]).astype(np.int64).T
     steps = np.zeros((n_rows + 1, n_columns + 1), np.int64)
-    for row, column, step in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
+    for row, column, step in (
+        (top, left, 1),
+        (top, right, -1),
+        (bottom, left, -1),
+        (bottom, right, 1),
+    ):
         np.add.at(steps, (row, column), step)
     return np.asarray(steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
 
@@ -65,13 +78,17 @@ def are_masked(points: FloatArray | FloatArray32, is_masked: BoolArray) -> BoolA
 
 
 class RankedCorners(NamedTuple):
-    """The best corner (N, 2) of each square of 16 px, by descending quality, which is 0 in masked cells."""
+    """The best corner (N, 2) of each square of 16 px, by descending quality, which is 0 in masked
+    cells.
+    """
 
     points: FloatArray32
     quality: FloatArray32
 
     def n_good(self, n_corners: int, min_quality: float) -> int:
-        """Number of the first corners, at most `n_corners`, whose quality is `min_quality` of the best or more."""
+        """Number of the first corners, at most `n_corners`, whose quality is `min_quality` of the
+        best or more.
+        """
         best = float(self.quality[0]) if len(self.quality) else 0.0
         return int((self.quality[:n_corners] > max(min_quality * best, _MIN_EIGENVALUE)).sum())
 
@@ -79,12 +96,14 @@ class RankedCorners(NamedTuple):
 def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
     """Corners outside masked cells, one per square of 16 px.
 
-    They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
-    `grey` (H, W) is the small image, and `is_masked` its mask of `masked_cells`.
+    They are detected at half size, because the tracked windows are large; a grid is faster than
+    OpenCV's sorting. `grey` (H, W) is the small image, and `is_masked` its mask of `masked_cells`.
     """
     quality = cv2.cornerMinEigenVal(halved(grey), 3)
     n_rows, n_columns = quality.shape[0] // _GRID_PX, quality.shape[1] // _GRID_PX
-    whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(n_rows, _GRID_PX, n_columns, _GRID_PX)
+    whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(
+        n_rows, _GRID_PX, n_columns, _GRID_PX
+    )
     squares = whole.swapaxes(1, 2).reshape(-1, _GRID_PX**2)
     index = squares.argmax(axis=1)
     best = squares[np.arange(len(squares)), index]
@@ -93,14 +112,17 @@ def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
     corners = 2 * np.stack([column * _GRID_PX + x, row * _GRID_PX + y], axis=1) + 0.5
     best[are_masked(corners, is_masked)] = 0.0
     order = np.argsort(-best, kind="stable")
-    return RankedCorners(np.asarray(corners[order], np.float32), np.asarray(best[order], np.float32))
+    return RankedCorners(
+        np.asarray(corners[order], np.float32), np.asarray(best[order], np.float32)
+    )
 
 
 def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
-    """(N,) ratio of the smaller to the larger eigenvalue of the structure tensor at points (N, 2): 0 on an edge.
+    """(N,) ratio of the smaller to the larger eigenvalue of the structure tensor at points (N, 2):
+    0 on an edge.
 
-    The flow along an edge is not determined by the image (the aperture problem). `grey` (H, W) is the small image, and
-    the points are its `ranked_corners`.
+    The flow along an edge is not determined by the image (the aperture problem). `grey` (H, W) is
+    the small image, and the points are its `ranked_corners`.
     """
     half = halved(grey)
     x_slope, y_slope = cv2.Sobel(half, cv2.CV_32F, 1, 0), cv2.Sobel(half, cv2.CV_32F, 0, 1)
@@ -122,20 +144,31 @@ def tracked_corners(
     n_levels: int,
     start: FloatArray32 | None = None,
 ) -> tuple[FloatArray32, BoolArray]:
-    """Corners (N, 2) in another image by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) whether each was found.
+    """Corners (N, 2) in another image by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) whether
+    each was found.
 
-    The search begins at the points `start` (N, 2), by default at the corners, with `n_levels` above the images.
+    The search begins at the points `start` (N, 2), by default at the corners, with `n_levels` above
+    the images.
     """
     if len(corners) == 0:
         return np.zeros((0, 2), np.float32), np.zeros(0, bool)
     flags = 0 if start is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     guess = np.empty_like(corners) if start is None else start.copy()
     points, status, _ = cv2.calcOpticalFlowPyrLK(
-        before, now, corners, guess, winSize=(window_px, window_px), maxLevel=n_levels, criteria=_STOP, flags=flags
+        before,
+        now,
+        corners,
+        guess,
+        winSize=(window_px, window_px),
+        maxLevel=n_levels,
+        criteria=_STOP,
+        flags=flags,
     )
     now_px = np.asarray(points, np.float32).reshape(-1, 2)
     height, width = now.shape
-    is_inside = (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
+    is_inside = (
+        (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
+    )
     return now_px, np.asarray(is_inside & (status.reshape(-1) > 0))
 
 
@@ -153,27 +186,31 @@ class FlowFrame:
 
 
 class BackgroundFlow:
-    """Corners of the background, tracked from each frame of one stream to the next, for all estimators of its motion.
+    """Corners of the background, tracked from each frame of one stream to the next, for all
+    estimators of its motion.
 
-    The first estimator that adds a frame computes the small image and the corners. An estimator that uses fewer corners
-    than another one uses the first of them; the first estimator that needs the flow of a frame computes it for all
-    corners that any estimator needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both
-    images.
+    The first estimator that adds a frame computes the small image and the corners. An estimator
+    that uses fewer corners than another one uses the first of them; the first estimator that needs
+    the flow of a frame computes it for all corners that any estimator needed in an earlier frame,
+    since each call of Lucas-Kanade computes the pyramids of both images.
 
     The small image is halved until neither side is longer than `long_side_px`.
     """
 
     def __init__(self, long_side_px: int = 640) -> None:
         self._long_side_px = long_side_px
-        self.now: FlowFrame | None = None  # the last frame; None = there is none, or it is too small
-        self.before: FlowFrame | None = None  # the frame before it; None = there is none of equal size
+        # the last frame; None = there is none, or it is too small
+        self.now: FlowFrame | None = None
+        # the frame before it; None = there is none of equal size
+        self.before: FlowFrame | None = None
         self._last_s = math.nan
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
         self._needs: set[tuple[int, float]] = set()
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
-        """Use an image, BGR or grey, as the last frame, unless the last frame has the same time; NaN = unknown.
+        """Use an image, BGR or grey, as the last frame, unless the last frame has the same time;
+        NaN = unknown.
 
         Boxes `xyxy_px` (N, 4) of road users are not background; invalid boxes are ignored.
         """
@@ -189,7 +226,9 @@ class BackgroundFlow:
         grey = small_grey(image, 0)
         small = small_grey(grey, n_halved)
         is_masked = masked_cells(xyxy_px, small.shape, n_halved)
-        self.now = FlowFrame(time_s, image_hw, n_halved, grey, small, is_masked, ranked_corners(small, is_masked))
+        self.now = FlowFrame(
+            time_s, image_hw, n_halved, grey, small, is_masked, ranked_corners(small, is_masked)
+        )
         self.before = before if before is not None and before.image_hw == image_hw else None
 
     def n_halvings(self, image_hw: tuple[int, int]) -> int:
@@ -197,7 +236,9 @@ class BackgroundFlow:
         return (max(image_hw) // (self._long_side_px + 1)).bit_length()
 
     def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
-        """(N, 2) places in both frames of at most `n_corners` corners, of `min_quality` relative to the best."""
+        """(N, 2) places in both frames of at most `n_corners` corners, of `min_quality` relative to
+        the best.
+        """
         if self.now is None or self.before is None:
             return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
         corners = self.before.corners

@@ -1,4 +1,6 @@
-"""TrackState: numbers stored per track from frame to frame, in arrays with the tracks on the last axis."""
+"""TrackState: numbers stored per track from frame to frame, in arrays with the tracks on the last
+axis.
+"""
 
 import numpy as np
 
@@ -6,7 +8,9 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 
 class TrackState:
-    """The state of every known track: arrays (..., N) with one column per track, looked up by track id."""
+    """The state of every known track: arrays (..., N) with one column per track, looked up by track
+    id.
+    """
 
     def __init__(self, initial: FloatArray) -> None:
         """Start without tracks; `initial` (...) is the state of an unknown track."""
@@ -32,7 +36,9 @@ class TrackState:
         return np.array([key not in present for key in self._ids], np.bool_)
 
     def put(self, track_id: IntArray, state: FloatArray, *, keep_known: BoolArray) -> None:
-        """Set the states (..., N) of the tracks `track_id` (N,); forget all other tracks except `keep_known` (K,)."""
+        """Set the states (..., N) of the tracks `track_id` (N,); forget all other tracks except
+        `keep_known` (K,).
+        """
         ids = track_id.tolist()
         n = len(ids)
         if ids == self._ids[:n] and keep_known[n:].all():

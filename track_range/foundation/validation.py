@@ -24,13 +24,16 @@ Number = Annotated[float, BeforeValidator(_not_boolean), Field(allow_inf_nan=Fal
 PositiveNumber = Annotated[Number, Field(gt=0)]
 Integer = Annotated[int, BeforeValidator(_not_boolean)]
 Version1 = Annotated[Literal[1], BeforeValidator(_not_boolean)]  # version 1 of a file format
-"""Finite numbers, integers and versions; true and false, which Python treats as 1 and 0, are errors."""
+"""Finite numbers, integers and versions; true and false, which Python treats as 1 and 0, are
+errors."""
 
 
 def validated(model: type[_Model], content: Any, source: object, error: type[Exception]) -> _Model:
-    """Plain values, usually of `read_yaml` or `read_json`, as a pydantic model; `source` is the file, for messages.
+    """Plain values, usually of `read_yaml` or `read_json`, as a pydantic model; `source` is the
+    file, for messages.
 
-    Raises `error` if a key is missing, unknown, or has a wrong value; the message names file and key.
+    Raises `error` if a key is missing, unknown, or has a wrong value; the message names file and
+    key.
     """
     try:
         return model.model_validate(content)
@@ -44,19 +47,29 @@ _Settings = TypeVar("_Settings")
 
 
 def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
-    """Settings of a dataclass with `chosen` numbers >= 0 by name; raises ValueError for another name or value."""
+    """Settings of a dataclass with `chosen` numbers >= 0 by name; raises ValueError for another
+    name or value.
+    """
     known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
     for name, value in chosen.items():
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            raise ValueError(f"unknown setting {quoted(name)}" + (f"; did you mean {near[0]}?" if near else ""))
-        if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
+            raise ValueError(
+                f"unknown setting {quoted(name)}" + (f"; did you mean {near[0]}?" if near else "")
+            )
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not (math.isfinite(value) and value >= 0)
+        ):
             raise ValueError(f"{name}: expected a number of at least 0, found {quoted(value)}")
     return settings(**chosen)
 
 
 def first_problem(error: ValidationError) -> tuple[str, str]:
-    """Key of the first invalid value, such as "left.fx_px", and the expected and the found value."""
+    """Key of the first invalid value, such as "left.fx_px", and the expected and the found
+    value.
+    """
     first = error.errors(include_url=False)[0]
     key = shortened(repr(".".join(str(part) for part in first["loc"] if part != "[key]"))[1:-1])
     error_type, limits = first["type"], first.get("ctx", {})

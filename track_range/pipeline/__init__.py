@@ -1,1 +1,3 @@
-"""From one frame to its result: detection, tracking, ego motion, ranging, fusion, filters and warning."""
+"""From one frame to its result: detection, tracking, ego motion, ranging, fusion, filters and
+warning.
+"""

@@ -1,4 +1,6 @@
-"""FramePipeline: from the boxes of a frame to its result; `step` lists the stages in their order."""
+"""FramePipeline: from the boxes of a frame to its result; `step` lists the stages in their
+order.
+"""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -7,7 +9,13 @@ import numpy as np
 
 from track_range.foundation.errors import named_errors
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
+from track_range.pipeline.stages import (
+    Detected,
+    DetectionStage,
+    EgoStage,
+    FusionStage,
+    RangingStage,
+)
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.doubt.scale_doubt import Cause, ScaleDoubt, causes_of
@@ -35,9 +43,10 @@ class FramePipeline:
     tracker: ObjectTracker  # assigns identities to boxes
     ranging: RangingStage  # the ranging methods
     ego: EgoStage = field(default_factory=EgoStage)  # motion of the camera and the road
-    scale: DriveScale = field(default_factory=DriveScale)  # from the frames so far; used with the next one
-    # collision warning; None = neither warnings nor times to collision, since the vehicle does not drive along the
-    # camera's axis
+    # from the frames so far; used with the next one
+    scale: DriveScale = field(default_factory=DriveScale)
+    # collision warning; None = neither warnings nor times to collision, since the vehicle does not
+    # drive along the camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
     scale_check: ScaleCheck | None = None  # of what was given; None = off
     has_visible_boxes: bool = False  # as in `MethodContext`
@@ -48,14 +57,17 @@ class FramePipeline:
     _motions: ObjectMotions = field(default_factory=ObjectMotions, init=False)
     _safety: SafetyMonitor = field(init=False)
     _fusion: FusionStage = field(init=False)
-    _causes: dict[str, frozenset[Cause]] = field(init=False)  # what scales the distances of each method
+    # what scales the distances of each method
+    _causes: dict[str, frozenset[Cause]] = field(init=False)
 
     def __post_init__(self) -> None:
         self._fusion = FusionStage(self.camera, has_visible_boxes=self.has_visible_boxes)
         self._safety = SafetyMonitor(None if self.warning is None else self.warning.settings)
         has_rig = self.scale_check is not None and self.scale_check.baseline_m is not None
         self._causes = {
-            method.name: causes_of([source.name for source in method.error_sources], has_rig=has_rig)
+            method.name: causes_of(
+                [source.name for source in method.error_sources], has_rig=has_rig
+            )
             for method in methods()
         }
         self._causes["fused"] = causes_of(["baseline"] if has_rig else ["horizon"], has_rig=has_rig)
@@ -69,13 +81,22 @@ class FramePipeline:
     def step(self, detected: Detected, known_ego: EgoMotion | None = None) -> FrameResult:
         """Result of one frame; frames must be passed in order.
 
-        `known_ego` is a speed of the camera that is known for this frame; None = as the ego stage measures it.
+        `known_ego` is a speed of the camera that is known for this frame; None = as the ego stage
+        measures it.
         """
         frame, lanes, detections, candidates = detected
         clock = self.clock
-        tracker = f"{type(self.tracker).__module__}:{type(self.tracker).__qualname__}, frame {frame.index}"
-        with clock.stage("track"), named_errors(type(self.tracker).__module__, tracker, TrackerError):
-            tracks = checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
+        tracker = (
+            f"{type(self.tracker).__module__}:{type(self.tracker).__qualname__}, frame "
+            f"{frame.index}"
+        )
+        with (
+            clock.stage("track"),
+            named_errors(type(self.tracker).__module__, tracker, TrackerError),
+        ):
+            tracks = checked_tracks(
+                self.tracker, self.tracker.update(detections, frame.time_s, frame.left)
+            )
         ego = self.ego.update(frame, detections.xyxy_px, clock, known_ego)
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)
         with clock.stage("fuse"):
@@ -93,17 +114,21 @@ class FramePipeline:
                     given=ego.given,
                 )
             doubt = self.scale_doubt
-            self.ego.trusts_speed = doubt is None or [cause for cause, _ in doubt.causes] != ["speed"]
+            self.ego.trusts_speed = doubt is None or [cause for cause, _ in doubt.causes] != [
+                "speed"
+            ]
             self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
             ego_sigma_mps = ego.motion.speed_sigma_mps
             if doubt is not None and ego.given is None:  # odometry has the scale of the cameras
                 ego_sigma_mps = math.hypot(ego_sigma_mps, doubt.sigma_of(_OF_ODOMETRY) * ego_mps)
-            # neither fusion nor filtering reduces what methods have in common; times to collision do not contain it
+            # neither fusion nor filtering reduces what methods have in common; times to collision
+            # do not contain it
             unused = frozenset[Cause]() if self.ego.trusts_speed else _GIVEN_SPEED
             in_doubt = {
-                name: 0.0 if doubt is None else doubt.sigma_of(of - unused) for name, of in self._causes.items()
+                name: 0.0 if doubt is None else doubt.sigma_of(of - unused)
+                for name, of in self._causes.items()
             }
             for name, measured in ranges.items():
                 method = name.removesuffix("_kf")
@@ -172,7 +197,9 @@ class FramePipeline:
 
     @property
     def scale_doubt(self) -> ScaleDoubt | None:
-        """The contradiction between the given values and the drive so far; None if no contradiction was found."""
+        """The contradiction between the given values and the drive so far; None if no contradiction
+        was found.
+        """
         return None if self.scale_check is None else self.scale_check.doubt
 
     def close(self) -> None:

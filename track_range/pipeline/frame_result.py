@@ -1,4 +1,6 @@
-"""FrameResult: tracks, distances and times to collision of one frame, as arrays and object by object."""
+"""FrameResult: tracks, distances and times to collision of one frame, as arrays and object by
+object.
+"""
 
 import math
 from collections.abc import Mapping
@@ -29,17 +31,19 @@ class TrackedObject:
         id: identity, the same in all frames.
         class_name: one of `ROAD_CLASSES`.
         xyxy_px: left, top, right, bottom edge of its box.
-        distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not measured, for example where
-        the box is predicted, or touches the border of the image.
+        distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not
+            measured, for example where the box is predicted, or touches the border of the image.
         sigma_m: its standard deviation.
-        closing_mps: closing speed, from the filtered distance, positive = approaching; NaN = unknown.
+        closing_mps: closing speed, from the filtered distance, positive = approaching; NaN =
+            unknown.
         ttc_s: time to collision, distance / closing speed; NaN = not approaching.
-        position_m: ranged point in the left camera's frame (x right, y down, z forward); z is `distance_m`.
+        position_m: ranged point in the left camera's frame (x right, y down, z forward); z is
+            `distance_m`.
         is_observed: False where the box is predicted, without a detection in this frame.
         speed_mps: speed over ground; NaN = unknown.
         state: "parked", "moving", "oncoming", "crossing", or "" = unknown.
-        filtered_m: distance filtered over time, `ranges["fused_kf"]` and `fused_kf_m`, in frames without a measurement
-            too; NaN = not measured yet.
+        filtered_m: distance filtered over time, `ranges["fused_kf"]` and `fused_kf_m`, in frames
+            without a measurement too; NaN = not measured yet.
         filtered_sigma_m: its standard deviation.
     """
 
@@ -72,25 +76,28 @@ class FrameResult:
     Attributes:
         frame: the images and their time; with `--anonymize` the anonymized left image only.
         tracks: N boxes with identities.
-        ranges: distances by name of the method, including "fused" and the filtered ones (NAME_kf); a method that did
-            not run is absent.
-        closing_mps: (N,) closing speed in m/s (positive = approaching), from the filtered fused distance; NaN =
-            unknown.
+        ranges: distances by name of the method, including "fused" and the filtered ones (NAME_kf);
+            a method that did not run is absent.
+        closing_mps: (N,) closing speed in m/s (positive = approaching), from the filtered fused
+            distance; NaN = unknown.
         closing_sigma_mps: (N,) its standard deviation.
         ttc_s: (N,) time to collision in seconds, distance / closing speed; NaN = not approaching.
         ttc_sigma_s: (N,) its standard deviation.
-        xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the fused distance;
-            NaN = unknown.
+        xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the
+            fused distance; NaN = unknown.
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
         lanes: lines of the ego lane; None if no lane detector ran.
-        candidates: all detections of the frame, including other classes and low scores; None = not needed.
+        candidates: all detections of the frame, including other classes and low scores; None = not
+            needed.
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
         scale_doubt: contradiction between a given scale and the drive; None if there is none.
-        motion: speed over ground, heading, world position and state of each track; None if they were not estimated.
+        motion: speed over ground, heading, world position and state of each track; None if they
+            were not estimated.
         ego_pose: pose of the camera in the frame `map`; None if it was not estimated.
-        safety: gap, headway, required deceleration and further measures of each track; None if they were not estimated.
+        safety: gap, headway, required deceleration and further measures of each track; None if they
+            were not estimated.
     """
 
     frame: Frame
@@ -114,18 +121,28 @@ class FrameResult:
 
     def __repr__(self) -> str:
         objects = self.objects
-        measured = [(t.distance_m, f", nearest {t.class_name} {t.id} at {t.distance_m:.1f} m") for t in objects]
+        measured = [
+            (t.distance_m, f", nearest {t.class_name} {t.id} at {t.distance_m:.1f} m")
+            for t in objects
+        ]
         nearest = min((pair for pair in measured if math.isfinite(pair[0])), default=(0.0, ""))[1]
-        return f"FrameResult(index={self.index}, time_s={self.time_s:.3f}, {len(objects)} objects{nearest})"
+        return (
+            f"FrameResult(index={self.index}, time_s={self.time_s:.3f}, {len(objects)} "
+            f"objects{nearest})"
+        )
 
     @property
     def objects(self) -> tuple[TrackedObject, ...]:
-        """The road users one by one, in the order of the tracks; made at each access, from the arrays."""
+        """The road users one by one, in the order of the tracks; made at each access, from the
+        arrays.
+        """
         tracks = self.tracks
         unmeasured = Ranges.unmeasured(tracks.track_id)
         fused, filtered = (self.ranges.get(name, unmeasured) for name in ("fused", "fused_kf"))
         motion = self.motion or ObjectMotion.unknown(len(tracks))
-        names = np.array([*MOTION_STATES, ""])[np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)]
+        names = np.array([*MOTION_STATES, ""])[
+            np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)
+        ]
         numbers = (fused.distance_m, fused.sigma_m, self.closing_mps, self.ttc_s)
         columns = (
             *(
@@ -134,7 +151,12 @@ class FrameResult:
                 map(tuple, tracks.xyxy_px.tolist()),
             ),
             *(values.tolist() for values in numbers),
-            *(map(tuple, self.xyz_m.tolist()), tracks.observed.tolist(), motion.speed_mps.tolist(), names.tolist()),
+            *(
+                map(tuple, self.xyz_m.tolist()),
+                tracks.observed.tolist(),
+                motion.speed_mps.tolist(),
+                names.tolist(),
+            ),
             *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
         )
         return tuple(map(TrackedObject, *columns))

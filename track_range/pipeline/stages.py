@@ -40,16 +40,22 @@ from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 _T = TypeVar("_T")
-_LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
-_ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0  # lateral speed, and standard deviations of it, above which an object moves
-_TURN_ERROR = 0.2  # error of the lateral speed relative to w z in turns, from the error of the distance z
-FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
+# between two detections of lane lines, which change slowly and are expensive to detect
+_LANE_INTERVAL_S = 0.09
+# lateral speed, and standard deviations of it, above which an object moves
+_ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
+# error of the lateral speed relative to w z in turns, from the error of the distance z
+_TURN_ERROR = 0.2
+# initial fraction of the fused sigma that is independent between frames
+FUSED_NOISE_FRACTION = 0.35
 
 
 def noise_shares() -> dict[str, float]:
-    """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
+    """Initial fraction of sigma that is independent between frames, for each distance that is
+    filtered over time.
 
-    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
+    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods
+    instead.
     """
     filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
     return {**filtered, "fused": FUSED_NOISE_FRACTION}
@@ -77,10 +83,11 @@ class DetectionStage:
     """First stage of the pipeline."""
 
     detect: Callable[[Frame], Detections]  # returns the boxes of a frame
-    # does what `detect` does before the network runs, and returns a function that does the rest, which another thread
-    # may call; None = `detect` does all
+    # does what `detect` does before the network runs, and returns a function that does the rest,
+    # which another thread may call; None = `detect` does all
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
-    candidates: Callable[[Frame], Detections] | None = None  # all boxes of the latest frame; None = not needed
+    # all boxes of the latest frame; None = not needed
+    candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None  # lines of the ego lane, ten times per second; None = off
     _lanes: LaneLines | None = None
     _lanes_due_s: float = -math.inf
@@ -101,7 +108,12 @@ class DetectionStage:
         frame, lanes, detect = prepared
         with clock.stage("detect"):
             detections = detect()
-            return Detected(frame, lanes, detections, None if self.candidates is None else self.candidates(frame))
+            return Detected(
+                frame,
+                lanes,
+                detections,
+                None if self.candidates is None else self.candidates(frame),
+            )
 
 
 class Ego(NamedTuple):
@@ -110,7 +122,8 @@ class Ego(NamedTuple):
     motion: EgoMotion  # speed and yaw rate, NaN = unknown
     road: RoadView | None = None  # the road in the frame, lengths in metres; None = unknown
     step: CameraStep | None = None  # motion of the camera since the previous frame; None = unknown
-    by_pair: EgoMotion | None = None  # motion by stereo odometry, which may not be `motion`; None = it did not run
+    # motion by stereo odometry, which may not be `motion`; None = it did not run
+    by_pair: EgoMotion | None = None
     given: EgoMotion | None = None  # motion that was given; None = none was
 
 
@@ -119,20 +132,29 @@ class EgoStage:
     """Measures `Ego` frame by frame."""
 
     speed: EgoSpeed | None = None  # speed of the camera from telemetry or a setting; None = unknown
-    odometry: Odometry | None = None  # measures the motion of the camera, used where no speed is given; None = off
-    road_motion: GroundOdometry | None = None  # horizon of the road and yaw rate of the camera; None = off
-    camera_height: CameraHeight | None = None  # from a known speed; None = it is known, or no speed is
+    # measures the motion of the camera, used where no speed is given; None = off
+    odometry: Odometry | None = None
+    # horizon of the road and yaw rate of the camera; None = off
+    road_motion: GroundOdometry | None = None
+    # from a known speed; None = it is known, or no speed is
+    camera_height: CameraHeight | None = None
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`; None = off
     trusts_speed: bool = True  # whether a given speed is used
 
-    def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
-        """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are not static.
+    def update(
+        self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None
+    ) -> Ego:
+        """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are
+        not static.
 
-        `known` is a speed of the camera that is known for this frame only; None = as the stage measures it.
+        `known` is a speed of the camera that is known for this frame only; None = as the stage
+        measures it.
         """
         if known is None and self.speed is not None:
             known = EgoMotion(self.speed.at(frame.time_s), self.speed.sigma_at(frame.time_s))
-        uses_images = not (self.road_motion is None and self.odometry is None and self.image_motion is None)
+        uses_images = not (
+            self.road_motion is None and self.odometry is None and self.image_motion is None
+        )
         measured: EgoMotion | None = None
         with clock.stage("motion") if uses_images else nullcontext():
             if self.road_motion is not None:
@@ -165,15 +187,19 @@ class EgoStage:
 
 @dataclass(slots=True)
 class RangingStage:
-    """The ranging methods by name, in the order of execution (`ranging.registry.create_rangers`)."""
+    """The ranging methods by name, in the order of execution
+    (`ranging.registry.create_rangers`).
+    """
 
     rangers: Mapping[str, Ranger]
     _reads: Mapping[str, tuple[str, ...]] = field(
         default_factory=lambda: {method.name: method.reads for method in methods()}
     )
     _lanes: LaneLines | None = None
-    _n_invalid: Counter[tuple[str, str]] = field(default_factory=Counter)  # values by method and invalid column
-    _failures: dict[str, None] = field(default_factory=dict)  # messages of methods that failed at the end
+    # values by method and invalid column
+    _n_invalid: Counter[tuple[str, str]] = field(default_factory=Counter)
+    # messages of methods that failed at the end
+    _failures: dict[str, None] = field(default_factory=dict)
 
     def start(self, frame: Frame) -> None:
         """Start the methods that work in the background, before the tracks are known."""
@@ -182,16 +208,26 @@ class RangingStage:
                 ranger.start(frame)
 
     def measure(
-        self, tracks: Tracks, frame: Frame, lanes: LaneLines | None, ego: Ego, scale: DriveScale, clock: StageClock
+        self,
+        tracks: Tracks,
+        frame: Frame,
+        lanes: LaneLines | None,
+        ego: Ego,
+        scale: DriveScale,
+        clock: StageClock,
     ) -> tuple[dict[str, Ranges], list[ScaleEvidence]]:
-        """Distances of the tracks by method, and the evidence of the methods about the scale of the drive.
+        """Distances of the tracks by method, and the evidence of the methods about the scale of the
+        drive.
 
-        Raises MethodError if a ranger of another package failed, or did not return ranges of these tracks.
+        Raises MethodError if a ranger of another package failed, or did not return ranges of these
+        tracks.
         """
         ranges: dict[str, Ranges] = {}
         evidence: list[ScaleEvidence] = []
         for name, ranger in self.rangers.items():
-            others = {other: ranges[other] for other in self._reads.get(name, ()) if other in ranges}
+            others = {
+                other: ranges[other] for other in self._reads.get(name, ()) if other in ranges
+            }
             with clock.stage(name), _named(name, ranger, f", frame {frame.index}"):
                 if ego.road is not None:
                     ranger.update_road(ego.road)
@@ -209,17 +245,27 @@ class RangingStage:
     @property
     def disparity(self) -> FloatArray32 | None:
         """(H, W) disparities of the last frame; None = dense stereo did not run."""
-        return next((ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None)
+        return next(
+            (ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None),
+            None,
+        )
 
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: of the methods at their end, and on invalid values and methods."""
-        notes = [note for of_method in self._answers(lambda ranger: tuple(ranger.notes)) for note in of_method]
+        notes = [
+            note
+            for of_method in self._answers(lambda ranger: tuple(ranger.notes))
+            for note in of_method
+        ]
         for name in self.rangers:
-            counts = {column: n for (method, column), n in self._n_invalid.items() if method == name and n}
+            counts = {
+                column: n for (method, column), n in self._n_invalid.items() if method == name and n
+            }
             if counts:
                 reasons = ", ".join(f"{column} in {n}" for column, n in counts.items())
                 skipped = (
-                    f"skipped {counted(sum(counts.values()), 'value')}, since only positive and finite values are valid"
+                    f"skipped {counted(sum(counts.values()), 'value')}, since only positive and "
+                    "finite values are valid"
                 )
                 notes.append(f"Ranging method {name!r}: {skipped} ({reasons}).")
         return (*notes, *self._failures)
@@ -230,7 +276,9 @@ class RangingStage:
         return {key: value for entries in answers for key, value in entries.items()}
 
     def _answers(self, ask: Callable[[Ranger], _T]) -> list[_T]:
-        """The answers of the methods at the end, without the methods that fail then: the distances are complete."""
+        """The answers of the methods at the end, without the methods that fail then: the distances
+        are complete.
+        """
         answers = []
         for name, ranger in self.rangers.items():
             try:
@@ -266,7 +314,9 @@ class FusionStage:
     def update(
         self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion
     ) -> tuple[FilteredRanges, LateralMotion]:
-        """Filtered fused distances and lateral motion of the tracks; adds fused and filtered distances to `ranges`."""
+        """Filtered fused distances and lateral motion of the tracks; adds fused and filtered
+        distances to `ranges`.
+        """
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         last = self._lateral.last(tracks.track_id)
@@ -279,11 +329,15 @@ class FusionStage:
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
             yaw_rad_s=ego.yaw_rad_s,
-            growth=next((measured.growth for measured in ranges.values() if measured.growth is not None), None),
+            growth=next(
+                (measured.growth for measured in ranges.values() if measured.growth is not None),
+                None,
+            ),
             class_id=tracks.class_id,
             may_be_static=~(np.abs(last.v) > across_mps),
             cut=CutBoxes.of(tracks, self._camera),
-            is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
+            is_hidden=have_hidden_sides(tracks.xyxy_px)
+            & (fused.scale_source == ScaleSource.ASSUMED)
             if self._has_visible_boxes
             else None,
         )

@@ -1,6 +1,8 @@
-r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping threads.
+r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping
+threads.
 
-reading thread -> lanes thread --> detection thread -> caller's thread -------------------> FrameResult
+reading thread -> lanes thread --> detection thread -> caller's thread ------------------->
+FrameResult
 decode            lane lines,      network, boxes      FramePipeline.step
 network's input  \---> background work of rangers ---/
 """
@@ -31,7 +33,8 @@ class QueueDepths:
     in_progress: int = _UNLIMITED  # frames between reading and their result
 
 
-# For cameras, to reduce latency: one frame is with the network, and one with the caller or on its way to the network.
+# For cameras, to reduce latency: one frame is with the network, and one with the caller or on its
+# way to the network.
 LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1, in_progress=2)
 
 
@@ -43,10 +46,13 @@ def run_in_threads(
     slots = Semaphore(depths.in_progress)
     frames = _admitted(frames, slots)
     with ExitStack() as stack:
-        # closed in reverse order: the last thread first, so that no thread reads from a closed video; rangers last
+        # closed in reverse order: the last thread first, so that no thread reads from a closed
+        # video; rangers last
         stack.callback(pipeline.close)
 
-        def in_thread(items: Iterable[_T], depth: int, name: str, *, low_priority: bool) -> Iterable[_T]:
+        def in_thread(
+            items: Iterable[_T], depth: int, name: str, *, low_priority: bool
+        ) -> Iterable[_T]:
             thread = prefetch(items, depth=depth, low_priority=low_priority, name=name)
             return stack.enter_context(closing(thread))
 
@@ -54,8 +60,11 @@ def run_in_threads(
         if pipeline.detection.lane_finder is not None:
             frames, depth = in_thread(frames, depth, "read", low_priority=True), depths.lanes
         prepared = in_thread(_prepared(pipeline, frames), depth, "prepare", low_priority=True)
-        results = in_thread(_detected(pipeline, prepared), depths.detected, "detect", low_priority=False)
-        stack.callback(slots.release, _UNLIMITED)  # first at the end, so that no thread waits for a slot
+        results = in_thread(
+            _detected(pipeline, prepared), depths.detected, "detect", low_priority=False
+        )
+        # first at the end, so that no thread waits for a slot
+        stack.callback(slots.release, _UNLIMITED)
         for detected in results:
             result = pipeline.step(detected)
             slots.release()
@@ -76,7 +85,9 @@ def _prepared(pipeline: FramePipeline, frames: Iterable[Frame]) -> Iterator[Prep
 
 
 def _detected(pipeline: FramePipeline, frames: Iterable[Prepared]) -> Iterator[Detected]:
-    """Frames with their boxes; rangers that work in the background are started before the detector."""
+    """Frames with their boxes; rangers that work in the background are started before the
+    detector.
+    """
     for prepared in frames:
         pipeline.ranging.start(prepared.frame)
         yield pipeline.detection.detected(prepared, pipeline.clock)

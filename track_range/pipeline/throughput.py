@@ -1,4 +1,5 @@
-"""StageClock: time spent in each stage of a run; FrameMeter: its results per second, and latency of a live run.
+"""StageClock: time spent in each stage of a run; FrameMeter: its results per second, and latency of
+a live run.
 
 PacedFrames makes a live source of a recording.
 """
@@ -22,14 +23,23 @@ _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured 
 
 def stage_names() -> tuple[str, ...]:
     """Names of the stages of a run in their order; each ranging method is a stage."""
-    return ("read", "lanes", "detect", "track", *(method.name for method in methods()), "fuse", "write")
+    return (
+        "read",
+        "lanes",
+        "detect",
+        "track",
+        *(method.name for method in methods()),
+        "fuse",
+        "write",
+    )
 
 
 class StageClock:
     """Time spent in each stage, summed over all threads.
 
-    Stages are measured in processor time of their thread, so that waiting for a core (stages have a lower priority than
-    inference) does not count. Inference, which has its own threads, is measured in wall-clock time.
+    Stages are measured in processor time of their thread, so that waiting for a core (stages have a
+    lower priority than inference) does not count. Inference, which has its own threads, is measured
+    in wall-clock time.
     """
 
     def __init__(self) -> None:
@@ -54,16 +64,19 @@ class StageClock:
 
 _WINDOW_S = 2.0  # time window in seconds over which the rate of results is averaged
 _N_RECENT = 300  # frames of which the progress line states the latency
-_LONGEST_GAP_S = 1.0  # from which a frame is passed on although it is late: decoding alone may be too slow
+# from which a frame is passed on although it is late: decoding alone may be too slow
+_LONGEST_GAP_S = 1.0
 
 
 class PacedFrames:
-    """Frames of a recording at the pace of a camera: none before its time, and none after the next frame is due.
+    """Frames of a recording at the pace of a camera: none before its time, and none after the next
+    frame is due.
 
     frame                 0    1    2    3    4    5     `interval_s` apart
     the caller is ready   ^                    ^         and gets frame 0, then 4; frames 1 to 3 are dropped
 
-    Iterated once; `stop` ends a wait. Frame times count from `first_time_s` of `time.monotonic`, NaN = not started.
+    Iterated once; `stop` ends a wait. Frame times count from `first_time_s` of `time.monotonic`,
+    NaN = not started.
     """
 
     def __init__(self, frames: Generator[Frame, None, None], interval_s: float) -> None:
@@ -96,7 +109,11 @@ def latency_ms(latencies_s: Sequence[float]) -> dict[str, float]:
     if not latencies_s:
         return {}
     p50, p95, longest = 1000 * np.percentile(latencies_s, (50, 95, 100))
-    return {"p50": round(float(p50), 1), "p95": round(float(p95), 1), "max": round(float(longest), 1)}
+    return {
+        "p50": round(float(p50), 1),
+        "p95": round(float(p95), 1),
+        "max": round(float(longest), 1),
+    }
 
 
 class LiveOrigin(Protocol):
@@ -104,19 +121,26 @@ class LiveOrigin(Protocol):
 
     @property
     def first_time_s(self) -> float:
-        """Time of the first frame on the clock of the meter, in seconds; frame times count from it."""
+        """Time of the first frame on the clock of the meter, in seconds; frame times count from
+        it.
+        """
         ...
 
 
 class FrameMeter:
-    """Rate of the results of a run and, if it is live, the latency from the camera's image to each result.
+    """Rate of the results of a run and, if it is live, the latency from the camera's image to each
+    result.
 
-    `live` is the reader of the left camera, None = the run reads files as fast as it can; `now_s` is the clock of its
-    timestamps. Of the camera's frames, each `every`-th one is used.
+    `live` is the reader of the left camera, None = the run reads files as fast as it can; `now_s`
+    is the clock of its timestamps. Of the camera's frames, each `every`-th one is used.
     """
 
     def __init__(
-        self, live: LiveOrigin | None = None, *, every: int = 1, now_s: Callable[[], float] = time.monotonic
+        self,
+        live: LiveOrigin | None = None,
+        *,
+        every: int = 1,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._live, self._every, self._now_s = live, every, now_s
         self._stamps_s: deque[float] = deque()
@@ -142,7 +166,9 @@ class FrameMeter:
 
     @property
     def n_dropped(self) -> int:
-        """Number of frames from the first to the last result that should have been used but were not processed."""
+        """Number of frames from the first to the last result that should have been used but were
+        not processed.
+        """
         if isinstance(self._live, PacedFrames):
             return self._live.n_dropped
         span = self._last_index - self._first_index
@@ -150,14 +176,20 @@ class FrameMeter:
 
     @property
     def status(self) -> str:
-        """Latency and dropped frames so far, for the progress line; empty unless the run is live."""
+        """Latency and dropped frames so far, for the progress line; empty unless the run is
+        live.
+        """
         recent = latency_ms(self.latency_s[-_N_RECENT:])
         if not recent:
             return ""
-        return f"latency {recent['p50']:.0f} ms, p95 {recent['p95']:.0f} ms, {self.n_dropped} dropped"
+        return (
+            f"latency {recent['p50']:.0f} ms, p95 {recent['p95']:.0f} ms, {self.n_dropped} dropped"
+        )
 
     def captions(self) -> tuple[str, ...]:
-        """Short texts for the corner of the overlay: rate of processing, latency, dropped frames."""
+        """Short texts for the corner of the overlay: rate of processing, latency, dropped
+        frames.
+        """
         rate = () if np.isnan(self.rate_hz) else (f"processed at {self.rate_hz:.1f} fps",)
         if not self.latency_s:
             return rate
@@ -170,14 +202,23 @@ class FrameMeter:
         if not self.latency_s:
             return ()
         ms = latency_ms(self.latency_s)
-        shown = f"median {ms['p50']:.0f} ms, 95 % below {ms['p95']:.0f} ms, maximum {ms['max']:.0f} ms"
+        shown = (
+            f"median {ms['p50']:.0f} ms, 95 % below {ms['p95']:.0f} ms, maximum {ms['max']:.0f} ms"
+        )
         latency = f"Latency from image to result: {shown}."
         if not (isinstance(self._live, PacedFrames) and self._live.n_dropped):
             return (latency,)
         n_frames = self._n_frames + self._live.n_dropped
-        dropped = f"{self._live.n_dropped} of {n_frames} frames were dropped, because the machine is too slow."
+        dropped = (
+            f"{self._live.n_dropped} of {n_frames} frames were dropped, because the machine is too "
+            "slow."
+        )
         return (latency, f"--realtime: {dropped}")
 
     def summary(self) -> dict[str, Any]:
         """Entries of a live run for summary.json; no entries for other runs."""
-        return {"latency_ms": latency_ms(self.latency_s), "frames_dropped": self.n_dropped} if self.latency_s else {}
+        return (
+            {"latency_ms": latency_ms(self.latency_s), "frames_dropped": self.n_dropped}
+            if self.latency_s
+            else {}
+        )

@@ -1,4 +1,6 @@
-"""VideoFrame: one image with its frame number and time; and helpers that all video sources share."""
+"""VideoFrame: one image with its frame number and time; and helpers that all video sources
+share.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,10 @@ from av.video.reformatter import VideoReformatter
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
 
-TIME_EPSILON_S = 1e-6  # times closer than this are equal: below frame intervals, above the rounding of a float64
-_NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999  # grey levels (lossy chroma: 1 to 3); fraction of such pixels
+# times closer than this are equal: below frame intervals, above the rounding of a float64
+TIME_EPSILON_S = 1e-6
+# grey levels (lossy chroma: 1 to 3); fraction of such pixels
+_NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
 UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
 _reformatters = threading.local()  # one converter of colours per thread, whose buffers are reused
 
@@ -57,7 +61,8 @@ class DecodedImage:
 class VideoFrame:
     """One image of a video."""
 
-    index: int  # number of the frame in its file, from 0; skipped, dropped and missing frames are counted too
+    # number of the frame in its file, from 0; skipped, dropped and missing frames are counted too
+    index: int
     time_s: float  # timestamp in the file, including the stream's start offset; strictly increasing
     image: Image  # (H, W, 3) uint8 BGR, upright
     # the same image in the decoder's native format; None = not available
@@ -70,7 +75,8 @@ class VideoFrame:
 
     def packed(self) -> Callable[[], VideoFrame]:
         """A function that returns this frame but stores its image only in the smaller format."""
-        decoded, index, time_s = self.decoded, self.index, self.time_s  # not the frame, which holds the image
+        # not the frame, which holds the image
+        decoded, index, time_s = self.decoded, self.index, self.time_s
         if decoded is None:
             return lambda: self
         return lambda: VideoFrame(index, time_s, decoded.to_bgr(), decoded)
@@ -79,8 +85,9 @@ class VideoFrame:
 def bgr_image(frame: av.VideoFrame) -> Image:
     """A decoded frame as (H, W, 3) uint8 BGR, converted in the calling thread.
 
-    `frame.to_ndarray(format="bgr24")` has the same pixels, but starts a converter with several threads for each frame,
-    which takes twice the processor time and exists until Python's garbage collector finds the frame.
+    `frame.to_ndarray(format="bgr24")` has the same pixels, but starts a converter with several
+    threads for each frame, which takes twice the processor time and exists until Python's garbage
+    collector finds the frame.
     """
     if not hasattr(_reformatters, "converter"):
         _reformatters.converter = VideoReformatter()
@@ -94,10 +101,14 @@ def is_neutral(image: Image) -> bool:
     return bool((np.ptp(sample, axis=2) <= _NEUTRAL_DIFFERENCE).mean() >= _NEUTRAL_FRACTION)
 
 
-def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: float) -> float | None:
-    """The time of a frame with timestamp `stamp_s` after a frame at `last_s`; None = repeated or backward timestamp.
+def strictly_later(
+    stamp_s: float | None, last_s: float | None, *, interval_s: float
+) -> float | None:
+    """The time of a frame with timestamp `stamp_s` after a frame at `last_s`; None = repeated or
+    backward timestamp.
 
-    A frame without a timestamp gets the last time plus one nominal interval, or 0 if it is the first.
+    A frame without a timestamp gets the last time plus one nominal interval, or 0 if it is the
+    first.
     """
     if stamp_s is None:
         return 0.0 if last_s is None else last_s + interval_s

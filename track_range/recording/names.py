@@ -1,4 +1,6 @@
-"""Names of recordings: a file or folder, several files that are one recording, a topic of a bag, or a live source."""
+"""Names of recordings: a file or folder, several files that are one recording, a topic of a bag, or
+a live source.
+"""
 
 import re
 from collections.abc import Sequence
@@ -23,7 +25,9 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic with images (None = the only topic) of an MCAP file, ROS bag, or folder of a ROS 2 bag."""
+    """A topic with images (None = the only topic) of an MCAP file, ROS bag, or folder of a ROS 2
+    bag.
+    """
 
     path: Path
     topic: str | None
@@ -33,7 +37,8 @@ class BagTopic:
 
 
 PackedLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top"]
-"""Layout of the images of two cameras in one image: beside or below each other, the left camera's first or second."""
+"""Layout of the images of two cameras in one image: beside or below each other, the left camera's
+first or second."""
 
 STACKED: tuple[PackedLayout, ...] = ("top-bottom", "bottom-top")  # below each other
 REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right camera's first
@@ -41,7 +46,8 @@ REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right c
 StereoLayout = Literal[PackedLayout, "tracks"]  # the same, or in two video tracks of a recording
 
 LayoutOption = Literal["auto", StereoLayout]
-Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]  # colours of the first two pixels of the first two rows
+# colours of the first two pixels of the first two rows
+Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +61,8 @@ class VideoTrack:
         return f"{self.recording} (video track {self.number})"
 
 
-WholeName = Path | LiveAddress | Segments | BagTopic | VideoTrack  # a source of all images of a recording
+# a source of all images of a recording
+WholeName = Path | LiveAddress | Segments | BagTopic | VideoTrack
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +78,16 @@ class Half:
 
 
 RecordedName = Path | Segments | BagTopic | VideoTrack | Half
-"""A video file, folder, pattern such as `DIR/*_F.mp4`, several files, a topic of a bag, or a part of these."""
+"""A video file, folder, pattern such as `DIR/*_F.mp4`, several files, a topic of a bag, or a part
+of these."""
 
 VideoName = WholeName | Half  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
-    """The source or pattern with this name, or several files; ValueError for no name or several live sources."""
+    """The source or pattern with this name, or several files; ValueError for no name or several
+    live sources.
+    """
     if isinstance(name, str):
         return live_address(name) or Path(name)
     if isinstance(name, Path | LiveAddress | Segments | BagTopic | VideoTrack | Half):
@@ -101,7 +111,11 @@ def matching_files(pattern: Path) -> list[Path]:
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sorting key in which numbers are compared by value: clip2 < clip10."""
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
+    return [
+        (0, int(part), "") if part.isdecimal() else (1, 0, part)
+        for part in re.split(r"(\d+)", name)
+        if part
+    ]
 
 
 def files_of(name: VideoName) -> list[Path]:
@@ -118,10 +132,18 @@ def files_of(name: VideoName) -> list[Path]:
 
 
 def stem_of(name: VideoName) -> str:
-    """Stem of file names for a recording: the stem of its first file, or for a pattern the name of the folder."""
+    """Stem of file names for a recording: the stem of its first file, or for a pattern the name of
+    the folder.
+    """
     if isinstance(name, VideoTrack | Half):
         return stem_of(name.recording)
     if isinstance(name, LiveAddress):
         return name.stem
-    path = name.paths[0] if isinstance(name, Segments) else name.path if isinstance(name, BagTopic) else name
+    path = (
+        name.paths[0]
+        if isinstance(name, Segments)
+        else name.path
+        if isinstance(name, BagTopic)
+        else name
+    )
     return (path.absolute().parent.name or "recording") if is_pattern(path) else path.stem

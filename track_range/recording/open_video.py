@@ -11,7 +11,15 @@ from track_range.recording.files.image_folder import ImageFolder
 from track_range.recording.files.video_file import VideoFile
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
-from track_range.recording.names import BagTopic, Bayer, Half, RecordedName, Segments, VideoTrack, is_pattern
+from track_range.recording.names import (
+    BagTopic,
+    Bayer,
+    Half,
+    RecordedName,
+    Segments,
+    VideoTrack,
+    is_pattern,
+)
 from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
@@ -28,11 +36,13 @@ def open_video(
     left: RecordedVideo | None = None,
     bayer: Bayer | None = None,
 ) -> RecordedVideo:
-    """A video file, several files that are one recording, a folder of numbered images, or a topic of a bag.
+    """A video file, several files that are one recording, a folder of numbered images, or a topic
+    of a bag.
 
-    The part to read begins `start_s` after the first frame, for the right video of a pair after the first frame of
-    `left`; `folder_fps` is the frame rate of a folder without times, `bayer` the filter of its images. Raises
-    VideoError if the path does not exist or is no video, nothing can be decoded, or the images are too small.
+    The part to read begins `start_s` after the first frame, for the right video of a pair after the
+    first frame of `left`; `folder_fps` is the frame rate of a folder without times, `bayer` the
+    filter of its images. Raises VideoError if the path does not exist or is no video, nothing can
+    be decoded, or the images are too small.
     """
     video = _opened(name, folder_fps, left, bayer)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:
@@ -46,13 +56,18 @@ def open_video(
 
 
 def _opened(
-    named: RecordedName | LiveAddress, folder_fps: float, left: RecordedVideo | None, bayer: Bayer | None
+    named: RecordedName | LiveAddress,
+    folder_fps: float,
+    left: RecordedVideo | None,
+    bayer: Bayer | None,
 ) -> RecordedVideo:
     if isinstance(named, Half):
         return VideoHalf(_opened(named.recording, folder_fps, left, bayer), named)
     if isinstance(named, LiveAddress):
         raise VideoError(f"{named}: expected a recording, found a live source.")
-    name, track = (named.recording, named.number) if isinstance(named, VideoTrack) else (named, None)
+    name, track = (
+        (named.recording, named.number) if isinstance(named, VideoTrack) else (named, None)
+    )
     if isinstance(name, Path) and is_bag(name):
         name = BagTopic(name, None)
     if isinstance(name, BagTopic):
@@ -60,21 +75,29 @@ def _opened(
     try:
         files = segment_files(name)
     except ValueError as error:  # a null character
-        raise VideoError(f"{quoted(str(name))}: cannot be read (invalid name); check the name.") from error
+        raise VideoError(
+            f"{quoted(str(name))}: cannot be read (invalid name); check the name."
+        ) from error
     except OSError as error:
-        raise VideoError(f"{name}: cannot be read ({describe(error)}); check its permissions.") from error
+        raise VideoError(
+            f"{name}: cannot be read ({describe(error)}); check its permissions."
+        ) from error
     is_images = all(file.suffix.lower() in IMAGE_SUFFIXES for file in files or ())
     if files and is_images and isinstance(name, Path) and is_pattern(name):
         return ImageFolder(name, fps=folder_fps, bayer=bayer)
     if files is not None and (len(files) > 1 or isinstance(name, Segments)):
-        return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None, track=track)
+        return SegmentedVideo(
+            name, files, left=left if isinstance(left, SegmentedVideo) else None, track=track
+        )
     if files:
         return VideoFile(files[0], track)
     if isinstance(name, Segments):
         raise VideoError(f"{name}: expected video files, found none.")
     if name.is_fifo():
         raise VideoError(
-            f"{name}: expected a video file, found a named pipe; give a stream by its address, such as "
-            "udp://127.0.0.1:5000, or record it to a file first."
+            f"{name}: expected a video file, found a named pipe; give a stream by its address, "
+            "such as udp://127.0.0.1:5000, or record it to a file first."
         )
-    return ImageFolder(name, fps=folder_fps, bayer=bayer) if name.is_dir() else VideoFile(name, track)
+    return (
+        ImageFolder(name, fps=folder_fps, bayer=bayer) if name.is_dir() else VideoFile(name, track)
+    )

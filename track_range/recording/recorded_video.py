@@ -1,4 +1,6 @@
-"""RecordedVideo: the images of one camera from a file, several files, a folder of images, or a topic of a bag."""
+"""RecordedVideo: the images of one camera from a file, several files, a folder of images, or a
+topic of a bag.
+"""
 
 import math
 import time
@@ -29,18 +31,22 @@ class VideoPart:
 
 
 class RecordedVideo(ABC):
-    """The frames of a recording; each iteration reads the part that was selected, at first all of it.
+    """The frames of a recording; each iteration reads the part that was selected, at first all of
+    it.
 
-    A file is opened once for its properties and the first iteration, and again for each later iteration.
+    A file is opened once for its properties and the first iteration, and again for each later
+    iteration.
 
-    While iterating, raises VideoError if no frame is in the part to read, an image of a folder cannot be decoded or has
-    another size, or the file or folder was replaced, shortened or overwritten in the meantime.
+    While iterating, raises VideoError if no frame is in the part to read, an image of a folder
+    cannot be decoded or has another size, or the file or folder was replaced, shortened or
+    overwritten in the meantime.
     """
 
     path: RecordedName  # name of the recording
     width_px: int  # of the upright images, as the height
     height_px: int
-    pixel_aspect: float | None = None  # width / height of the pixels as the file states it; None = not stated
+    # width / height of the pixels as the file states it; None = not stated
+    pixel_aspect: float | None = None
     is_grey: bool  # whether the first frame has no colour
     fps: float  # nominal frame rate
     has_times = True  # whether frames have recorded times; else their times follow from a rate
@@ -48,11 +54,15 @@ class RecordedVideo(ABC):
     n_total: int | None  # estimated number of frames of the whole recording; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
-    tracks_px: tuple[tuple[int, int], ...] = ()  # (width, height) of the tracks of a file, unless one is chosen
-    stated_layout: StereoLayout | None = None  # where the images have those of two cameras; None = not stated
+    # (width, height) of the tracks of a file, unless one is chosen
+    tracks_px: tuple[tuple[int, int], ...] = ()
+    # where the images have those of two cameras; None = not stated
+    stated_layout: StereoLayout | None = None
     first_image: Image | None = None  # as long as it is needed
-    is_upright_file = False  # whether this is the first track of a video file, stored without a rotation
-    # time spent reading and decoding so far: CPU time of this thread, or wall time with several threads of FFmpeg
+    # whether this is the first track of a video file, stored without a rotation
+    is_upright_file = False
+    # time spent reading and decoding so far: CPU time of this thread, or wall time with several
+    # threads of FFmpeg
     busy_s = 0.0
     _part_s: tuple[float, float] | None = None  # file times
 
@@ -64,7 +74,9 @@ class RecordedVideo(ABC):
     @property
     @abstractmethod
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user, including the problems of the latest reading; complete only after the last frame."""
+        """Messages for the user, including the problems of the latest reading; complete only after
+        the last frame.
+        """
 
     @property
     def parts(self) -> tuple[VideoPart, ...]:
@@ -89,29 +101,40 @@ class RecordedVideo(ABC):
         end_s = min(until_s, self.first_time_s + self.n_total / self.fps)
         return max(0, round((end_s - max(from_s, self.first_time_s)) * self.fps))
 
-    def select(self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None) -> None:
-        """Read only a part, from `start_s` after `origin_s` on; most frames before it are not decoded.
+    def select(
+        self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None
+    ) -> None:
+        """Read only a part, from `start_s` after `origin_s` on; most frames before it are not
+        decoded.
 
-        Without a `duration_s` it goes to the end. `origin_s` is a file time, by default the first frame's, and for the
-        right video of a pair the left video's `first_time_s`.
+        Without a `duration_s` it goes to the end. `origin_s` is a file time, by default the first
+        frame's, and for the right video of a pair the left video's `first_time_s`.
         """
         from_s = (self.first_time_s if origin_s is None else origin_s) + start_s
         self._part_s = from_s, math.inf if duration_s is None else from_s + duration_s
 
     @abstractmethod
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The frames with file times in [from_s, until_s); damaged frames are skipped, see `notes`."""
+        """The frames with file times in [from_s, until_s); damaged frames are skipped, see
+        `notes`.
+        """
 
     @abstractmethod
     def check_unchanged(self) -> None:
-        """Raise a VideoError if a file, while open, was replaced, cut or overwritten; growth is no error."""
+        """Raise a VideoError if a file, while open, was replaced, cut or overwritten; growth is no
+        error.
+        """
 
-    def check_size(self, size_px: Sequence[int], like: str, advice: str, path: Path | None = None) -> None:
-        """Raise a VideoError if an image, in the file `path` if there are several, has another width or height."""
+    def check_size(
+        self, size_px: Sequence[int], like: str, advice: str, path: Path | None = None
+    ) -> None:
+        """Raise a VideoError if an image, in the file `path` if there are several, has another
+        width or height.
+        """
         if tuple(size_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{path or self.path}: expected images of {self.width_px}x{self.height_px} px{like}, got "
-                f"{size_px[0]}x{size_px[1]} px; {advice}."
+                f"{path or self.path}: expected images of {self.width_px}x{self.height_px} "
+                f"px{like}, got {size_px[0]}x{size_px[1]} px; {advice}."
             )
 
     def close(self) -> None:  # noqa: B027  # not all recordings keep files open
@@ -131,10 +154,12 @@ class RecordedVideo(ABC):
                 yield frame
         self.check_unchanged()
         if is_empty:
-            end_s = self.first_time_s + (self.n_total or math.inf) / self.fps if self.fps else math.inf
+            end_s = (
+                self.first_time_s + (self.n_total or math.inf) / self.fps if self.fps else math.inf
+            )
             part = f" to {until_s:.2f} s" if until_s < end_s else ""
             end = "" if math.isinf(end_s) else f" and ends at {end_s:.2f} s"
             raise VideoError(
-                f"{self.path}: there is no frame from {from_s:.2f} s{part}; choose another start or duration (the "
-                f"video starts at {self.first_time_s:.2f} s{end})."
+                f"{self.path}: there is no frame from {from_s:.2f} s{part}; choose another start "
+                f"or duration (the video starts at {self.first_time_s:.2f} s{end})."
             )

@@ -1,6 +1,7 @@
 """open_recording: one video or a pair as rectified frames; each video is opened and decoded once.
 
-open the videos -> find and check the calibration -> check and align with the first frames -> rectified frames
+open the videos -> find and check the calibration -> check and align with the first frames ->
+rectified frames
 """
 
 import math
@@ -23,9 +24,23 @@ from track_range.recording.files.image_names import stereo_images
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import BagTopic, Bayer, Half, LayoutOption, Segments, VideoName, VideoTrack, video_name
+from track_range.recording.names import (
+    BagTopic,
+    Bayer,
+    Half,
+    LayoutOption,
+    Segments,
+    VideoName,
+    VideoTrack,
+    video_name,
+)
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, PairAlignment, find_alignment, given_alignment
+from track_range.recording.pairs.auto_alignment import (
+    ESTIMATION_SPAN_S,
+    PairAlignment,
+    find_alignment,
+    given_alignment,
+)
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.pair_monitor import PairMonitor
@@ -45,11 +60,16 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 PairedVideos = RecordedPair | LivePair | PackedPair
-Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
+# a check that receives each frame once, in order of time
+Monitor = PairMonitor | SyncMonitor | DriftMonitor
 
-_UNSTEADY = "not measured, since the vertical offset between left and right changes, as in images of different times"
+_UNSTEADY = (
+    "not measured, since the vertical offset between left and right changes, as in images of "
+    "different times"
+)
 
-_FIRST_PERIOD = 2  # frames between two checks of the synchronisation of those from which the alignment is estimated
+# frames between two checks of the synchronisation of those from which the alignment is estimated
+_FIRST_PERIOD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +80,21 @@ class Recording:
     frames: Generator[Frame, None, None]
     source: Video | PairedVideos  # the opened video, or two, paired by time
     calibration: RecordingCalibration  # the camera models
-    monitors: tuple[Monitor, ...]  # the checks of a pair that continue while its frames are iterated
+    # the checks of a pair that continue while its frames are iterated
+    monitors: tuple[Monitor, ...]
     layout_notes: tuple[str, ...] = ()  # about images of two cameras in one recording
-    start_utc: UtcStart | None = None  # UTC of the first frame as given by the user; None = that of the video
+    # UTC of the first frame as given by the user; None = that of the video
+    start_utc: UtcStart | None = None
     every: int = 1  # each how many frames of the videos are frames of the recording
 
     @property
     def videos(self) -> tuple[Video, ...]:
         """The left or only video, and the right video."""
-        return (self.source.left, self.source.right) if isinstance(self.source, VideoPair) else (self.source,)
+        return (
+            (self.source.left, self.source.right)
+            if isinstance(self.source, VideoPair)
+            else (self.source,)
+        )
 
     @property
     def camera(self) -> PinholeCamera:
@@ -77,7 +103,9 @@ class Recording:
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair with its alignment; None = one camera, or a pair without a rig that fits its images."""
+        """The rectified pair with its alignment; None = one camera, or a pair without a rig that
+        fits its images.
+        """
         return self.calibration.rig
 
     @property
@@ -103,13 +131,17 @@ class Recording:
 
     @property
     def n_total(self) -> int | None:
-        """Estimated number of frames of the whole video, also where only a part is read; None = unknown."""
+        """Estimated number of frames of the whole video, also where only a part is read; None =
+        unknown.
+        """
         video = self.videos[0]
         return video.n_total if isinstance(video, RecordedVideo) else video.n_frames
 
     @property
     def live(self) -> LiveVideo | None:
-        """The left video, or the video of both cameras, if it is a camera or a stream, else None."""
+        """The left video, or the video of both cameras, if it is a camera or a stream, else
+        None.
+        """
         video = self.source.whole if isinstance(self.source, PackedPair) else self.videos[0]
         return video if isinstance(video, LiveVideo) else None
 
@@ -126,12 +158,16 @@ class Recording:
     @property
     def finding(self) -> PairFinding | None:
         """How the first images fit the rig; None = no pair, without checks, or not known yet."""
-        return next((monitor.finding for monitor in self.monitors if isinstance(monitor, PairMonitor)), None)
+        return next(
+            (monitor.finding for monitor in self.monitors if isinstance(monitor, PairMonitor)), None
+        )
 
     @property
     def sync(self) -> SyncMonitor | None:
         """The check that left and right show the same moment; None = no pair, or without checks."""
-        return next((monitor for monitor in self.monitors if isinstance(monitor, SyncMonitor)), None)
+        return next(
+            (monitor for monitor in self.monitors if isinstance(monitor, SyncMonitor)), None
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -177,28 +213,31 @@ def open_recording(
     """Open one video or a pair for one pass over its rectified frames.
 
     Args:
-        left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
-            /dev/video0) or stream (rtsp://...).
-        right: the same for the right camera; None = one camera, or with `stereo_layout` both in one recording.
-        rig: calibration file (rig.yaml, or the file of a camera or a script), or the models of two cameras, of which
-        one video uses the left one; None = a file next to `left`, if any.
+        left: video file, several files of one recording, folder of such files or of numbered
+            images, camera (0, /dev/video0) or stream (rtsp://...).
+        right: the same for the right camera; None = one camera, or with `stereo_layout` both in one
+            recording.
+        rig: calibration file (rig.yaml, or the file of a camera or a script), or the models of two
+            cameras, of which one video uses the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
-        fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
-        the lens's, up to 120 degrees.
-        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of the
-        lens axis.
-        align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
-            "off", an alignment file, or an alignment.
+        fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are
+            undistorted; None = the lens's, up to 120 degrees.
+        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to
+            the right of the lens axis.
+        align: disparity correction of a calibrated pair: "auto" = estimated from its first frames
+            (at most 8 s), "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
         duration_s: length of the part to read; None = to the end.
         every: N = every N-th frame is read; the checks of a recorded pair use all frames.
         folder_fps: frame rate of folders of images without timestamps.txt.
-        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos, and frames
-            that lag are re-paired.
+        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised
+            videos, and frames that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
-        topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
-        stereo_layout: layout of the images of two cameras in one recording: "side-by-side", "right-left",
-            "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = detected.
+        topics: topics of the images of the left and right camera, if `left` and `right` are MCAP
+            files or ROS bags.
+        stereo_layout: layout of the images of two cameras in one recording: "side-by-side",
+            "right-left", "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" =
+            detected.
         track: video track of the files of one camera, counted from 0; None = the largest track.
         bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".
         progress: shows the progress of the alignment's estimation.
@@ -206,7 +245,8 @@ def open_recording(
     Raises:
         ValueError: `start_utc` is not a date and time, or no video is named.
         VideoError: a video cannot be used, or the two do not match.
-        RigError: no usable calibration, a calibration that does not fit the images, or left and right are swapped.
+        RigError: no usable calibration, a calibration that does not fit the images, or left and
+            right are swapped.
 
     Example:
         >>> import track_range as tr
@@ -216,20 +256,32 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    left, right = _named(video_name(left), None if right is None else video_name(right), topics, track, stereo_layout)
+    left, right = _named(
+        video_name(left), None if right is None else video_name(right), topics, track, stereo_layout
+    )
     layout_notes: tuple[str, ...] = ()
     if right is None and stereo_layout == "auto" and isinstance(left, Path) and left.is_dir():
         folder, sides = left, stereo_images(left)
         if sides is not None:
             left, right = sides
-            layout_notes = (f"{folder}: the left images are {left.name}, the right images {right.name}.",)
+            layout_notes = (
+                f"{folder}: the left images are {left.name}, the right images {right.name}.",
+            )
     utc = None if start_utc is None else parsed_utc(start_utc)
 
-    recorded = partial(open_video, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, bayer=bayer)
+    recorded = partial(
+        open_video, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, bayer=bayer
+    )
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:
         if isinstance(name, LiveAddress):
-            return LiveVideo(name, start_s=start_s, duration_s=duration_s, every=every, is_partner=beside is not None)
+            return LiveVideo(
+                name,
+                start_s=start_s,
+                duration_s=duration_s,
+                every=every,
+                is_partner=beside is not None,
+            )
         return recorded(name, left=beside if isinstance(beside, RecordedVideo) else None)
 
     with ExitStack() as on_error:
@@ -238,7 +290,10 @@ def open_recording(
         source: Video | PairedVideos = video
         if right is None and stereo_layout is not None and not isinstance(left, Half):
             chosen = find_layout(video, stereo_layout)
-            source, layout_notes = pair_in(video, left, chosen.layout, recorded), (chosen.sentence(str(left)),)
+            source, layout_notes = (
+                pair_in(video, left, chosen.layout, recorded),
+                (chosen.sentence(str(left)),),
+            )
         elif right is not None:
             other = opened(right, beside=video)
             on_error.callback(other.close)
@@ -277,15 +332,21 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
     if isinstance(left, RecordedVideo) and isinstance(right, RecordedVideo):
         return RecordedPair(left, right)
     raise VideoError(
-        f"{left.path} and {right.path}: expected two recorded videos or two live streams, got one of each; "
-        "both must be of the same kind."
+        f"{left.path} and {right.path}: expected two recorded videos or two live streams, got one "
+        "of each; both must be of the same kind."
     )
 
 
 def _named(
-    left: VideoName, right: VideoName | None, topics: Sequence[str], track: int | None, layout: LayoutOption | None
+    left: VideoName,
+    right: VideoName | None,
+    topics: Sequence[str],
+    track: int | None,
+    layout: LayoutOption | None,
 ) -> tuple[VideoName, VideoName | None]:
-    """The names, with topics for bags; raises VideoError if a video is no bag, or the number of topics does not fit."""
+    """The names, with topics for bags; raises VideoError if a video is no bag, or the number of
+    topics does not fit.
+    """
     if right == left and layout is not None and len(topics) < 2:
         right = None  # both cameras in one recording
     if track is not None and isinstance(left, Path | Segments) and right is None:
@@ -295,13 +356,19 @@ def _named(
     names = [left] if right is None else [left, right]
     if len(names) != len(topics):
         raise VideoError(
-            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got {len(topics)}; "
-            "correct --topics."
+            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got "
+            f"{len(topics)}; correct --topics."
         )
     for name in names:
         if not (isinstance(name, Path) and is_bag(name)):
-            raise VideoError(f"{name}: expected an MCAP file or ROS bag, since topics are given; omit --topics.")
-    tagged = [BagTopic(name, topic) for name, topic in zip(names, topics, strict=True) if isinstance(name, Path)]
+            raise VideoError(
+                f"{name}: expected an MCAP file or ROS bag, since topics are given; omit --topics."
+            )
+    tagged = [
+        BagTopic(name, topic)
+        for name, topic in zip(names, topics, strict=True)
+        if isinstance(name, Path)
+    ]
     return tagged[0], None if right is None else tagged[1]
 
 
@@ -313,7 +380,9 @@ def _aligned(
     check: PairMonitor | None,
     progress: StepProgress,
 ) -> RecordingCalibration:
-    """A calibrated pair with its alignment and the repairs of `check`; without its rig if the images do not fit it."""
+    """A calibrated pair with its alignment and the repairs of `check`; without its rig if the
+    images do not fit it.
+    """
     given = given_alignment(align, rig)
     started = calibration if given is None else calibration.with_alignment(given)
     with closing(_first_frames(started, pair, check)) as first_frames:
@@ -332,7 +401,9 @@ def _aligned(
     if given is None and finding.fault == "unsteady":
         alignment = PairAlignment(measured=Alignment(source=_UNSTEADY), is_applied=False, rig=rig)
     elif given is None and finding != PairFinding("fits") and finding.fault != "unknown":
-        corrected = calibration.with_alignment(PairAlignment(measured=finding.prior, is_applied=True, rig=rig))
+        corrected = calibration.with_alignment(
+            PairAlignment(measured=finding.prior, is_applied=True, rig=rig)
+        )
         with closing(_first_frames(corrected, pair, check)) as first_frames:
             alignment = find_alignment("auto", rig, first_frames, progress, prior=finding.prior)
     check.corrected_px = alignment.measured.row_correction_px
@@ -340,9 +411,15 @@ def _aligned(
 
 
 def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tuple[Monitor, ...]:
-    """The monitor of a recorded pair whose alignment was measured; none for streams, which a monitor would delay."""
+    """The monitor of a recorded pair whose alignment was measured; none for streams, which a
+    monitor would delay.
+    """
     alignment = calibration.alignment
-    monitor = None if alignment is None or calibration.rig is None else alignment.drift_monitor(calibration.rig)
+    monitor = (
+        None
+        if alignment is None or calibration.rig is None
+        else alignment.drift_monitor(calibration.rig)
+    )
     return () if monitor is None or pair.is_live else (monitor,)
 
 
@@ -354,11 +431,17 @@ def _sync_monitors(pair: PairedVideos, *, period: int = PERIOD) -> tuple[SyncMon
 def _first_frames(
     calibration: RecordingCalibration, pair: PairedVideos, check: PairMonitor | None
 ) -> Generator[Frame, None, None]:
-    """Frames of the first seconds at the interval that the alignment needs; with `check`, re-paired and checked."""
+    """Frames of the first seconds at the interval that the alignment needs; with `check`, re-paired
+    and checked.
+    """
     first_s, last_s = math.nan, -math.inf
     with closing(pair.read_ahead()) as images:
         frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
-        for frame in frames if check is None else _sync_monitors(pair, period=_FIRST_PERIOD)[0].paired(frames):
+        for frame in (
+            frames
+            if check is None
+            else _sync_monitors(pair, period=_FIRST_PERIOD)[0].paired(frames)
+        ):
             first_s = frame.time_s if math.isnan(first_s) else first_s
             if frame.time_s - last_s >= MIN_STEP_S:
                 if check is not None:
@@ -376,7 +459,9 @@ def _frames(
     utc: UtcStart | None,
     every: int,
 ) -> Generator[Frame, None, None]:
-    """Each `every`-th frame, after all were passed to the monitors; closing the generator closes the videos."""
+    """Each `every`-th frame, after all were passed to the monitors; closing the generator closes
+    the videos.
+    """
     video = source.left if isinstance(source, VideoPair) else source
     sync = next((monitor for monitor in monitors if isinstance(monitor, SyncMonitor)), None)
     check = next((monitor for monitor in monitors if isinstance(monitor, PairMonitor)), None)
@@ -384,7 +469,10 @@ def _frames(
     due_index = -1
     with closing(source), closing(iter(source)) as images:
         pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
-        frames = (calibration.frame(left, right, video.first_time_s, utc or video.utc) for left, right in pairs)
+        frames = (
+            calibration.frame(left, right, video.first_time_s, utc or video.utc)
+            for left, right in pairs
+        )
         for frame in frames if sync is None else sync.paired(frames):
             for monitor in monitors:
                 if not isinstance(monitor, SyncMonitor):

@@ -1,11 +1,12 @@
-"""UtcStart: the time of day at which a recording starts, from the file's header, its name or a clock.
+"""UtcStart: the time of day at which a recording starts, from the file's header, its name or a
+clock.
 
     header with time zone > header in UTC > name of the file
 
-A header states the start or, on some phones and dashcams, the end of the recording, without saying which. If the name
-contains a time too, it decides: names contain the start in local time, and time zones are multiples of 15 minutes.
-Some dashcams write their local time to the header, which should be UTC: if it equals the time in the name, the zone is
-unknown.
+A header states the start or, on some phones and dashcams, the end of the recording, without saying
+which. If the name contains a time too, it decides: names contain the start in local time, and time
+zones are multiples of 15 minutes. Some dashcams write their local time to the header, which should
+be UTC: if it equals the time in the name, the zone is unknown.
 """
 
 from __future__ import annotations
@@ -19,14 +20,17 @@ from typing import Any
 
 from track_range.foundation.files.input_files import quoted
 
-ZONE_SPAN_S, ZONE_STEP_S = 14 * 3600.0, 900.0  # largest difference of local time and UTC (Kiribati), and their step
+# largest difference of local time and UTC (Kiribati), and their step
+ZONE_SPAN_S, ZONE_STEP_S = 14 * 3600.0, 900.0
 STAMP_RESOLUTION_S = 1.0  # of times in headers and names
-_AGREEMENT_S = 5.0  # largest difference between times of a header and a name that are the same moment; assumed
+# largest difference between times of a header and a name that are the same moment; assumed
+_AGREEMENT_S = 5.0
 
 _EARLIEST, _LATEST = datetime(1990, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Range of plausible times; headers without a time often state 1904 or 1970."""
 
-_TIME_IN_NAME = re.compile(  # 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z
+# 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z
+_TIME_IN_NAME = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
     r"(?:[-_.T ]{1,3}|[ _]at[ _])?"
     r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:\.?(\d{3}))?(?!\d)(?:(Z)|([+-]\d{4})(?!\d))?"
@@ -45,8 +49,10 @@ class UtcStart:
 
     start_s: float  # seconds since 1970-01-01 00:00 UTC
     source: str  # source of the time, for summary.json
-    uncertainty_s: float | None  # largest error besides that of the recorder's clock; None = unknown
-    is_local: bool = False  # whether the time zone is unknown: `start_s` may be the recorder's local time
+    # largest error besides that of the recorder's clock; None = unknown
+    uncertainty_s: float | None
+    # whether the time zone is unknown: `start_s` may be the recorder's local time
+    is_local: bool = False
 
     @property
     def is_stated(self) -> bool:
@@ -56,15 +62,19 @@ class UtcStart:
     def summary(self) -> dict[str, Any]:
         """Section `utc` of summary.json."""
         start = datetime.fromtimestamp(self.start_s, UTC).isoformat(timespec="milliseconds")
-        return {"start": start.replace("+00:00", "Z"), "source": self.source, "uncertainty_s": self.uncertainty_s}
+        return {
+            "start": start.replace("+00:00", "Z"),
+            "source": self.source,
+            "uncertainty_s": self.uncertainty_s,
+        }
 
     def note(self) -> str | None:
         """Message for the user if the time zone is unknown."""
         if not self.is_local:
             return None
         return (
-            f"The time zone of the column utc is unknown (source: {self.source}): it may be the local time of the "
-            "recorder; give the time of the first frame with --start-utc."
+            f"The time zone of the column utc is unknown (source: {self.source}): it may be the "
+            "local time of the recorder; give the time of the first frame with --start-utc."
         )
 
     def shifted(self, by_s: float) -> UtcStart:
@@ -83,10 +93,14 @@ class Stamp:
 
 
 def parsed_utc(text: str) -> UtcStart:
-    """The time of `--start-utc`, ISO 8601 and UTC if it states no zone; raises ValueError if it is no date and time."""
+    """The time of `--start-utc`, ISO 8601 and UTC if it states no zone; raises ValueError if it is
+    no date and time.
+    """
     moment = _parsed(text)
     if moment is None:
-        raise ValueError(f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}")
+        raise ValueError(
+            f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}"
+        )
     return UtcStart(moment.timestamp(), _STATED, None)
 
 
@@ -96,7 +110,11 @@ def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
     if apple is not None:
         return Stamp(apple.timestamp(), "creation date with time zone of the video file")
     created = _parsed(metadata.get("creation_time", ""))
-    return None if created is None else Stamp(created.timestamp(), "creation time of the video file", is_start=False)
+    return (
+        None
+        if created is None
+        else Stamp(created.timestamp(), "creation time of the video file", is_start=False)
+    )
 
 
 def stamp_in_name(name: str) -> Stamp | None:
@@ -120,7 +138,9 @@ def stamp_in_name(name: str) -> Stamp | None:
 
 
 def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> UtcStart | None:
-    """The start of a file that lasts `duration_s`, from the times of its header and of its name; None = unknown."""
+    """The start of a file that lasts `duration_s`, from the times of its header and of its name;
+    None = unknown.
+    """
     if header is None:
         if name is None:
             return None
@@ -134,9 +154,13 @@ def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> Utc
         return unconfirmed
     for start_s in (header.time_s, header.time_s - duration_s):
         difference_s = name.time_s - start_s
-        if name.is_local and abs(difference_s) <= _AGREEMENT_S:  # the zone is UTC, or local time was written as UTC
+        # the zone is UTC, or local time was written as UTC
+        if name.is_local and abs(difference_s) <= _AGREEMENT_S:
             return UtcStart(start_s, header.source, ZONE_SPAN_S, is_local=True)
-        if abs(math.remainder(difference_s, ZONE_STEP_S) if name.is_local else difference_s) <= _AGREEMENT_S:
+        if (
+            abs(math.remainder(difference_s, ZONE_STEP_S) if name.is_local else difference_s)
+            <= _AGREEMENT_S
+        ):
             return UtcStart(start_s, header.source, STAMP_RESOLUTION_S)
     return unconfirmed
 

@@ -1,4 +1,6 @@
-"""Closest approaches: smallest distance, strongest closing and shortest time to collision of road users."""
+"""Closest approaches: smallest distance, strongest closing and shortest time to collision of road
+users.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,18 +11,22 @@ from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 
-_MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a distance or closing speed that counts, relative to it
+# largest standard deviation of a distance or closing speed that counts, relative to it
+_MAX_RELATIVE_SIGMA = 0.5
 
 
 def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
     """One row for each road user (a track, without traffic lights and signs), nearest first.
 
-    Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused), `max_closing_mps` and
-    `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`, `max_closing_sigma_mps`. None = unknown.
-    Distances and closing speeds are from detected boxes, if their sigma is unknown or at most half of the value.
+    Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused),
+    `max_closing_mps` and `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`,
+    `max_closing_sigma_mps`. None = unknown. Distances and closing speeds are from detected boxes,
+    if their sigma is unknown or at most half of the value.
     """
     users = [row for row in track_extremes(columns) if row["class"] not in STATIC_CLASSES]
-    return sorted(users, key=lambda row: np.inf if row["min_distance_m"] is None else row["min_distance_m"])
+    return sorted(
+        users, key=lambda row: np.inf if row["min_distance_m"] is None else row["min_distance_m"]
+    )
 
 
 def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
@@ -28,10 +34,17 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
     unknown = np.full(len(columns["time_s"]), np.nan)
     is_observed = columns.get("observed", unknown) != 0
     distance_m, sigma_m = reference_distance(columns)
-    closing_mps, spread_mps = (columns.get(f"closing_{unit}", unknown) for unit in ("mps", "sigma_mps"))
+    closing_mps, spread_mps = (
+        columns.get(f"closing_{unit}", unknown) for unit in ("mps", "sigma_mps")
+    )
     certain_mps = _counted(closing_mps, spread_mps, is_observed)
     measures = (  # key, values whose smallest counts, and standard deviations with their key
-        ("min_distance_m", _counted(distance_m, sigma_m, is_observed), "min_distance_sigma_m", sigma_m),
+        (
+            "min_distance_m",
+            _counted(distance_m, sigma_m, is_observed),
+            "min_distance_sigma_m",
+            sigma_m,
+        ),
         ("max_closing_mps", -certain_mps, "max_closing_sigma_mps", spread_mps),
         ("min_ttc_front_s", columns.get("ttc_front_s", unknown), "", unknown),
     )
@@ -43,7 +56,9 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
             at = known[np.argmin(values[known])] if len(known) else None
             row[key] = None if at is None else abs(float(values[at]))
             if sigma_key:
-                row[sigma_key] = float(sigmas[at]) if at is not None and np.isfinite(sigmas[at]) else None
+                row[sigma_key] = (
+                    float(sigmas[at]) if at is not None and np.isfinite(sigmas[at]) else None
+                )
             row[f"{key}_at_s"] = None if at is None else float(columns["time_s"][at])
         yield row
 
@@ -51,13 +66,19 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
 def reference_distance(
     columns: Columns, methods: tuple[str, str] = ("fused_kf", "fused")
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) distances of a run by the first method, else by the second, and their standard deviations; NaN = unknown."""
+    """(N,) distances of a run by the first method, else by the second, and their standard
+    deviations; NaN = unknown.
+    """
     unknown = np.full(len(columns["time_s"]), np.nan)
-    distances, sigmas = ([columns.get(f"{name}_{end}", unknown) for name in methods] for end in ("m", "sigma_m"))
+    distances, sigmas = (
+        [columns.get(f"{name}_{end}", unknown) for name in methods] for end in ("m", "sigma_m")
+    )
     is_first = np.isfinite(distances[0])
     return np.where(is_first, *distances), np.where(is_first, *sigmas)
 
 
 def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:
     """Positive values of detected boxes that are not too uncertain; NaN for other values."""
-    return np.where(is_observed & (values > 0) & ~(sigma > _MAX_RELATIVE_SIGMA * values), values, np.nan)
+    return np.where(
+        is_observed & (values > 0) & ~(sigma > _MAX_RELATIVE_SIGMA * values), values, np.nan
+    )

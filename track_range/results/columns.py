@@ -1,7 +1,9 @@
-"""Columns of the rows of a run (one row per track and frame): name, unit, decimals and source of each.
+"""Columns of the rows of a run (one row per track and frame): name, unit, decimals and source of
+each.
 
-tracks.csv, the table in memory and all other formats with rows are written from this declaration. The order of the
-first columns is fixed for readers of tracks.csv; the columns of ranging methods of other packages follow at the end.
+tracks.csv, the table in memory and all other formats with rows are written from this declaration.
+The order of the first columns is fixed for readers of tracks.csv; the columns of ranging methods of
+other packages follow at the end.
 """
 
 from __future__ import annotations
@@ -25,9 +27,12 @@ from track_range.ranging.world.object_motion import MOTION_STATES
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Columns = Mapping[str, npt.NDArray[Any]]  # rows by column: `TEXT_COLUMNS` as str, others float64, NaN = not measured
-FrameValues = list[npt.NDArray[Any]]  # values of the rows of one frame, not rounded: one (N,) array per column
-MAX_COLUMNS = 1000  # that are read; runs with all methods have fewer than 100, and pyarrow is slow with more
+# rows by column: `TEXT_COLUMNS` as str, others float64, NaN = not measured
+Columns = Mapping[str, npt.NDArray[Any]]
+# values of the rows of one frame, not rounded: one (N,) array per column
+FrameValues = list[npt.NDArray[Any]]
+# that are read; runs with all methods have fewer than 100, and pyarrow is slow with more
+MAX_COLUMNS = 1000
 MAX_CLASS = 200  # largest number of characters of a class name that is read
 SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` that are numbers
     "gap_m": "m",
@@ -40,7 +45,17 @@ SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` t
     "lane_index": "",
     "lane_index_sigma": "",
 }
-_DISTANCES = ("mono", "ground", "lane", "stereo", "sgbm", "fused", "mono_kf", "stereo_kf", "fused_kf")
+_DISTANCES = (
+    "mono",
+    "ground",
+    "lane",
+    "stereo",
+    "sgbm",
+    "fused",
+    "mono_kf",
+    "stereo_kf",
+    "fused_kf",
+)
 TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
 _TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}
@@ -52,8 +67,8 @@ ColumnKind = Literal["number", "whole", "flag", "name"]
 class ResultColumn:
     """Declaration of a column.
 
-    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; name = index of `names`,
-    NaN = unknown, written as the name.
+    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; name =
+    index of `names`, NaN = unknown, written as the name.
     """
 
     name: str  # heading
@@ -65,7 +80,9 @@ class ResultColumn:
 
     def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Numbers rounded to the decimals of the column; other values unchanged."""
-        return np.round(values.astype(np.float64), self.decimals) if self.kind == "number" else values
+        return (
+            np.round(values.astype(np.float64), self.decimals) if self.kind == "number" else values
+        )
 
     def text(self, result: FrameResult) -> list[str]:
         """Values of a frame as text for tracks.csv; empty = not measured."""
@@ -110,7 +127,10 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("world_x_m", "m", _of_part("motion.world_x_m")),
         ResultColumn("world_y_m", "m", _of_part("motion.world_y_m")),
         ResultColumn("state", "", _of_part("motion.state"), "name", names=MOTION_STATES),
-        *(ResultColumn(name, unit, _of_part(f"safety.{name}")) for name, unit in SAFETY_UNITS.items()),
+        *(
+            ResultColumn(name, unit, _of_part(f"safety.{name}"))
+            for name, unit in SAFETY_UNITS.items()
+        ),
         ResultColumn("is_lead", "", _of_part("safety.is_lead", missing=False), "flag"),
     )
     names = {column.name for column in columns}
@@ -119,7 +139,8 @@ def result_columns() -> tuple[ResultColumn, ...]:
 
 
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters, if any, and NAME_DETAIL.
+    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters, if any, and
+    NAME_DETAIL.
 
     `is_built_in`: for built-in methods that measure distances, else for all other methods.
     """
@@ -135,15 +156,25 @@ def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
 
 
 def _of_method(method: str, part: str) -> ResultColumn:
-    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN = no such part."""
+    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN = no
+    such part.
+    """
     attribute = {"m": "distance_m", "sigma_m": "sigma_m"}.get(part)
 
     def read(result: FrameResult) -> FloatArray:
         ranges: Ranges | None = result.ranges.get(method)
-        known = None if ranges is None else getattr(ranges, attribute) if attribute else ranges.details.get(part)
+        known = (
+            None
+            if ranges is None
+            else getattr(ranges, attribute)
+            if attribute
+            else ranges.details.get(part)
+        )
         return np.full(len(result.tracks), np.nan) if known is None else known
 
-    return ResultColumn(f"{method}_{part}", "m" if attribute else "s" if part.endswith("_s") else "", read)
+    return ResultColumn(
+        f"{method}_{part}", "m" if attribute else "s" if part.endswith("_s") else "", read
+    )
 
 
 def _of_frame(name: str) -> Callable[[FrameResult], Any]:
@@ -158,7 +189,9 @@ def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
 
 
 def _of_part(path: str, *, missing: float | bool = math.nan) -> Callable[[FrameResult], Any]:
-    """Reads an array of a part of the result, such as "safety.gap_m"; `missing` in results without this part."""
+    """Reads an array of a part of the result, such as "safety.gap_m"; `missing` in results without
+    this part.
+    """
     part, name = path.split(".")
 
     def read(result: FrameResult) -> Any:
@@ -174,7 +207,9 @@ def column_names() -> list[str]:
 
 
 def methods_with_sigma() -> list[str]:
-    """Names of all distances with a sigma (methods, "fused", filtered ones as NAME_kf), in the order of the summary."""
+    """Names of all distances with a sigma (methods, "fused", filtered ones as NAME_kf), in the
+    order of the summary.
+    """
     names = [name.removesuffix("_sigma_m") for name in column_names() if name.endswith("_sigma_m")]
     return sorted(names, key=lambda name: name.endswith("_kf"))
 
@@ -182,23 +217,32 @@ def methods_with_sigma() -> list[str]:
 def distance_names(names: Iterable[str]) -> list[str]:
     """Names NAME of the columns NAME_m that are distances, in their order.
 
-    These are registered methods, "fused" and filtered ones, and methods of packages that are not installed here:
-    columns that this installation does not have.
+    These are registered methods, "fused" and filtered ones, and methods of packages that are not
+    installed here: columns that this installation does not have.
     """
     known, others = set(methods_with_sigma()), {*column_names(), "truth_m", "scored_truth_m"}
-    listed = [name.removesuffix("_m") for name in names if name.endswith("_m") and not name.endswith("_sigma_m")]
+    listed = [
+        name.removesuffix("_m")
+        for name in names
+        if name.endswith("_m") and not name.endswith("_sigma_m")
+    ]
     return [name for name in listed if name in known or f"{name}_m" not in others]
 
 
 def methods_measured(columns: Columns) -> list[str]:
     """Names of the distances with at least one value, in the order of the columns."""
-    return [name for name in distance_names(columns) if bool(np.isfinite(columns[f"{name}_m"]).any())]
+    return [
+        name for name in distance_names(columns) if bool(np.isfinite(columns[f"{name}_m"]).any())
+    ]
 
 
 def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
     """Rows with numbers rounded as in tracks.csv; unknown columns unchanged."""
     declared = {column.name: column for column in result_columns()}
-    return {name: declared[name].rounded(values) if name in declared else values for name, values in columns.items()}
+    return {
+        name: declared[name].rounded(values) if name in declared else values
+        for name, values in columns.items()
+    }
 
 
 def boxes_px(columns: Columns) -> FloatArray:
@@ -206,11 +250,16 @@ def boxes_px(columns: Columns) -> FloatArray:
     return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
 
 
-# -- Apache Arrow, for the table in memory and tracks.parquet -------------------------------------------------------
+# -- Apache Arrow, for the table in memory and tracks.parquet
+# -------------------------------------------------------
 
 
-def rows_schema(columns: Sequence[ResultColumn], metadata: Mapping[str, str] | None = None) -> pa.Schema:
-    """Schema of the rows: `TEXT_COLUMNS` are dictionaries of names, and the metadata of a field contains its unit."""
+def rows_schema(
+    columns: Sequence[ResultColumn], metadata: Mapping[str, str] | None = None
+) -> pa.Schema:
+    """Schema of the rows: `TEXT_COLUMNS` are dictionaries of names, and the metadata of a field
+    contains its unit.
+    """
     import pyarrow as pa
 
     fields = [
@@ -226,12 +275,18 @@ def rows_schema(columns: Sequence[ResultColumn], metadata: Mapping[str, str] | N
     return pa.schema(fields, metadata=None if metadata is None else dict(metadata))
 
 
-def record_batch(frames: Sequence[FrameValues], columns: Sequence[ResultColumn], schema: pa.Schema) -> pa.RecordBatch:
-    """Rows of any number of frames, in full precision and with the `rows_schema`; null = not measured."""
+def record_batch(
+    frames: Sequence[FrameValues], columns: Sequence[ResultColumn], schema: pa.Schema
+) -> pa.RecordBatch:
+    """Rows of any number of frames, in full precision and with the `rows_schema`; null = not
+    measured.
+    """
     import pyarrow as pa
 
     arrays = []
-    for column, parts in zip(columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True):
+    for column, parts in zip(
+        columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True
+    ):
         dtype = np.float64 if column.kind == "name" else _TYPES[column.kind]
         values: npt.NDArray[Any]
         if len(parts) == 1:
@@ -269,6 +324,8 @@ def rows_by_track(columns: Columns) -> list[IntArray]:
 
 
 def most_frequent(names: npt.NDArray[Any]) -> str:
-    """The most frequent name, such as the class of a track; among equally frequent names, the first in the alphabet."""
+    """The most frequent name, such as the class of a track; among equally frequent names, the first
+    in the alphabet.
+    """
     values, counts = np.unique(names, return_counts=True)
     return str(values[np.argmax(counts)])

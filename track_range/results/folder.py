@@ -1,8 +1,8 @@
 """RunFolder: results of a run read from its folder, where files may be missing or damaged.
 
-A killed run leaves settings.yaml and the rows up to its last complete frame (tracks.csv, tracks.arrows), but no
-summary.json. Coverage, errors and tracking metrics are then computed from the rows, with the ground truth if its file
-still exists.
+A killed run leaves settings.yaml and the rows up to its last complete frame (tracks.csv,
+tracks.arrows), but no summary.json. Coverage, errors and tracking metrics are then computed from
+the rows, with the ground truth if its file still exists.
 """
 
 from __future__ import annotations
@@ -37,7 +37,12 @@ from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
 from track_range.results.events.finder import events_of
 from track_range.results.formats.csv_file import TABLE_FILE, read_tracks_csv
-from track_range.results.formats.parquet_file import PARQUET_FILE, STREAM_FILE, read_tracks_arrows, read_tracks_parquet
+from track_range.results.formats.parquet_file import (
+    PARQUET_FILE,
+    STREAM_FILE,
+    read_tracks_arrows,
+    read_tracks_parquet,
+)
 from track_range.results.progress_note import describe_progress
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.replay import frames_of_rows
@@ -57,7 +62,9 @@ from track_range.stereo.rig_formats.reading import left_from_reference_m
 
 Sections = Mapping[str, Any]
 
-_NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
+_NEEDED_COLUMNS = frozenset(
+    ("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px")
+)
 """Required columns; files of earlier versions may lack others."""
 
 _MAX_FRAME = 1e9  # a year at 30 Hz
@@ -68,16 +75,21 @@ _MAX_TRACK_ID = 2.0**53  # up to which all integers are exact in float64
 _MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
 _MAX_NAMED = 5  # values of wrong types that a note names
 _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video
-DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0  # without a rate in settings.yaml, as for folders; largest plausible rate
-_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")  # settings that are inputs of a run
+# without a rate in settings.yaml, as for folders; largest plausible rate
+DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
+# settings that are inputs of a run
+_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolder:
-    """Results of a run; events of a killed run, or of a damaged events.csv, are found again from the rows."""
+    """Results of a run; events of a killed run, or of a damaged events.csv, are found again from
+    the rows.
+    """
 
     folder: Path
-    summary: Sections  # content of summary.json, or what can be computed from the rows; its notes begin with `missing`
+    # content of summary.json, or what can be computed from the rows; its notes begin with `missing`
+    summary: Sections
     columns: Columns  # with `truth_m` and `scored_truth_m` if the ground truth can be read
     settings: Sections  # section `run` of settings.yaml; empty without that file
     missing: tuple[str, ...]  # messages about files that are missing or cannot be read
@@ -100,14 +112,17 @@ class DetectedCamera(BaseModel):
     def camera(self) -> PinholeCamera:
         """Left camera of the run."""
         focal_y_px = self.focal_px if self.focal_y_px is None else self.focal_y_px
-        return PinholeCamera(self.focal_px, focal_y_px, *self.principal_point_px, *self.image_size_px)
+        return PinholeCamera(
+            self.focal_px, focal_y_px, *self.principal_point_px, *self.image_size_px
+        )
 
 
 def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
-    """Read the files of a run; OutputError if there is no run, or if the file of its rows has other columns.
+    """Read the files of a run; OutputError if there is no run, or if the file of its rows has other
+    columns.
 
-    Numbers are rounded as in tracks.csv, or, without `is_rounded`, in full precision if the run wrote tracks.parquet.
-    The events are read only with `has_events`.
+    Numbers are rounded as in tracks.csv, or, without `is_rounded`, in full precision if the run
+    wrote tracks.parquet. The events are read only with `has_events`.
     """
     if not folder.is_dir():
         raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
@@ -127,29 +142,42 @@ class _Reader:
         except OutputError:
             is_run = clip_rows(folder) is None
             reason = (
-                "settings.yaml is missing or cannot be read" if is_run else "A fleet writes no settings.yaml of clips"
+                "settings.yaml is missing or cannot be read"
+                if is_run
+                else "A fleet writes no settings.yaml of clips"
             )
             self.missing.append(f"{reason}: the settings of the run are unknown.")
         document = document if isinstance(document, dict) else {}
         self.settings, self.detected = _section(document, "run"), _section(document, "found")
         recorded_hash, fps = document.get("settings_hash"), self.detected.get("fps")
-        self.settings_hash = recorded_hash if isinstance(recorded_hash, str) else settings_hash(self.settings)
+        self.settings_hash = (
+            recorded_hash if isinstance(recorded_hash, str) else settings_hash(self.settings)
+        )
         self.fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None
 
     def _read_summary(self) -> dict[str, Any] | None:
         file = self.folder / "summary.json"
         if not file.exists():
-            killed = "the run was killed" if clip_rows(self.folder) is None else "the fleet was run without --reports"
+            killed = (
+                "the run was killed"
+                if clip_rows(self.folder) is None
+                else "the fleet was run without --reports"
+            )
             self.missing.append(
-                f"summary.json is missing: {describe_progress(self.folder) or killed}. Stage times, "
-                "alignment and notes are unknown; the other results are computed from the rows of the tracks."
+                f"summary.json is missing: {describe_progress(self.folder) or killed}. Stage "
+                "times, alignment and notes are unknown; the other results are computed from the "
+                "rows of the tracks."
             )
             return None
         with suppress(OutputError):
-            summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
+            summary = read_json(
+                file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES
+            )
             if isinstance(summary, dict):
                 return summary
-        self.missing.append("summary.json cannot be read: results are computed from the rows of the tracks.")
+        self.missing.append(
+            "summary.json cannot be read: results are computed from the rows of the tracks."
+        )
         return None
 
     def run(self, *, is_rounded: bool, has_events: bool) -> RunFolder:
@@ -159,24 +187,26 @@ class _Reader:
             raise OutputError(
                 f"{self.folder}: no frames yet: {progress}."
                 if progress is not None
-                else f"{self.folder}: expected the result folder of a run, found neither rows (tracks.csv, "
-                "tracks.parquet) nor summary.json in it."
+                else f"{self.folder}: expected the result folder of a run, found neither rows "
+                "(tracks.csv, tracks.parquet) nor summary.json in it."
             )
         if columns is None:
             path = clip_rows(self.folder)
             raise OutputError(
-                f"{self.folder}: expected the rows of the run in {TABLE_FILE} or {PARQUET_FILE}, found neither; "
-                "restore one of the files, or repeat the run with --write csv."
+                f"{self.folder}: expected the rows of the run in {TABLE_FILE} or {PARQUET_FILE}, "
+                "found neither; restore one of the files, or repeat the run with --write csv."
                 if path is None
-                else f"{self.folder}: expected the rows of this clip in {path}, found no such file; restore the file, "
-                "or repeat the clip with fleet run."
+                else f"{self.folder}: expected the rows of this clip in {path}, found no such "
+                "file; restore the file, or repeat the clip with fleet run."
             )
         rows = columns
         truth = self._truth()
         matched = None if truth is None else matched_truth(rows, truth)
         if matched is not None:
             rows = with_truth(rows, matched)
-        events = self._events(rows, self.summary) if has_events and self.summary is not None else None
+        events = (
+            self._events(rows, self.summary) if has_events and self.summary is not None else None
+        )
         is_replayed = has_events and events is None
         summary = self._summary_from_rows(rows, matched) if self.summary is None else self.summary
         if is_replayed:
@@ -186,7 +216,9 @@ class _Reader:
             summary["events"] = events_section(events, seconds)
         summary = self._checked(summary)
         # runs of earlier versions have these sections only in summary.json
-        earlier: dict[str, Any] = {key: summary[key] for key in ("calibration", "utc") if key in summary}
+        earlier: dict[str, Any] = {
+            key: summary[key] for key in ("calibration", "utc") if key in summary
+        }
         return RunFolder(
             folder=self.folder,
             summary=summary,
@@ -215,15 +247,21 @@ class _Reader:
             facts = validated(DetectedCamera, self.detected, "settings.yaml, found", OutputError)
             shift_m = np.zeros(3)
             if facts.rig:
-                shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
+                shift_m = left_from_reference_m(
+                    facts.rig, is_grey=False, size_px=facts.image_size_px
+                )
             return read_truth(Path(str(self.settings["truth"])), facts.camera(), shift_m)
         except (LabelFileError, RigError, OutputError) as error:
             reason = str(error).rstrip(".")
-            self.missing.append(f"The ground truth cannot be read, so charts do not show it ({reason}).")
+            self.missing.append(
+                f"The ground truth cannot be read, so charts do not show it ({reason})."
+            )
             return None
 
     def _events(self, rows: Columns, summary: Sections) -> tuple[Event, ...] | None:
-        """Events of a finished run; empty for a run of an earlier version, None if the file is missing or damaged."""
+        """Events of a finished run; empty for a run of an earlier version, None if the file is
+        missing or damaged.
+        """
         path = self.folder / EVENTS_FILE
         section = _section(summary, "events")
         if not path.exists() and not section:
@@ -231,7 +269,9 @@ class _Reader:
         try:
             events = read_events(path)
         except EventFileError as error:
-            self.missing.append(f"{EVENTS_FILE} cannot be read: events come from the rows of the tracks ({error})")
+            self.missing.append(
+                f"{EVENTS_FILE} cannot be read: events come from the rows of the tracks ({error})"
+            )
             return None
         hours, starts_s = (
             value if isinstance(value, int | float) else 0.0
@@ -241,13 +281,15 @@ class _Reader:
         inside = tuple(event for event in events if event.start_s <= last_s + _MAX_BEYOND_S)
         if n_beyond := len(events) - len(inside):
             self.missing.append(
-                f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at {last_s:.1f} "
-                "s and are ignored."
+                f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the "
+                f"video at {last_s:.1f} s and are ignored."
             )
         return inside
 
     def _replayed_events(self, rows: Columns, fps: float) -> tuple[Event, ...]:
-        """Events found again from the rows, in full precision if the folder contains a file with them."""
+        """Events found again from the rows, in full precision if the folder contains a file with
+        them.
+        """
         path = rows_file(self.folder)
         if path is not None and path.name != TABLE_FILE:
             with suppress(OutputError):  # the rounded rows are used
@@ -263,7 +305,9 @@ class _Reader:
         first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
         every = every_of(self.settings)
         labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
-        labelled = labelled[(labelled >= first) & (labelled <= last) & ((labelled - first) % every == 0)]
+        labelled = labelled[
+            (labelled >= first) & (labelled <= last) & ((labelled - first) % every == 0)
+        ]
         methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
         inputs = {key: self.settings[key] for key in _INPUTS if key in self.settings}
         stereo = self.settings.get("stereo")
@@ -280,7 +324,8 @@ class _Reader:
         }
 
     def _checked(self, summary: Sections) -> dict[str, Any]:
-        """Summary with the camera and the settings from settings.yaml, without files that do not exist.
+        """Summary with the camera and the settings from settings.yaml, without files that do not
+        exist.
 
         Values of wrong types are omitted; missing files and omitted values are added to the notes.
         """
@@ -293,14 +338,19 @@ class _Reader:
             if self.detected.get(key) is not None
         }
         settings = {key: value for key, value in self.settings.items() if value not in ([], {})}
-        merged = {**camera, "settings": settings, "starts_s": settings.get("start_s", 0.0), **summary}
+        merged = {
+            **camera,
+            "settings": settings,
+            "starts_s": settings.get("start_s", 0.0),
+            **summary,
+        }
         merged["files"] = {key: name for key, name in files.items() if name not in absent}
         checked, invalid = valid_summary(merged)
         if invalid:
             more = "" if len(invalid) <= _MAX_NAMED else f" and {len(invalid) - _MAX_NAMED} more"
             self.missing.append(
-                f"summary.json and settings.yaml contain values of unexpected types, which are ignored: "
-                f"{', '.join(invalid[:_MAX_NAMED])}{more}."
+                "summary.json and settings.yaml contain values of unexpected types, which are "
+                f"ignored: {', '.join(invalid[:_MAX_NAMED])}{more}."
             )
         return {**checked, "notes": [*self.missing, *(checked.get("notes") or [])]}
 
@@ -317,14 +367,23 @@ def _section(document: Sections, name: str) -> dict[str, Any]:
 
 
 def rows_file(folder: Path, *, is_rounded: bool = False) -> Path | None:
-    """The file with the rows of a run or of a fleet's clip, in full precision or rounded if both exist; None = none."""
-    in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
-    paths = [folder / name for name in ((TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE))]
-    return next((path for path in (*paths, clip_rows(folder)) if path is not None and path.is_file()), None)
+    """The file with the rows of a run or of a fleet's clip, in full precision or rounded if both
+    exist; None = none.
+    """
+    # the stream of a run in progress, or of one that was killed
+    in_full = (PARQUET_FILE, STREAM_FILE)
+    paths = [
+        folder / name for name in ((TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE))
+    ]
+    return next(
+        (path for path in (*paths, clip_rows(folder)) if path is not None and path.is_file()), None
+    )
 
 
 def clip_rows(folder: Path) -> Path | None:
-    """File of the rows of a fleet's clip, whose folder is runs/clip=NAME or tracks/clip=NAME; None = another folder."""
+    """File of the rows of a fleet's clip, whose folder is runs/clip=NAME or tracks/clip=NAME; None
+    = another folder.
+    """
     path = real_path(folder)
     is_clip = path.name.startswith("clip=") and path.parent.name in ("runs", "tracks")
     return path.parent.parent / "tracks" / path.name / PARQUET_FILE if is_clip else None
@@ -333,8 +392,8 @@ def clip_rows(folder: Path) -> Path | None:
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     """Columns of a tracks.csv, tracks.parquet or tracks.arrows without damaged rows.
 
-    A message with the number of damaged rows is added to `missing`. OutputError if the file cannot be read, is not of a
-    run, or all of its rows are malformed.
+    A message with the number of damaged rows is added to `missing`. OutputError if the file cannot
+    be read, is not of a run, or all of its rows are malformed.
     """
     if path.suffix == ".arrows":
         columns, is_cut = read_tracks_arrows(path)
@@ -355,15 +414,20 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     n_invalid = len(is_valid) - n_rows
     if n_invalid and not n_rows:
         raise OutputError(
-            f"{path}: expected rows with frame numbers, times, track IDs and boxes, found only malformed ones "
-            f"({n_invalid}); repeat the run or restore the file."
+            f"{path}: expected rows with frame numbers, times, track IDs and boxes, found only "
+            f"malformed ones ({n_invalid}); repeat the run or restore the file."
         )
     if n_invalid:
-        missing.append(f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored.")
+        missing.append(
+            f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored."
+        )
     if is_cut:
         missing.append(f"{path.name} ends in the middle of a row, so later rows are missing.")
-    # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
-    rows: dict[str, Any] = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
+    # Columns that an earlier version did not write are empty, except sigmas, which mark the methods
+    # to be scored.
+    rows: dict[str, Any] = {
+        name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")
+    }
     rows |= {name: np.full(n_rows, "") for name in TEXT_COLUMNS}
     for name, values in columns.items():
         rows[name] = values[is_valid]
@@ -373,11 +437,17 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
 
 
 def valid_rows(columns: Columns) -> BoolArray:
-    """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a box."""
+    """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a
+    box.
+    """
     frame, track_id, edges_px = columns["frame"], columns["track_id"], boxes_px(columns)
-    is_valid: BoolArray = np.isfinite(columns["time_s"]) & (np.abs(edges_px) <= _MAX_EDGE_PX).all(axis=1)
+    is_valid: BoolArray = np.isfinite(columns["time_s"]) & (np.abs(edges_px) <= _MAX_EDGE_PX).all(
+        axis=1
+    )
     for name in columns.keys() - {"frame", "track_id", *TEXT_COLUMNS}:
-        is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE))
+        is_valid &= ~np.isfinite(columns[name]) | (
+            np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE)
+        )
     for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _MAX_TRACK_ID)):
         is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))
     rows = np.flatnonzero(is_valid)

@@ -49,7 +49,9 @@ def read_progress(folder: Path) -> ProgressNote | None:
 
 
 def describe_progress(folder: Path) -> str | None:
-    """Clause on an unfinished run, such as "the run ... was killed while processing frames"; None without a note."""
+    """Clause on an unfinished run, such as "the run ... was killed while processing frames"; None
+    without a note.
+    """
     note = read_progress(folder)
     if note is None:
         return None

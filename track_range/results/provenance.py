@@ -1,7 +1,8 @@
-"""Provenance: software, model, calibration and settings that results were made with; stored in the result files.
+"""Provenance: software, model, calibration and settings that results were made with; stored in the
+result files.
 
-`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run: docs/reference/schema.md
-lists what it promises.
+`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run:
+docs/reference/schema.md lists what it promises.
 """
 
 from __future__ import annotations
@@ -32,17 +33,25 @@ class Provenance:
     """Origin of results."""
 
     version: str = field(default_factory=lambda: version("track-range"))
-    model: Mapping[str, Any] = field(default_factory=dict)  # the detector, or the name of the file of detections
-    rig: Mapping[str, Any] = field(default_factory=dict)  # calibration: kind, file, focal length, baseline, image size
+    # the detector, or the name of the file of detections
+    model: Mapping[str, Any] = field(default_factory=dict)
+    # calibration: kind, file, focal length, baseline, image size
+    rig: Mapping[str, Any] = field(default_factory=dict)
     settings_hash: str = ""  # `settings_hash` of the settings; "" = unknown
-    utc: Mapping[str, Any] = field(default_factory=dict)  # of time_s = 0, its source and uncertainty; empty = unknown
+    # of time_s = 0, its source and uncertainty; empty = unknown
+    utc: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of_inputs(cls, detected: Mapping[str, Any], settings_hash: str) -> Self:
-        """Origin of a run's results, from section `found` of its settings.yaml, which may lack values."""
+        """Origin of a run's results, from section `found` of its settings.yaml, which may lack
+        values.
+        """
         versions, file, utc = detected.get("versions"), detected.get("rig"), detected.get("utc")
         run_version = versions.get("track-range") if isinstance(versions, Mapping) else None
-        rig = {"calibration": detected.get("calibration"), "file": os.path.basename(str(file)) if file else None}
+        rig = {
+            "calibration": detected.get("calibration"),
+            "file": os.path.basename(str(file)) if file else None,
+        }
         return cls(
             version=run_version if isinstance(run_version, str) else version("track-range"),
             model={key: detected[key] for key in _MODEL if key in detected},
@@ -52,7 +61,9 @@ class Provenance:
         )
 
     def metadata(self) -> dict[str, str]:
-        """Values as text with the prefix `track_range.`, for the metadata of files; mappings as JSON."""
+        """Values as text with the prefix `track_range.`, for the metadata of files; mappings as
+        JSON.
+        """
         values = {
             "version": self.version,
             "schema_version": str(SCHEMA_VERSION),
@@ -65,9 +76,11 @@ class Provenance:
 
 
 def settings_hash(run: Mapping[str, Any], methods: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of sections `run` and `methods` of a settings.yaml in canonical JSON, without settings of output files.
+    """SHA-256 of sections `run` and `methods` of a settings.yaml in canonical JSON, without
+    settings of output files.
 
-    Two runs have the same hash if they read the same paths with the same options and methods, whatever they write.
+    Two runs have the same hash if they read the same paths with the same options and methods,
+    whatever they write.
     """
     hashed = {key: value for key, value in run.items() if key not in _NOT_HASHED}
     text = _canonical({**hashed, "methods": methods} if methods else hashed)

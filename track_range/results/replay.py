@@ -1,4 +1,6 @@
-"""Frame results reconstructed from the rows of a run, without images, for writing files after the run."""
+"""Frame results reconstructed from the rows of a run, without images, for writing files after the
+run.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,18 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 def frames_of_rows(
-    columns: Columns, frame_index: Iterable[int], methods: Iterable[str], fps: float, poses: Poses | None = None
+    columns: Columns,
+    frame_index: Iterable[int],
+    methods: Iterable[str],
+    fps: float,
+    poses: Poses | None = None,
 ) -> Iterator[FrameResult]:
-    """One result per frame; numbers have the precision of the rows, and the UTC of frames without tracks is unknown.
+    """One result per frame; numbers have the precision of the rows, and the UTC of frames without
+    tracks is unknown.
 
-    `columns` are in the order of their frames; `frame_index` are the numbers of all frames of the run, in order;
-    `methods` are the distances that were measured; `fps` is the frame rate of the video; `poses` are the camera's.
+    `columns` are in the order of their frames; `frame_index` are the numbers of all frames of the
+    run, in order; `methods` are the distances that were measured; `fps` is the frame rate of the
+    video; `poses` are the camera's.
     """
     frame = columns["frame"]
     known_frame, first_row = np.unique(frame, return_index=True)
@@ -42,8 +50,12 @@ def frames_of_rows(
     motion = None
     if "world_x_m" in columns:
         codes: dict[str, float] = {name: code for code, name in enumerate(MOTION_STATES)}
-        state = np.array([codes.get(str(name), math.nan) for name in columns.get("state", unknown)], np.float64)
-        numbers = {name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"}
+        state = np.array(
+            [codes.get(str(name), math.nan) for name in columns.get("state", unknown)], np.float64
+        )
+        numbers = {
+            name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"
+        }
         motion = ObjectMotion(**numbers, state=state)
     safety = None
     if "gap_m" in columns:
@@ -53,20 +65,28 @@ def frames_of_rows(
     listed = ranging_methods()
     measured = [name for name in methods_with_sigma() if name in methods]
     measured += [method.name for method in listed if not method.measures_distance]
-    details = {method.name: [key for key in method.details if f"{method.name}_{key}" in columns] for method in listed}
+    details = {
+        method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
+        for method in listed
+    }
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
     observed = columns["observed"] > 0
     for index in frame_index:
         time_s = index / fps
-        if len(known_frame):  # between the frames with rows interpolated, beyond them at the frame rate
+        # between the frames with rows interpolated, beyond them at the frame rate
+        if len(known_frame):
             nearest = np.clip(index, known_frame[0], known_frame[-1])
-            time_s = max(float(np.interp(nearest, known_frame, known_s) + (index - nearest) / fps), 0.0)
+            time_s = max(
+                float(np.interp(nearest, known_frame, known_s) + (index - nearest) / fps), 0.0
+            )
         first, last = np.searchsorted(frame, [index, index + 1]).tolist()
         rows = slice(first, last)
         ids = track_id[rows]
         yield FrameResult(
-            frame=Frame(index, time_s, _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan),
+            frame=Frame(
+                index, time_s, _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan
+            ),
             tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
             ranges={
                 name: Ranges(
@@ -81,7 +101,9 @@ def frames_of_rows(
             closing_sigma_mps=columns["closing_sigma_mps"][rows],
             ttc_s=columns["ttc_s"][rows],
             ttc_sigma_s=columns["ttc_sigma_s"][rows],
-            xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
+            xyz_m=np.stack(
+                [columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1
+            ),
             ego_mps=float(ego_mps[first]) if last > first else math.nan,
             warnings=None if warnings is None else warnings.select(rows),
             motion=None if motion is None else motion.select(rows),

@@ -1,4 +1,5 @@
-"""Sections of summary.json: coverage and errors of the methods, tracking metrics, events, run times.
+"""Sections of summary.json: coverage and errors of the methods, tracking metrics, events, run
+times.
 
 Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per cent, and counts.
 """
@@ -49,49 +50,74 @@ class MatchedTruth:
         return self.of_labels(self.truth.class_id, -1) >= 0
 
     def of_scored(self, values: FloatArray) -> FloatArray:
-        """(N,) values, NaN for rows that match no label of a road class at a distance in `BANDS_M`."""
-        is_scored = self.is_road_class & (self.distance_m >= BANDS_M[0]) & (self.distance_m <= BANDS_M[-1])
+        """(N,) values, NaN for rows that match no label of a road class at a distance in
+        `BANDS_M`.
+        """
+        is_scored = (
+            self.is_road_class & (self.distance_m >= BANDS_M[0]) & (self.distance_m <= BANDS_M[-1])
+        )
         return np.where(is_scored, values, np.nan)
 
     def of_labels(self, values: npt.NDArray[Any], unmatched: Any) -> npt.NDArray[Any]:
-        """(N,) values of the matching labels, from the values of all labels; `unmatched` for rows without a match."""
+        """(N,) values of the matching labels, from the values of all labels; `unmatched` for rows
+        without a match.
+        """
         return np.where(self.row >= 0, np.append(values, unmatched)[self.row], unmatched)
 
 
 def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
     """Ground truth matched to the rows of a run by frame and box overlap."""
-    return MatchedTruth(truth, match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth))
+    return MatchedTruth(
+        truth, match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
+    )
 
 
 def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
-    """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count for the errors."""
+    """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count
+    for the errors.
+    """
     truth_m = matched.distance_m
     return {**columns, "truth_m": truth_m, "scored_truth_m": matched.of_scored(truth_m)}
 
 
-def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
-    """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth contains speeds."""
+def range_scores(
+    columns: Columns, matched: MatchedTruth | None, methods: Collection[str]
+) -> dict[str, Any]:
+    """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth
+    contains speeds.
+    """
     methods = [name for name in methods if f"{name}_m" in columns]
     known = [name for name in methods_with_sigma() if name in methods]
-    names = [*known, *sorted(set(methods) - set(known))]  # methods of packages that are not installed here come last
-    by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}
+    # methods of packages that are not installed here come last
+    names = [*known, *sorted(set(methods) - set(known))]
+    by_name = {
+        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names
+    }
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
     kitti_type = matched.of_labels(matched.truth.kitti_type, "")
-    own, common = score_methods(by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type)
+    own, common = score_methods(
+        by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type
+    )
     true_mps = matched.of_scored(matched.of_labels(matched.truth.closing_mps, np.nan))
     closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_mps)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
-    """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its classes.
+    """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its
+    classes.
 
-    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks less than 25 px high,
-    unless `truth.has_low_labels`.
+    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks
+    less than 25 px high, unless `truth.has_low_labels`.
     """
     track_id = columns["track_id"].astype(np.int64)
-    counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
+    counts: dict[str, Any] = {
+        "n": len(np.unique(track_id)),
+        "mota": None,
+        "idf1": None,
+        "idsw": None,
+    }
     if truth is None:
         return counts
     truth = truth.select(np.isin(truth.frame, frames))
@@ -118,7 +144,9 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
 
 
 def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
-    """Section `events`: number of events by kind, the most severe event, and the hours of processed video."""
+    """Section `events`: number of events by kind, the most severe event, and the hours of processed
+    video.
+    """
     worst = min(events, key=severity_key, default=None)
     return {
         "n": len(events),
@@ -129,9 +157,15 @@ def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
 
 
 def frame_spans(frames: IntArray, every: int) -> dict[str, list[list[int]]]:
-    """`processed_frames`, first and last of each series of each `every`-th frame; no entry if there is one series."""
+    """`processed_frames`, first and last of each series of each `every`-th frame; no entry if there
+    is one series.
+    """
     ends = np.flatnonzero(np.diff(frames) != every)
-    spans = np.column_stack([frames[[0, *(ends + 1)]], frames[[*ends, -1]]]).tolist() if len(ends) else []
+    spans = (
+        np.column_stack([frames[[0, *(ends + 1)]], frames[[*ends, -1]]]).tolist()
+        if len(ends)
+        else []
+    )
     return {"processed_frames": spans} if spans else {}
 
 

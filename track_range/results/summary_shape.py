@@ -1,6 +1,8 @@
-"""Schema of summary.json, for reading files that were damaged, edited, or written by another version.
+"""Schema of summary.json, for reading files that were damaged, edited, or written by another
+version.
 
-Values of wrong types are omitted, and the rest is used; keys that are not listed here may have any value.
+Values of wrong types are omitted, and the rest is used; keys that are not listed here may have any
+value.
 """
 
 from __future__ import annotations
@@ -55,16 +57,24 @@ class _LearntScale(_Figures):
 
 def _section(base: type[BaseModel] = _Section, **kinds: Any) -> Any:
     """Section with optional keys of the given types."""
-    return create_model("_Part", __base__=base, **{name: (kind, None) for name, kind in kinds.items()})  # type: ignore[call-overload]
+    return create_model(
+        "_Part", __base__=base, **{name: (kind, None) for name, kind in kinds.items()}
+    )  # type: ignore[call-overload]
 
 
 def _all(kind: Any, names: str) -> dict[str, Any]:
     return dict.fromkeys(names.split(), kind)
 
 
-_HEALTH = _section(**_all(Text, "state sentence move_sentence unseen"), distances=list[_RigDistance])
+_HEALTH = _section(
+    **_all(Text, "state sentence move_sentence unseen"), distances=list[_RigDistance]
+)
 _SUMMARY = _section(
-    **_all(Figure, "schema_version frames frames_dropped starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
+    **_all(
+        Figure,
+        "schema_version frames frames_dropped starts_s wall_s frames_per_s focal_px "
+        "focal_sigma baseline_m",
+    ),
     **_all(Text, "settings_hash truth calibration region"),
     **_all(dict[str, Figure], "stages_ms latency_ms closing stereo_unmatched stereo_surfaces"),
     **_all(dict[str, _Method], "methods common"),
@@ -72,21 +82,30 @@ _SUMMARY = _section(
     files=dict[str, Text],
     notes=list[Text],
     utc=_section(**_all(Text, "start source"), uncertainty_s=Figure) | None,
-    ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage")) | None,
+    ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage"))
+    | None,
     tracks=_section(_Figures, classes=list[Text] | None) | None,
-    events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
+    events=_section(
+        **_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None
+    )
+    | None,
     alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
     closest_approaches=list[_Approach],
     processed_frames=list[tuple[_FrameNumber, _FrameNumber]],
     learnt_scale=_LearntScale | None,
     synchronisation=list[dict[str, Any]] | None,
-    scale_doubt=_section(**_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text) | None,
+    scale_doubt=_section(
+        **_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text
+    )
+    | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )
 
 
 def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Part of a summary with values of the right types, and the dotted names of the omitted values."""
+    """Part of a summary with values of the right types, and the dotted names of the omitted
+    values.
+    """
     valid, invalid = _copied(summary), list[str]()
     while True:
         try:
@@ -95,7 +114,10 @@ def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]
             # A section without a required key is omitted as a whole.
             paths = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
             ordered = sorted(
-                paths, key=lambda path: [(-1, part) if isinstance(part, str) else (part, "") for part in path]
+                paths,
+                key=lambda path: [
+                    (-1, part) if isinstance(part, str) else (part, "") for part in path
+                ],
             )
             invalid += [".".join(map(str, path)) for path in ordered]
             for *sections, name in reversed(ordered):  # the last item of a list first

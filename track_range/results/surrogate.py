@@ -1,4 +1,6 @@
-"""Surrogate measures of safety of the road users of a run or a fleet: one row each, with the moment of each extreme."""
+"""Surrogate measures of safety of the road users of a run or a fleet: one row each, with the moment
+of each extreme.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from track_range.results.formats.poses_file import Poses, read_poses
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
-EXTREMES = {**dict.fromkeys(_SMALLEST, "min"), **dict.fromkeys(_LARGEST, "max")}  # as `min_gap_m` and `min_gap_m_at_s`
+# as `min_gap_m` and `min_gap_m_at_s`
+EXTREMES = {**dict.fromkeys(_SMALLEST, "min"), **dict.fromkeys(_LARGEST, "max")}
 
 
 COLUMNS = (  # keys of a row, in order
@@ -31,11 +34,13 @@ COLUMNS = (  # keys of a row, in order
 
 
 def surrogate_rows(source: Path) -> list[dict[str, Any]]:
-    """Measures of each road user of a run's folder, or of the clips of a fleet's local folder, in the order of tracks.
+    """Measures of each road user of a run's folder, or of the clips of a fleet's local folder, in
+    the order of tracks.
 
-    Values: `clip` ("" for a run), `track_id`, `class`, `state` (the most frequent), `from_s`, `to_s`, `lead_s`, the
-    `EXTREMES` with their moments, `tet_s`, `tit_s2` and, with poses.csv, `pet_s`; None = unknown. OutputError: the
-    folder is not the result of a run or a fleet, or its rows have no measures.
+    Values: `clip` ("" for a run), `track_id`, `class`, `state` (the most frequent), `from_s`,
+    `to_s`, `lead_s`, the `EXTREMES` with their moments, `tet_s`, `tit_s2` and, with poses.csv,
+    `pet_s`; None = unknown. OutputError: the folder is not the result of a run or a fleet, or its
+    rows have no measures.
     """
     clips = sorted((source / "tracks").glob(f"{_CLIP}*/{PARQUET_FILE}"))
     if not clips:
@@ -44,15 +49,19 @@ def surrogate_rows(source: Path) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for path in clips:
         clip = path.parent.name.removeprefix(_CLIP)
-        rows += _road_users(clip, read_tracks_parquet(path), read_poses(source / "runs" / path.parent.name), path)
+        rows += _road_users(
+            clip, read_tracks_parquet(path), read_poses(source / "runs" / path.parent.name), path
+        )
     return rows
 
 
-def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) -> Iterator[dict[str, Any]]:
+def _road_users(
+    clip: str, columns: Columns, poses: Poses | None, source: Path
+) -> Iterator[dict[str, Any]]:
     if len(columns["frame"]) and not ("gap_m" in columns and np.isfinite(columns["gap_m"]).any()):
         raise OutputError(
-            f"{source}: expected rows with measures of safety (gap_m), found none; earlier versions did not write "
-            "these measures; repeat the run."
+            f"{source}: expected rows with measures of safety (gap_m), found none; earlier "
+            "versions did not write these measures; repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
     for rows in rows_by_track(columns):
@@ -71,7 +80,11 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
     for key, kind in EXTREMES.items():
         values = columns[key][rows]
         known = np.flatnonzero(np.isfinite(values))
-        i = known[(np.argmin if kind == "min" else np.argmax)(values[known])] if len(known) else None
+        i = (
+            known[(np.argmin if kind == "min" else np.argmax)(values[known])]
+            if len(known)
+            else None
+        )
         row[f"{kind}_{key}"] = None if i is None else float(values[i])
         row[f"{kind}_{key}_at_s"] = None if i is None else float(time_s[i])
     row |= {key: float(np.nan_to_num(columns[key][rows[-1]])) for key in ("tet_s", "tit_s2")}
@@ -83,20 +96,33 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
 
 
 def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys without moments."""
+    """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys
+    without moments.
+    """
     figures = []
     for name in [name for name in ROAD_CLASSES if any(row["class"] == name for row in rows)]:
         own = [row for row in rows if row["class"] == name]
-        figure: dict[str, Any] = {"class": name, "n": len(own), "n_exposed": sum(row["tet_s"] > 0 for row in own)}
+        figure: dict[str, Any] = {
+            "class": name,
+            "n": len(own),
+            "n_exposed": sum(row["tet_s"] > 0 for row in own),
+        }
         for key in (*(f"{kind}_{key}" for key, kind in EXTREMES.items()), "pet_s"):
             known = [row[key] for row in own if row[key] is not None]
             figure[key] = (max if key.startswith("max") else min)(known) if known else None
-        figures.append({**figure, **{key: sum(row[key] for row in own) for key in ("tet_s", "tit_s2", "lead_s")}})
+        figures.append(
+            {
+                **figure,
+                **{key: sum(row[key] for row in own) for key in ("tet_s", "tit_s2", "lead_s")},
+            }
+        )
     return figures
 
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]], *, is_parquet: bool) -> None:
-    """Write the rows as Parquet or CSV, null or empty = unknown; OutputError if the file cannot be written."""
+    """Write the rows as Parquet or CSV, null or empty = unknown; OutputError if the file cannot be
+    written.
+    """
     import pyarrow as pa
     from pyarrow import csv, parquet
 

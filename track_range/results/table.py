@@ -1,4 +1,6 @@
-"""Rows and events of a run in memory: `RunTable` (rows), `RunRows` (of a run), `RecentRows` (of an endless drive)."""
+"""Rows and events of a run in memory: `RunTable` (rows), `RunRows` (of a run), `RecentRows` (of an
+endless drive).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ import numpy.typing as npt
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import FrameValues, record_batch, result_columns, rounded_batch, rows_schema
+from track_range.results.columns import (
+    FrameValues,
+    record_batch,
+    result_columns,
+    rounded_batch,
+    rows_schema,
+)
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 
@@ -26,16 +34,20 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_PER_BATCH = 8192  # rows per batch, a few MB: about a minute of video
-FRAMES_PER_BATCH = 512  # largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has
+# largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has
+FRAMES_PER_BATCH = 512
 
 
 class RunTable:
-    """Rows of a run in Apache Arrow's columnar format, one per track and frame; also a context manager.
+    """Rows of a run in Apache Arrow's columnar format, one per track and frame; also a context
+    manager.
 
-        frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> memory-mapped table
+        frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) -->
+        memory-mapped table
 
-    Only the buffer of `rows_per_batch` rows is held in memory, so that memory use does not grow over hours; a run that
-    is shorter than one batch writes no file. The file is deleted with the `RunTable`.
+    Only the buffer of `rows_per_batch` rows is held in memory, so that memory use does not grow
+    over hours; a run that is shorter than one batch writes no file. The file is deleted with the
+    `RunTable`.
     """
 
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
@@ -52,7 +64,9 @@ class RunTable:
         self.close()
 
     def append(self, result: FrameResult) -> None:
-        """Add the rows of one frame; OutputError if a batch cannot be written: the table is then unchanged."""
+        """Add the rows of one frame; OutputError if a batch cannot be written: the table is then
+        unchanged.
+        """
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result
@@ -71,24 +85,32 @@ class RunTable:
             self._buffer, self._n_buffered = [], 0
 
     def to_arrow(self, *, is_rounded: bool = True) -> pa.Table:
-        """Rows so far as a `pyarrow.Table`, rounded as in tracks.csv or in full precision, which is memory-mapped.
+        """Rows so far as a `pyarrow.Table`, rounded as in tracks.csv or in full precision, which is
+        memory-mapped.
 
-        Null = not measured; `class` is a dictionary column of names; the metadata of a field contains its unit.
+        Null = not measured; `class` is a dictionary column of names; the metadata of a field
+        contains its unit.
         """
         import pyarrow as pa
 
         batches = [*([] if self._file is None else self._file.batches()), self._buffered()]
-        return pa.Table.from_batches([rounded_batch(b, self.columns) for b in batches] if is_rounded else batches)
+        return pa.Table.from_batches(
+            [rounded_batch(b, self.columns) for b in batches] if is_rounded else batches
+        )
 
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.columns.Columns`, as in tracks.csv or in full precision."""
+        """Rows so far as `track_range.results.columns.Columns`, as in tracks.csv or in full
+        precision.
+        """
         table = self.to_arrow(is_rounded=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for column in self.columns:
             values = table.column(column.name)
             if column.kind == "name":
                 names = np.array([*column.names, ""])  # the last one stands for null
-                codes = [chunk.indices.fill_null(len(column.names)).to_numpy() for chunk in values.chunks]
+                codes = [
+                    chunk.indices.fill_null(len(column.names)).to_numpy() for chunk in values.chunks
+                ]
                 columns[column.name] = names[np.concatenate(codes)]
             else:
                 numbers = np.asarray(values.to_numpy(), np.float64)
@@ -107,7 +129,9 @@ class RunTable:
 
 
 class _BatchFile:
-    """File of record batches in a temporary folder, readable while it grows; OutputError if it cannot be written."""
+    """File of record batches in a temporary folder, readable while it grows; OutputError if it
+    cannot be written.
+    """
 
     def __init__(self, schema: pa.Schema) -> None:
         import pyarrow as pa
@@ -150,15 +174,19 @@ def _not_stored(path: Path, error: OSError) -> OutputError:
 
 @dataclass(slots=True, kw_only=True)
 class RunRows:
-    """Rows and events of the finished frames of a run, or of any other sequence of frame results."""
+    """Rows and events of the finished frames of a run, or of any other sequence of frame
+    results.
+    """
 
     fps: float = 0.0  # nominal, for the duration of the last frame; 0 = unknown
     finder: EventFinder = field(default_factory=EventFinder)
     table: RunTable = field(default_factory=RunTable)
-    events: tuple[Event, ...] = ()  # those that have ended; after `finish` all, in the order of their starts
+    # those that have ended; after `finish` all, in the order of their starts
+    events: tuple[Event, ...] = ()
     frame_index: list[int] = field(default_factory=list)
     ego_mps: list[float] = field(default_factory=list)  # at the frames, NaN = unknown
-    methods: set[str] = field(default_factory=set)  # names of the distances that were measured in any frame
+    # names of the distances that were measured in any frame
+    methods: set[str] = field(default_factory=set)
     starts_s: float = 0.0
     last_s: float = 0.0
 
@@ -166,7 +194,9 @@ class RunRows:
         return len(self.frame_index)
 
     def add(self, result: FrameResult) -> tuple[Event, ...]:
-        """Add a frame, and return the events that ended before it; OutputError if its rows cannot be stored."""
+        """Add a frame, and return the events that ended before it; OutputError if its rows cannot
+        be stored.
+        """
         self.table.append(result)
         ended = self.finder.update(result)
         self.events += ended
@@ -179,13 +209,19 @@ class RunRows:
         return ended
 
     def finish(self) -> None:
-        """End the search for events after the last frame: `events` then also contains events in progress."""
+        """End the search for events after the last frame: `events` then also contains events in
+        progress.
+        """
         self.events = self.finder.finish()
 
     @property
     def seconds(self) -> float:
         """Duration of the frames in seconds, including the duration of the last frame."""
-        return self.last_s - self.starts_s + (1 / self.fps if self.fps else 0.0) if self.frame_index else 0.0
+        return (
+            self.last_s - self.starts_s + (1 / self.fps if self.fps else 0.0)
+            if self.frame_index
+            else 0.0
+        )
 
 
 class RecentRows:
@@ -201,19 +237,25 @@ class RecentRows:
         self._finder.update(result)
         if len(result.tracks):
             # copies, since the caller may change the arrays of the result
-            self._rows.append((result.time_s, [np.array(column.read(result)) for column in self._columns]))
+            self._rows.append(
+                (result.time_s, [np.array(column.read(result)) for column in self._columns])
+            )
         first_s = result.time_s - self._keep_s
         self._finder.forget(first_s)
         while self._rows and self._rows[0][0] < first_s:
             self._rows.popleft()
 
     def events(self) -> tuple[Event, ...]:
-        """Events so far, in the order of their starts; events in progress have the values known so far."""
+        """Events so far, in the order of their starts; events in progress have the values known so
+        far.
+        """
         return self._finder.so_far()
 
     def to_arrow(self) -> pa.Table:
         """The rows, rounded as in tracks.csv."""
         import pyarrow as pa
 
-        batch = record_batch([values for _, values in self._rows], self._columns, rows_schema(self._columns))
+        batch = record_batch(
+            [values for _, values in self._rows], self._columns, rows_schema(self._columns)
+        )
         return pa.Table.from_batches([rounded_batch(batch, self._columns)])

@@ -1,7 +1,8 @@
 """Result writers: one class per format, chosen by name (`--write csv,mot`).
 
-A writer is a class that implements `ResultWriter`, registered by a line in `WRITERS`, by an entry point of the
-group `track_range.result_writers` in another package, or by a call of `register_writer`.
+A writer is a class that implements `ResultWriter`, registered by a line in `WRITERS`, by an entry
+point of the group `track_range.result_writers` in another package, or by a call of
+`register_writer`.
 """
 
 from __future__ import annotations
@@ -39,7 +40,14 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
 }
 
 _RUN_FILES = (  # besides those of its writers
-    *("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html"),
+    *(
+        "summary.json",
+        "settings.yaml",
+        "progress.json",
+        "overlay.mp4",
+        "disparity.mp4",
+        "report.html",
+    ),
     *("events.csv", "events.parquet", "telemetry.csv"),
 )
 
@@ -52,10 +60,10 @@ class WriterError(UserError):
 class RunInfo:
     """Properties of a run that are known before its first frame.
 
-    `provenance`: software, model, calibration and settings of the results. `shown_image`: returns the (H, W, 3) uint8
-    BGR image of a frame that files may show, None if there is none, as for frames reconstructed from rows; writers take
-    images from nowhere else. `recorded_boxes`: returns boxes (N, 4) in pixels of the left video for boxes in pixels of
-    the left images.
+    `provenance`: software, model, calibration and settings of the results. `shown_image`: returns
+    the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none, as for
+    frames reconstructed from rows; writers take images from nowhere else. `recorded_boxes`: returns
+    boxes (N, 4) in pixels of the left video for boxes in pixels of the left images.
     """
 
     camera: PinholeCamera  # left camera, rectified (one camera: undistorted)
@@ -65,7 +73,8 @@ class RunInfo:
     start_utc_s: float | None = None  # UTC of time_s = 0, in seconds since 1970; None = unknown
     provenance: Provenance = field(default_factory=Provenance)
     notes: tuple[str, ...] = ()  # messages for the user before the first frame
-    overlay: Path | None = None  # annotated video of the run, finished before `close`; None = not written
+    # annotated video of the run, finished before `close`; None = not written
+    overlay: Path | None = None
     shown_image: Callable[[FrameResult], Image | None] = lambda result: (
         result.frame.left if result.frame.left.size else None
     )
@@ -75,10 +84,11 @@ class RunInfo:
 class ResultWriter(Protocol):
     """Writer of one format; created without arguments, used for one run.
 
-    `files` are names, without folder, of the files that it writes to the output folder; they must differ from the files
-    of the run and of its other writers. The next run into the folder removes them. `open` is called once, `write` for
-    each frame, `close` once. An OSError is reported with the names of the files. Files should be readable after the
-    program is killed: flush after each frame if the format allows it. If `write` raises, the files should be as before;
+    `files` are names, without folder, of the files that it writes to the output folder; they must
+    differ from the files of the run and of its other writers. The next run into the folder removes
+    them. `open` is called once, `write` for each frame, `close` once. An OSError is reported with
+    the names of the files. Files should be readable after the program is killed: flush after each
+    frame if the format allows it. If `write` raises, the files should be as before;
     `track_range.results.formats.row_file.RowFile` does both for text. Optional members:
 
     - `discard_last()` removes the last frame from the files. It is called if a later writer of the run, or the run
@@ -97,10 +107,13 @@ class ResultWriter(Protocol):
         """Add one frame."""
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Finish the files; `summary` is the content of summary.json, None if the run ended before it."""
+        """Finish the files; `summary` is the content of summary.json, None if the run ended before
+        it.
+        """
 
 
-WriterFactory = Callable[[], ResultWriter]  # function without arguments that returns a writer, usually its class
+# function without arguments that returns a writer, usually its class
+WriterFactory = Callable[[], ResultWriter]
 
 WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
     "track_range.result_writers",
@@ -121,22 +134,27 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
 def register_writer(name: str, factory: WriterFactory | str) -> None:
     """Register a writer for this process; WriterError if the name is in use.
 
-    `name`: name for `--write`. `factory`: class of the writer, or "package.module:Class", which is imported on first
-    use.
+    `name`: name for `--write`. `factory`: class of the writer, or "package.module:Class", which is
+    imported on first use.
     """
     if name in WRITERS.names:
-        raise WriterError(f"the name '{name}' is already used by another writer; choose another name.")
+        raise WriterError(
+            f"the name '{name}' is already used by another writer; choose another name."
+        )
     WRITERS.registered[name] = factory
 
 
 def create_writer(name: str) -> ResultWriter:
-    """New writer; WriterError if there is no writer of that name, or it cannot be imported or lacks a part."""
+    """New writer; WriterError if there is no writer of that name, or it cannot be imported or lacks
+    a part.
+    """
     factory = WRITERS.find(name)
     if factory is None:
         raise WriterError(f"unknown format '{name}': expected {', '.join(WRITERS.names)}.")
     try:
         writer = imported(factory)()
-    except Exception as error:  # other packages may raise anything; runs without this writer are not affected
+    # other packages may raise anything; runs without this writer are not affected
+    except Exception as error:
         reason = f"{type(error).__name__}: {error}"
         raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
     problem = _problem(writer)
@@ -146,7 +164,9 @@ def create_writer(name: str) -> ResultWriter:
 
 
 def _problem(writer: Any) -> str:
-    """The part that an object lacks to be a `ResultWriter` with files in the folder, not of the run; "" = none."""
+    """The part that an object lacks to be a `ResultWriter` with files in the folder, not of the
+    run; "" = none.
+    """
     for method in ("open", "write", "close"):
         if not callable(getattr(writer, method, None)):
             return f"a method {method}, found none"
@@ -161,7 +181,11 @@ def _problem(writer: Any) -> str:
             return f"file names without a folder, got {file!r}"
         if file.casefold() in _RUN_FILES:
             return f"file names that the run does not already use, got {file}"
-    return f"each file once, got {', '.join(files)}" if len(set(map(str.casefold, files))) < len(files) else ""
+    return (
+        f"each file once, got {', '.join(files)}"
+        if len(set(map(str.casefold, files))) < len(files)
+        else ""
+    )
 
 
 def _all_files(writer: ResultWriter) -> tuple[str, ...]:
@@ -171,8 +195,8 @@ def _all_files(writer: ResultWriter) -> tuple[str, ...]:
 def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
     """New writers for a run, in the given order; duplicate names are ignored.
 
-    WriterError if a writer cannot be created, or two writers write the same file; ExtraError if a package that a writer
-    requires is not installed.
+    WriterError if a writer cannot be created, or two writers write the same file; ExtraError if a
+    package that a writer requires is not installed.
     """
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
     for writer in writers.values():
@@ -181,12 +205,16 @@ def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
     for name, writer in writers.items():
         for file in _all_files(writer):
             if (other := names_by_file.setdefault(file.casefold(), name)) != name:
-                raise WriterError(f"the writers '{other}' and '{name}' both write {file}; choose one of them.")
+                raise WriterError(
+                    f"the writers '{other}' and '{name}' both write {file}; choose one of them."
+                )
     return tuple(writers.values())
 
 
 def result_names() -> tuple[str, ...]:
-    """Names of all files that a run may write to its folder, with any of the writers that can be used."""
+    """Names of all files that a run may write to its folder, with any of the writers that can be
+    used.
+    """
     names: list[str] = []
     for name in WRITERS.names:
         with suppress(WriterError):
@@ -195,10 +223,11 @@ def result_names() -> tuple[str, ...]:
 
 
 class OpenWriters:
-    """Writers of a run in progress, by name; a context manager that closes the writers that `close` did not close.
+    """Writers of a run in progress, by name; a context manager that closes the writers that `close`
+    did not close.
 
-    WriterError: a writer cannot be used, or two writers write the same file. OutputError: a file cannot be created;
-    also raised by `write` and `close`, with the name of the file.
+    WriterError: a writer cannot be used, or two writers write the same file. OutputError: a file
+    cannot be created; also raised by `write` and `close`, with the name of the file.
     """
 
     def __init__(self, names: Sequence[str], info: RunInfo, folder: Path) -> None:
@@ -223,7 +252,9 @@ class OpenWriters:
         self.close(None)
 
     def write(self, result: FrameResult) -> None:
-        """Add one frame to all files; if one file fails, the other files are cut back to the frame before."""
+        """Add one frame to all files; if one file fails, the other files are cut back to the frame
+        before.
+        """
         for number, writer in enumerate(self._open):
             try:
                 with self._errors_of(writer):
@@ -233,17 +264,25 @@ class OpenWriters:
                 raise
 
     def discard_last(self, n_writers: int | None = None) -> None:
-        """Remove the last frame from all files that can be cut back, or from the files of the first `n_writers`."""
+        """Remove the last frame from all files that can be cut back, or from the files of the first
+        `n_writers`.
+        """
         for writer in self._open[:n_writers]:
             with suppress(OSError):  # the error that made this necessary is the one to report
                 getattr(writer, "discard_last", lambda: None)()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Finish all files; a second call does nothing. A writer whose `write` has failed is not reported again."""
+        """Finish all files; a second call does nothing. A writer whose `write` has failed is not
+        reported again.
+        """
 
         def close_next() -> None:
-            writer = self._open.pop(0)  # after an unexpected error, a second call closes those that are left
-            with suppress(OutputError) if writer is self._failed else nullcontext(), self._errors_of(writer):
+            # after an unexpected error, a second call closes those that are left
+            writer = self._open.pop(0)
+            with (
+                suppress(OutputError) if writer is self._failed else nullcontext(),
+                self._errors_of(writer),
+            ):
                 writer.close(summary)
 
         call_all([close_next] * len(self._open))

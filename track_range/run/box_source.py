@@ -1,4 +1,6 @@
-"""Source of the boxes of a run: a detector network, a detector object, or a file of recorded detections."""
+"""Source of the boxes of a run: a detector network, a detector object, or a file of recorded
+detections.
+"""
 
 from __future__ import annotations
 
@@ -29,21 +31,24 @@ from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
-_MIN_SHOWN = 0.5  # smallest fraction of a recorded box inside the undistorted image of a wide lens that is used
-_MOST_INSIDE = 0.5  # fraction of the area of a box in the regions of --ignore above which it is dropped
+# smallest fraction of a recorded box inside the undistorted image of a wide lens that is used
+_MIN_SHOWN = 0.5
+# fraction of the area of a box in the regions of --ignore above which it is dropped
+_MOST_INSIDE = 0.5
 
 CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
-"""(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false
-detections are small, and the default of tracking for vehicles."""
+"""(8,) minimum confidence of the candidates for anonymization by road class: low for people, since
+the regions of false detections are small, and the default of tracking for vehicles."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoxSource:
     """Detection stage of a run.
 
-    `candidates` returns all boxes of the frame of the latest detection, also with low scores and of classes that are
-    not tracked, for anonymization. `prepare` writes a frame into the network's input, and returns the function that
-    detects its boxes, which another thread may call; None = there is no such input.
+    `candidates` returns all boxes of the frame of the latest detection, also with low scores and of
+    classes that are not tracked, for anonymization. `prepare` writes a frame into the network's
+    input, and returns the function that detects its boxes, which another thread may call; None =
+    there is no such input.
     """
 
     detect: Callable[[Frame], Detections]
@@ -52,7 +57,8 @@ class BoxSource:
     notes: Callable[[], tuple[str, ...]]  # messages for the user so far
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
     box_errors: BoxErrors | None = None  # systematic errors of the boxes; None = unknown
-    frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (M,) numbers of those with recorded boxes
+    # (M,) numbers of those with recorded boxes
+    frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def open_box_source(
@@ -63,8 +69,9 @@ def open_box_source(
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
-    `ready_model` returns the file of a model by name or path, downloading it first if necessary. ModelError,
-    DownloadError, LabelFileError: the detector or the file cannot be used; ClassNameError: a class is unknown.
+    `ready_model` returns the file of a model by name or path, downloading it first if necessary.
+    ModelError, DownloadError, LabelFileError: the detector or the file cannot be used;
+    ClassNameError: a class is unknown.
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
@@ -99,9 +106,11 @@ def network_source(
 
 
 def boxes_of(detector: ObjectDetector) -> BoxSource:
-    """Source of the boxes of a detector object with `detect(image)`, and optionally `notes` and `box_errors`.
+    """Source of the boxes of a detector object with `detect(image)`, and optionally `notes` and
+    `box_errors`.
 
-    DetectorError: invalid `box_errors`; raised by `detect`: the object returns no valid `Detections`.
+    DetectorError: invalid `box_errors`; raised by `detect`: the object returns no valid
+    `Detections`.
     """
     last, errors = Detections.empty(), getattr(detector, "box_errors", None)
     try:
@@ -123,7 +132,9 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
     )
 
 
-def outside_regions(source: BoxSource, regions: str | None, calibration: RecordingCalibration) -> BoxSource:
+def outside_regions(
+    source: BoxSource, regions: str | None, calibration: RecordingCalibration
+) -> BoxSource:
     """The source without the boxes that are mostly in the regions of `--ignore`; None = no regions.
 
     UsageError: the regions are neither polygons nor a mask image of the size of the video.
@@ -138,7 +149,9 @@ def outside_regions(source: BoxSource, regions: str | None, calibration: Recordi
         recorded_px = calibration.rectifier.recorded_boxes(detections.xyxy_px)
         return detections.select(_fraction_inside(area_px, recorded_px) <= _MOST_INSIDE)
 
-    def prepared(prepare: Callable[[Frame], Callable[[], Detections]], frame: Frame) -> Callable[[], Detections]:
+    def prepared(
+        prepare: Callable[[Frame], Callable[[], Detections]], frame: Frame
+    ) -> Callable[[], Detections]:
         detect_prepared = prepare(frame)
         return lambda: outside(detect_prepared())
 
@@ -147,24 +160,30 @@ def outside_regions(source: BoxSource, regions: str | None, calibration: Recordi
 
 
 def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
-    """(H, W) uint8, 1 in the regions: polygons `x,y x,y x,y / ...` in pixels of the video, or a mask's bright part."""
+    """(H, W) uint8, 1 in the regions: polygons `x,y x,y x,y / ...` in pixels of the video, or a
+    mask's bright part.
+    """
     width, height = size_px
     expected = (
-        "--ignore (Python ignore): expected polygons 'x,y x,y x,y / ...' in pixels, or a mask image of the size of the "
-        f"video, {width}x{height} px"
+        "--ignore (Python ignore): expected polygons 'x,y x,y x,y / ...' in pixels, or a mask "
+        f"image of the size of the video, {width}x{height} px"
     )
     if Path(regions).suffix.lower() in MASK_SUFFIXES:
         image = cv2.imread(regions, cv2.IMREAD_GRAYSCALE) if Path(regions).is_file() else None
         if image is None:
             raise UsageError(f"{expected}, found no readable image {quoted(regions)}.")
         if image.shape != (height, width):
-            raise UsageError(f"{expected}, found one of {image.shape[1]}x{image.shape[0]} px, {quoted(regions)}.")
+            raise UsageError(
+                f"{expected}, found one of {image.shape[1]}x{image.shape[0]} px, {quoted(regions)}."
+            )
         mask = (image > 127).astype(np.uint8)
     else:
         mask = np.zeros((height, width), np.uint8)
         for text in regions.split("/"):
             try:
-                points = np.array([[float(value) for value in point.split(",")] for point in text.split()])
+                points = np.array(
+                    [[float(value) for value in point.split(",")] for point in text.split()]
+                )
                 if points.shape[0] < 3 or points.shape[1] != 2 or not (np.abs(points) < 1e5).all():
                     raise ValueError("no polygon")
             except (ValueError, IndexError):
@@ -178,7 +197,8 @@ def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
 def _fraction_inside(area_px: IntArray, xyxy_px: FloatArray) -> FloatArray:
     """(N,) fraction of the area of boxes within the image that is in the regions."""
     height, width = area_px.shape[0] - 1, area_px.shape[1] - 1
-    edges = np.clip(np.nan_to_num(xyxy_px) + 0.5, 0, [width, height, width, height])  # pixel i runs from i - 0.5
+    # pixel i runs from i - 0.5
+    edges = np.clip(np.nan_to_num(xyxy_px) + 0.5, 0, [width, height, width, height])
     x1, y1, x2, y2 = np.rint(edges).astype(np.int64).T
     inside = area_px[y2, x2] - area_px[y1, x2] - area_px[y2, x1] + area_px[y1, x1]
     fraction: FloatArray = inside / np.maximum((x2 - x1) * (y2 - y1), 1)
@@ -191,7 +211,8 @@ def class_name(value: object) -> str:
 
 
 def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> BoxSource:
-    # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
+    # MOTChallenge files have no classes: a single one in --classes applies, else person, as in
+    # MOTChallenge
     default_class_id = class_id[0] if len(class_id) == 1 else 0
     video = VideoFacts(n_frames=recording.n_total, size_px=recording.calibration.sizes_px[0])
     recorded = read_detections(path, default_class_id=default_class_id, video=video)
@@ -212,11 +233,14 @@ def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> Bo
 
 
 def _rectified(recorded: RecordedDetections, recording: Recording) -> RecordedDetections:
-    """The boxes in rectified pixels; boxes of a wide lens are cut at the edges of the undistorted images."""
+    """The boxes in rectified pixels; boxes of a wide lens are cut at the edges of the undistorted
+    images.
+    """
     xyxy_px = recording.calibration.rectifier.left_boxes(recorded.detections.xyxy_px)
     rows = np.flatnonzero(are_valid_boxes(xyxy_px))  # those behind the view are NaN
     xyxy_px = xyxy_px[rows]
-    if recording.calibration.has_wide_lens:  # whose undistorted images do not show all recorded boxes
+    # whose undistorted images do not show all recorded boxes
+    if recording.calibration.has_wide_lens:
         cut_px = np.clip(xyxy_px, 0.0, np.tile(np.array(recording.size_px, np.float64) - 1, 2))
         is_shown = area_px2(cut_px) / area_px2(xyxy_px) >= _MIN_SHOWN
         rows, xyxy_px = rows[is_shown], cut_px[is_shown]

@@ -33,13 +33,17 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import ObjectTracker, create_tracker
 
 _SIDE_VIEW = (
-    "--yaw-deg: a view to the side has no lane lines, no horizon from image motion, no times to collision and no "
-    "collision warnings; distances are along the axis of the view."
+    "--yaw-deg: a view to the side has no lane lines, no horizon from image motion, no times to "
+    "collision and no collision warnings; distances are along the axis of the view."
 )
 
 
-def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None) -> Recording:
-    """The recording of the settings, with `rig` instead of their calibration. Raises the errors of `open_recording`."""
+def open_input(
+    settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None
+) -> Recording:
+    """The recording of the settings, with `rig` instead of their calibration. Raises the errors of
+    `open_recording`.
+    """
     left, right = settings.stereo or (settings.left, None)
     return open_recording(
         left,
@@ -77,10 +81,11 @@ def open_pipeline(
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
-    `tracker` replaces the tracker of the settings, `alignment` the alignment of the calibration. With `measures_speed`,
-    an unknown speed is measured from the images where a scale is known; with `needs_candidates`, results have all
-    boxes, for anonymization. ModelError: the re-identification or lane network cannot be used; TrackerError: the
-    tracker cannot be created; MethodError: ranging methods of other packages depend on each other in a cycle.
+    `tracker` replaces the tracker of the settings, `alignment` the alignment of the calibration.
+    With `measures_speed`, an unknown speed is measured from the images where a scale is known; with
+    `needs_candidates`, results have all boxes, for anonymization. ModelError: the re-identification
+    or lane network cannot be used; TrackerError: the tracker cannot be created; MethodError:
+    ranging methods of other packages depend on each other in a cycle.
     """
     yaw_deg, aligned = calibration.view.yaw_deg, calibration.alignment
     is_ahead = yaw_deg == 0
@@ -104,10 +109,14 @@ def open_pipeline(
         runtime=runtime,
     )
     flow = BackgroundFlow()
-    road_motion = GroundOdometry(calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
-    odometry: Odometry | None = None  # of a calibrated pair, or of a camera at a known height: else no scale is known
+    road_motion = GroundOdometry(
+        calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow
+    )
+    # of a calibrated pair, or of a camera at a known height: else no scale is known
+    odometry: Odometry | None = None
     if context.rig is not None and (measures_speed or ego_speed is not None) and is_ahead:
-        odometry = StereoOdometry(context.rig, context.alignment, flow=flow)  # also checks a given speed
+        # also checks a given speed
+        odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
     elif measures_speed and ego_speed is None and context.camera_height_m is not None and is_ahead:
         odometry = road_motion
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
@@ -129,14 +138,18 @@ def open_pipeline(
             detect=boxes.detect,
             prepare=boxes.prepare,
             candidates=boxes.candidates if needs_candidates else None,
-            lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
+            lane_finder=open_lane_finder(settings.lanes, runtime)
+            if context.has_lane_lines
+            else None,
         ),
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=EgoStage(
             speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(yaw_deg),
             odometry=odometry,
             road_motion=road_motion if is_ahead else None,
-            camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
+            camera_height=CameraHeight(road_motion.height_m)
+            if context.camera_height_m is None
+            else None,
         ),
         ranging=RangingStage(create_rangers(context)),
         warning=CollisionWarning(settings.warning_settings) if is_ahead else None,

@@ -1,4 +1,6 @@
-"""Findings: notes on a run that found no road user, or measured nothing with its second camera, and on its images."""
+"""Findings: notes on a run that found no road user, or measured nothing with its second camera, and
+on its images.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +19,24 @@ from track_range.stereo.geometry.rig import StereoRig
 
 _INTERVAL = 10  # frames between two whose brightness is measured
 _STEP_PX = 16  # between the pixels that are averaged
-_KEPT = (0, 3, 9, 15, 60, 250, 1000)  # numbers of the frames in which road users are sought upside down
+# numbers of the frames in which road users are sought upside down
+_KEPT = (0, 3, 9, 15, 60, 250, 1000)
 _KEPT_WIDTH_PX = 900  # width above which they are reduced
-_DARK, _UNIFORM = 8.0, 4.0  # brightness and its standard deviation of images that show nothing; night drives: 36 and 33
+# brightness and its standard deviation of images that show nothing; night drives: 36 and 33
+_DARK, _UNIFORM = 8.0, 4.0
 _MOST = 0.8  # fraction of the images from which on the recording is dark or uniform
-_BRIGHTER = 20.0  # by which the lower third is brighter than the upper one in images that may be upside down
-_MIN_SCORE, _MIN_BOXES, _MANY_MORE = 0.5, 4, 3.0  # of boxes that show it; by day fewer more are enough
+# by which the lower third is brighter than the upper one in images that may be upside down
+_BRIGHTER = 20.0
+# of boxes that show it; by day fewer more are enough
+_MIN_SCORE, _MIN_BOXES, _MANY_MORE = 0.5, 4, 3.0
 _MIN_DISPARITY_PX = 2.0  # below it, stereo can hardly measure
 _MIN_TRACKED = 20  # boxes of which none has a distance that are worth a note
 _STILL_SPEED_MPS, _STILL_S, _STILL_FRAMES = 3.0, 10.0, 50  # of a drive with boxes that do not move
-_STILL, _EDGE = 0.001, 0.15  # standard deviation of the edges of such a box in image widths; its zone in image heights
+# standard deviation of the edges of such a box in image widths; its zone in image heights
+_STILL, _EDGE = 0.001, 0.15
 
-Levels = tuple[float, float, float]  # mean and standard deviation of grey levels 0 to 255; lower minus upper third
+# mean and standard deviation of grey levels 0 to 255; lower minus upper third
+Levels = tuple[float, float, float]
 
 
 class Findings:
@@ -57,67 +65,97 @@ class Findings:
             if name == "fused" and len(known_m):
                 self._distances_m.append(float(np.median(known_m)))
 
-    def notes(self, detect: Callable[[Frame], Detections] | None, rig: StereoRig | None) -> tuple[str, ...]:
-        """Messages for the user at the end of the run; `detect` is used on a few more images (None = not possible)."""
+    def notes(
+        self, detect: Callable[[Frame], Detections] | None, rig: StereoRig | None
+    ) -> tuple[str, ...]:
+        """Messages for the user at the end of the run; `detect` is used on a few more images (None
+        = not possible).
+        """
         if not self._left:
             return ()
         notes = _problem("", self._left)
         if not notes and detect is not None and self._is_upside_down(detect):
             notes += (
-                f"The images appear to be upside down: in a sample of {len(self._kept)} more road users are found "
-                "after a rotation by 180 degrees. Rotate the video, for example with ffmpeg -i IN -vf hflip,vflip "
-                "OUT.mp4: otherwise few road users are found, and distances from the road are wrong.",
+                f"The images appear to be upside down: in a sample of {len(self._kept)} more road "
+                "users are found after a rotation by 180 degrees. Rotate the video, for example "
+                "with ffmpeg -i IN -vf hflip,vflip OUT.mp4: otherwise few road users are found, "
+                "and distances from the road are wrong.",
             )
         if not self._n_boxes and not notes:
             notes += (
                 f"No road user was found in {self._n_frames} frames (mean brightness "
-                f"{np.mean(self._left, axis=0)[0]:.0f} of 255): try lower --min-score, a larger --size, all --classes, "
-                "another --detector, and check that the camera sees the road.",
+                f"{np.mean(self._left, axis=0)[0]:.0f} of 255): try lower --min-score, a larger "
+                "--size, all --classes, another --detector, and check that the camera sees the "
+                "road.",
             )
         by_pair = [method.name for method in methods() if "right_image" in method.needs]
         silent = [name for name in by_pair if self._n_measured.get(name) == 0]
         if silent and self._n_boxes >= _MIN_TRACKED:
-            notes += (f"{' and '.join(silent)} measured none of {self._n_boxes} boxes. {self._reason(rig)}",)
+            notes += (
+                f"{' and '.join(silent)} measured none of {self._n_boxes} boxes. "
+                f"{self._reason(rig)}",
+            )
         return notes
 
     def _reason(self, rig: StereoRig | None) -> str:
-        """Sentence on the reason why a pair has no distances, as far as the run shows the reason."""
+        """Sentence on the reason why a pair has no distances, as far as the run shows the
+        reason.
+        """
         if problem := _problem("right ", self._right):
             return problem[0]
         distance_m = float(np.median(self._distances_m or [np.nan]))
         disparity_px = np.nan if rig is None else rig.left.fx_px * rig.baseline_m / distance_m
         if disparity_px < _MIN_DISPARITY_PX:
-            return f"The road users are about {distance_m:.0f} m away, where their disparity is {disparity_px:.1f} px."
+            return (
+                f"The road users are about {distance_m:.0f} m away, where their disparity is "
+                f"{disparity_px:.1f} px."
+            )
         return (
-            "Left and right images do not match on the road users: check that both show the same scene at the same "
-            "time, without an obstacle, and that the rig belongs to these cameras (track-range rig check)."
+            "Left and right images do not match on the road users: check that both show the same "
+            "scene at the same time, without an obstacle, and that the rig belongs to these "
+            "cameras (track-range rig check)."
         )
 
     def _is_upside_down(self, detect: Callable[[Frame], Detections]) -> bool:
-        """Whether the detector finds more road users in rotated images; tried only if there is other evidence."""
+        """Whether the detector finds more road users in rotated images; tried only if there is
+        other evidence.
+        """
         is_brighter_below = np.median(self._left, axis=0)[2] > _BRIGHTER
         if not is_brighter_below and self._n_boxes:
             return False
-        rotated = [replace(frame, left=np.ascontiguousarray(frame.left[::-1, ::-1])) for frame in self._kept]
+        rotated = [
+            replace(frame, left=np.ascontiguousarray(frame.left[::-1, ::-1]))
+            for frame in self._kept
+        ]
         n_rotated, n_upright = (
-            sum(int((detect(frame).score >= _MIN_SCORE).sum()) for frame in frames) for frames in (rotated, self._kept)
+            sum(int((detect(frame).score >= _MIN_SCORE).sum()) for frame in frames)
+            for frames in (rotated, self._kept)
         )
-        return n_rotated >= max(_MIN_BOXES, n_upright + 1 if is_brighter_below else _MANY_MORE * n_upright)
+        return n_rotated >= max(
+            _MIN_BOXES, n_upright + 1 if is_brighter_below else _MANY_MORE * n_upright
+        )
 
 
 def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tuple[str, ...]:
-    """A note that proposes `--ignore` for tracks that do not move in the image while the car drives.
+    """A note that proposes `--ignore` for tracks that do not move in the image while the car
+    drives.
 
-    They are at the upper or lower edge of the image, where no vehicle ahead stays; the camera's pitch moves such a
-    vehicle in the image, too.
+    They are at the upper or lower edge of the image, where no vehicle ahead stays; the camera's
+    pitch moves such a vehicle in the image, too.
     """
     width, height = calibration.sizes_px[0]
     rows = np.flatnonzero((columns["ego_mps"] >= _STILL_SPEED_MPS) & (columns["observed"] > 0))
-    box, time_s = calibration.rectifier.recorded_boxes(boxes_px(columns)[rows]), columns["time_s"][rows]
+    box, time_s = (
+        calibration.rectifier.recorded_boxes(boxes_px(columns)[rows]),
+        columns["time_s"][rows],
+    )
     track, first, group, n = np.unique(columns["track_id"][rows], True, True, True)
     last = np.zeros(len(track), np.int64)
     last[group] = np.arange(len(rows))
-    mean, square = (np.stack([np.bincount(group, edge) / n for edge in values.T], axis=1) for values in (box, box**2))
+    mean, square = (
+        np.stack([np.bincount(group, edge) / n for edge in values.T], axis=1)
+        for values in (box, box**2)
+    )
     deviation = np.sqrt(np.maximum(square - mean**2, 0)).max(axis=1)
     at_edge = (mean[:, 3] > (1 - _EDGE) * height) | (mean[:, 1] < _EDGE * height)
     is_long = (time_s[last] - time_s[first] >= _STILL_S) & (n >= _STILL_FRAMES)
@@ -128,8 +166,8 @@ def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tup
     polygons = " / ".join(f"{x1},{y1} {x2},{y1} {x2},{y2} {x1},{y2}" for x1, y1, x2, y2 in corners)
     names = f"Track{'s' * (len(still) > 1)} {', '.join(f'{name:g}' for name in track[still])}"
     return (
-        f"{names} did not move in the image while the car drove. If this is the bonnet, or text in the image, drop the "
-        f"boxes with --ignore '{polygons}' (Python ignore).",
+        f"{names} did not move in the image while the car drove. If this is the bonnet, or text in "
+        f"the image, drop the boxes with --ignore '{polygons}' (Python ignore).",
     )
 
 
@@ -146,9 +184,11 @@ def _problem(side: str, levels: list[Levels]) -> tuple[str, ...]:
     if max(np.mean(is_uniform), np.mean(is_dark)) < _MOST:
         return ()
     kind, causes = (
-        ("black", "the lens cap, the exposure") if np.mean(is_dark) >= _MOST else ("nearly uniform", "the lens")
+        ("black", "the lens cap, the exposure")
+        if np.mean(is_dark) >= _MOST
+        else ("nearly uniform", "the lens")
     )
     return (
-        f"The {side}images are {kind} (mean brightness {mean.mean():.0f} of 255, standard deviation "
-        f"{spread.mean():.0f}): check {causes} and the decoding of the video.",
+        f"The {side}images are {kind} (mean brightness {mean.mean():.0f} of 255, standard "
+        f"deviation {spread.mean():.0f}): check {causes} and the decoding of the video.",
     )

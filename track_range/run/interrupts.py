@@ -22,7 +22,9 @@ _Handler = Callable[[int, FrameType | None], None] | signal.Handlers
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[None]:
-    """Context in which the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored."""
+    """Context in which the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are
+    ignored.
+    """
     handled = _active_signals()
 
     def stop(number: int, at: FrameType | None) -> None:
@@ -36,7 +38,9 @@ def stop_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Context in which Ctrl-C and SIGTERM are deferred: they raise KeyboardInterrupt at the end of the block."""
+    """Context in which Ctrl-C and SIGTERM are deferred: they raise KeyboardInterrupt at the end of
+    the block.
+    """
     received: list[int] = []
     with _handled_signals(_active_signals(), lambda number, at: received.append(number)):
         yield
@@ -53,13 +57,21 @@ def ignore_interrupts() -> AbstractContextManager[None]:
 
 
 def _active_signals() -> list[signal.Signals]:
-    """SIGINT and SIGTERM, without signals that are already ignored (background job of a shell, nohup)."""
-    return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+    """SIGINT and SIGTERM, without signals that are already ignored (background job of a shell,
+    nohup).
+    """
+    return [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) != signal.SIG_IGN
+    ]
 
 
 @contextmanager
 def _handled_signals(numbers: Iterable[signal.Signals], handler: _Handler) -> Iterator[None]:
-    """Context in which `handler` handles the signals; their previous handlers are restored afterwards."""
+    """Context in which `handler` handles the signals; their previous handlers are restored
+    afterwards.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

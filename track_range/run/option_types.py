@@ -45,7 +45,9 @@ class PipelineKeywords(TypedDict, total=False):
 class RunKeywords(PipelineKeywords, total=False):
     """Options of a run by keyword; None = not given."""
 
-    stereo_layout: Literal["auto", "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"] | None
+    stereo_layout: (
+        Literal["auto", "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"] | None
+    )
     track: int | None
     topics: str | Sequence[str] | None
     rig: str | Path | StereoRig | None

@@ -1,4 +1,6 @@
-"""RunOutput: files of a run. Rows, events and videos grow during the run; summary and report are written at its end."""
+"""RunOutput: files of a run. Rows, events and videos grow during the run; summary and report are
+written at its end.
+"""
 
 from __future__ import annotations
 
@@ -40,26 +42,31 @@ _NOTE_INTERVAL_S = 1.0  # minimum time between two notes on the number of frames
 
 
 class RunOutput:
-    """Files of a run, from the opening of its inputs to its end: `start`, `write` for each frame, `finish`.
+    """Files of a run, from the opening of its inputs to its end: `start`, `write` for each frame,
+    `finish`.
 
-    The folder is locked, and contains progress.json and, unless the folder has the file of an earlier run,
-    settings.yaml. Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove
-    them; such a run also removes what it created. As a context manager, it closes what `finish` did not, and removes
-    progress.json and the lock. Without a folder, nothing is written. A `rig` that was not read from a file is written
-    to rig.yaml, which settings.yaml then names.
+    The folder is locked, and contains progress.json and, unless the folder has the file of an
+    earlier run, settings.yaml. Results of an earlier run remain until `start`, so that a run with
+    unusable inputs does not remove them; such a run also removes what it created. As a context
+    manager, it closes what `finish` did not, and removes progress.json and the lock. Without a
+    folder, nothing is written. A `rig` that was not read from a file is written to rig.yaml, which
+    settings.yaml then names.
 
-    FolderLockError: another run is writing to the folder; OutputError: the folder or a file cannot be written to, or is
-    an input; WriterError: one of the result writers cannot be used.
+    FolderLockError: another run is writing to the folder; OutputError: the folder or a file cannot
+    be written to, or is an input; WriterError: one of the result writers cannot be used.
     """
 
-    def __init__(self, settings: RunSettings, folder: Path | None, rig: StereoRig | None = None) -> None:
+    def __init__(
+        self, settings: RunSettings, folder: Path | None, rig: StereoRig | None = None
+    ) -> None:
         self.folder, self._settings, self._rig = folder, settings, rig
         self.videos: Mapping[str, str] = {}  # file names by video ("overlay", "disparity")
         self.files: tuple[Path, ...] = ()  # all files that the run writes
         self._open, self._videos_open = ExitStack(), ExitStack()
         self._temporary: list[Path] = []
         undo = ExitStack()
-        self._close = weakref.finalize(self, _close, undo, os.getpid())  # also of a run that is dropped
+        # also of a run that is dropped
+        self._close = weakref.finalize(self, _close, undo, os.getpid())
         if folder is not None:
             try:
                 self._note = self._prepare(folder, undo)
@@ -72,7 +79,9 @@ class RunOutput:
         settings = self._settings
         create_writers(settings.write)
         tables = [settings.table] if settings.table is not None else []
-        output_files.check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
+        output_files.check_outputs(
+            tables, [*input_files(settings), *(folder / name for name in result_names())]
+        )
         self._new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
         undo.callback(_remove, self._new_folders)
         output_files.make_folder(folder)
@@ -84,7 +93,9 @@ class RunOutput:
             self._temporary.append(folder / "settings.yaml")
             save_settings(settings, folder / "settings.yaml")
         self._temporary.append(folder / PROGRESS_FILE)
-        note = ProgressNote(OPENING, os.getpid(), datetime.now().astimezone().isoformat(" ", "seconds"))
+        note = ProgressNote(
+            OPENING, os.getpid(), datetime.now().astimezone().isoformat(" ", "seconds")
+        )
         note.write(folder)
         return note
 
@@ -95,10 +106,11 @@ class RunOutput:
             self._note.write(self.folder)
 
     def start(self, session: RunSession, *, has_videos: bool = True) -> None:
-        """Remove the files of an earlier run from the folder, and open the files of this run, whose inputs are usable.
+        """Remove the files of an earlier run from the folder, and open the files of this run, whose
+        inputs are usable.
 
-        No videos are written without `has_videos`, if the images are no longer available. A file that cannot be written
-        raises OutputError, VideoError or WriterError.
+        No videos are written without `has_videos`, if the images are no longer available. A file
+        that cannot be written raises OutputError, VideoError or WriterError.
         """
         if self.folder is None:
             return
@@ -107,10 +119,14 @@ class RunOutput:
         # from now on, the folder and its files are kept at the end, except progress.json
         names = result_names()
         inputs = [*input_files(settings), *session.speed.files]
-        output_files.clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
+        output_files.clear_results(
+            folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs
+        )
         remove_clips(folder / CLIPS_FOLDER)
         # temporary files `.PID.NAME` of runs that were killed (see `atomic_files`)
-        _remove([path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names])
+        _remove(
+            [path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names]
+        )
         self._new_folders.clear()
         self._temporary[:] = [folder / PROGRESS_FILE]
         self.report(PROCESSING)
@@ -128,22 +144,44 @@ class RunOutput:
         self._open.enter_context(self._videos_open)
         self._videos = [
             self._videos_open.enter_context(
-                ResultVideo(folder / self.videos[name], draw, size_px=size_px, fps=recording.fps, clock=self._clock)
+                ResultVideo(
+                    folder / self.videos[name],
+                    draw,
+                    size_px=size_px,
+                    fps=recording.fps,
+                    clock=self._clock,
+                )
             )
             for name, (draw, size_px) in drawn.items()
         ]
         rows = (*self._events.files, *self._writers.files)
-        positions = () if not settings.keep_gps or session.speed.track is None else (TELEMETRY_FILE,)
+        positions = (
+            () if not settings.keep_gps or session.speed.track is None else (TELEMETRY_FILE,)
+        )
         rigs = () if self._rig is None else ("rig.yaml",)
-        names = (*self.videos.values(), "report.html", *rows, *positions, *rigs, "summary.json", "settings.yaml")
+        names = (
+            *self.videos.values(),
+            "report.html",
+            *rows,
+            *positions,
+            *rigs,
+            "summary.json",
+            "settings.yaml",
+        )
         self.files = tuple(folder / name for name in names)
 
-    def write(self, result: FrameResult, record: Callable[[FrameResult], Sequence[Event]] = lambda _result: ()) -> None:
-        """Write the rows of a frame, pass it to the threads that write the videos, and write the events that ended.
+    def write(
+        self,
+        result: FrameResult,
+        record: Callable[[FrameResult], Sequence[Event]] = lambda _result: (),
+    ) -> None:
+        """Write the rows of a frame, pass it to the threads that write the videos, and write the
+        events that ended.
 
-        The rows are written only if the videos of the earlier frames did not fail; if the rows of one file fail, or
-        `record`, the rows of the other files are removed. `record` adds the frame to the rows of the run, and returns
-        the events that ended. The first OutputError or VideoError of this or an earlier frame is raised.
+        The rows are written only if the videos of the earlier frames did not fail; if the rows of
+        one file fail, or `record`, the rows of the other files are removed. `record` adds the frame
+        to the rows of the run, and returns the events that ended. The first OutputError or
+        VideoError of this or an earlier frame is raised.
         """
         if self.folder is None:
             record(result)
@@ -182,16 +220,26 @@ class RunOutput:
         self._videos_open.close()
 
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
-        """Write summary.json, report.html, the events and the Markdown tables, and close the files of the rows.
+        """Write summary.json, report.html, the events and the Markdown tables, and close the files
+        of the rows.
 
-        If a file cannot be written, the other files are still written, and the first OutputError is raised. `columns`:
-        rows of the run, with the ground truth if there is one.
+        If a file cannot be written, the other files are still written, and the first OutputError is
+        raised. `columns`: rows of the run, with the ground truth if there is one.
         """
         if self.folder is None:
             return
-        settings, folder, rows, track = self._settings, self.folder, self._session.rows, self._session.speed.track
+        settings, folder, rows, track = (
+            self._settings,
+            self.folder,
+            self._session.rows,
+            self._session.speed.track,
+        )
         clips = folder / CLIPS_FOLDER if settings.clips else None
-        shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
+        shown = {
+            key: value
+            for key, value in absolute_settings(settings).items()
+            if value not in ([], {})
+        }
         report, poses = {**summary, "settings": shown}, read_poses(folder)
         steps: list[Callable[[], object]] = [partial(self._events.finish, rows.events)]
         if clips is not None and "overlay" in self.videos:
@@ -200,7 +248,15 @@ class RunOutput:
             self.files += (clips,) if rows.events else ()
         steps += [
             partial(output_files.write_json, folder / "summary.json", summary),
-            partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips, poses=poses),
+            partial(
+                write_report,
+                folder / "report.html",
+                report,
+                columns,
+                rows.events,
+                clips=clips,
+                poses=poses,
+            ),
             partial(self._writers.close, summary),
         ]
         if settings.keep_gps and track is not None:
@@ -211,13 +267,20 @@ class RunOutput:
         call_all(steps)
 
     def close(self) -> None:
-        """Remove the note and the lock and, without `start`, all created files; a second call does nothing."""
+        """Remove the note and the lock and, without `start`, all created files; a second call does
+        nothing.
+        """
         self._close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         try:
             self._open.close()
         except UserError:

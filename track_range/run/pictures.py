@@ -1,4 +1,6 @@
-"""Pictures of a run, for its videos and the live view: overlay, overlay with disparities, disparities."""
+"""Pictures of a run, for its videos and the live view: overlay, overlay with disparities,
+disparities.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,12 @@ from track_range.views.overlay.annotator import DisparityPicture, Overlay, Stack
 from track_range.views.overlay.result_video import Draw
 
 
-def pictures(settings: RunSettings, recording: Recording, status: Status) -> dict[str, tuple[Draw, tuple[int, int]]]:
-    """Drawing function and (width, height) of the videos of a run by their names; `status`: see `Overlay`."""
+def pictures(
+    settings: RunSettings, recording: Recording, status: Status
+) -> dict[str, tuple[Draw, tuple[int, int]]]:
+    """Drawing function and (width, height) of the videos of a run by their names; `status`: see
+    `Overlay`.
+    """
     drawn: dict[str, tuple[Draw, tuple[int, int]]] = {}
     rig, size_px = recording.rig, recording.size_px
     if settings.overlay:
@@ -23,7 +29,9 @@ def pictures(settings: RunSettings, recording: Recording, status: Status) -> dic
 
 
 def overlay_picture(settings: RunSettings, recording: Recording, status: Status) -> Draw:
-    """Drawing function of a new overlay, with the disparities below it if requested and possible."""
+    """Drawing function of a new overlay, with the disparities below it if requested and
+    possible.
+    """
     warning = "uncalibrated" if recording.calibration.kind == "estimated" else ""
     recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
     overlay = Overlay(camera=recording.camera, status=status, warning=warning, recorded=recorded)
@@ -36,9 +44,14 @@ def missing_outputs(settings: RunSettings, recording: Recording) -> tuple[str, .
     """Messages about requested videos that are not possible because the recording has no rig."""
     notes = []
     if settings.overlay_recorded and not recording.calibration.has_wide_lens:
-        notes.append("--overlay-recorded: the calibration has no wide lens, so the overlay shows the rectified images.")
+        notes.append(
+            "--overlay-recorded: the calibration has no wide lens, so the overlay shows "
+            "the rectified images."
+        )
     if settings.disparity and recording.rig is None:
         notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
     if settings.overlay_disparity and recording.rig is None:
-        notes.append("There are no disparities below the overlay: dense stereo requires a calibrated pair.")
+        notes.append(
+            "There are no disparities below the overlay: dense stereo requires a calibrated pair."
+        )
     return tuple(notes)

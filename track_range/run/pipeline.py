@@ -1,8 +1,11 @@
-"""Pipeline: everything that a run does with a frame, for frames in memory, from a driver, a robot or a ROS node.
+"""Pipeline: everything that a run does with a frame, for frames in memory, from a driver, a robot
+or a ROS node.
 
-    check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
+    check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next
+    frame
 
-Nothing is read ahead: the alignment of a pair is estimated while the frames come (`StepwiseAlignment`).
+Nothing is read ahead: the alignment of a pair is estimated while the frames come
+(`StepwiseAlignment`).
 """
 
 from __future__ import annotations
@@ -32,7 +35,11 @@ from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
-from track_range.recording.pairs.auto_alignment import PairAlignment, StepwiseAlignment, given_alignment
+from track_range.recording.pairs.auto_alignment import (
+    PairAlignment,
+    StepwiseAlignment,
+    given_alignment,
+)
 from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.results.events.event import Event
@@ -65,8 +72,10 @@ Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the m
 
 _MAX_BACKWARDS_MPS = 20.0  # largest plausible speed backwards; a faster one has the wrong sign
 _N_LATENCIES = 1000  # latest frames of which the latency is stated
-_LONG_STEP_S, _N_LONG_STEPS = 5.0, 3  # steps between frames, so many in a row, that are probably no seconds
-_SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that stamps the images
+# steps between frames, so many in a row, that are probably no seconds
+_LONG_STEP_S, _N_LONG_STEPS = 5.0, 3
+# largest difference between a frame's time and a clock of this machine that stamps the images
+_SAME_CLOCK_S = 10.0
 
 
 class FrameError(UserError, ValueError):
@@ -76,8 +85,8 @@ class FrameError(UserError, ValueError):
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
-    `Pipeline.stereo` and `Pipeline.mono` create a pipeline, which is a context manager for use in one thread. Results
-    equal the results of `Run` with the same options and alignment.
+    `Pipeline.stereo` and `Pipeline.mono` create a pipeline, which is a context manager for use in
+    one thread. Results equal the results of `Run` with the same options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -108,7 +117,10 @@ class Pipeline:
         if not _is_number(keep_s) or not keep_s > 0:
             raise ConfigError(f"keep_s: expected a positive number of seconds, found {keep_s!r}.")
         if options.detections is not None:
-            raise ConfigError("detections: expected a detector, found recorded boxes; pass an object with detect().")
+            raise ConfigError(
+                "detections: expected a detector, found recorded boxes; pass an "
+                "object with detect()."
+            )
         self.options = options
         self._cameras = Path(cameras) if isinstance(cameras, str) else cameras
         if isinstance(self._cameras, Path):
@@ -116,7 +128,9 @@ class Pipeline:
         if isinstance(align, str | Path) and align not in ("auto", "off"):
             align = load_alignment(align)
         elif align is not None and not isinstance(align, str | Alignment | PairAlignment):
-            raise ConfigError(f"align: expected auto, off, a file or an alignment, found {type(align).__name__}.")
+            raise ConfigError(
+                f"align: expected auto, off, a file or an alignment, found {type(align).__name__}."
+            )
         self._align, self._view = "auto" if align is None else align, view
         self._is_closed = False
         self._tracker = tracker
@@ -124,7 +138,9 @@ class Pipeline:
         if detector is not None:
             self._boxes = boxes_of(detector)
         else:
-            self._boxes = network_source(options, lambda name: ready_model(name, Console(quiet=True)), open_detector)
+            self._boxes = network_source(
+                options, lambda name: ready_model(name, Console(quiet=True)), open_detector
+            )
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
         self._opened: _Opened | None = None
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
@@ -146,19 +162,24 @@ class Pipeline:
 
         Args:
             rig: calibration file, or the models of the cameras.
-            align: correction of disparities: "auto" or None = estimated from the first frames in motion, "off", a file
-                of `track-range align`, or an alignment, such as `run.alignment`.
+            align: correction of disparities: "auto" or None = estimated from the first frames in
+                motion, "off", a file of `track-range align`, or an alignment, such as
+                `run.alignment`.
             keep_s: time for which rows and events are kept.
-            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = the full field.
-            options: options of `track-range run` for detection, tracking and ranging, with underscores. `detector` and
-                `tracker` may also be objects with `detect` and `update`.
+            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None =
+                the full field.
+            options: options of `track-range run` for detection, tracking and ranging, with
+                underscores. `detector` and `tracker` may also be objects with `detect` and
+                `update`.
 
         Raises:
             ConfigError: an option is unknown or invalid.
             RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
         """
         if not isinstance(rig, str | Path | StereoRig):
-            raise ConfigError(f"rig: expected a calibration file or a StereoRig, found {type(rig).__name__}.")
+            raise ConfigError(
+                f"rig: expected a calibration file or a StereoRig, found {type(rig).__name__}."
+            )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
         return StereoPipeline(rig, chosen, **objects, align=align, view=view, keep_s=keep_s)
@@ -178,12 +199,15 @@ class Pipeline:
         """A pipeline for the images of one camera; see `stereo` for the other arguments.
 
         Args:
-            focal_px: focal length of a camera without a calibration file; the principal point is the image centre.
+            focal_px: focal length of a camera without a calibration file; the principal point is
+                the image centre.
             rig: calibration file, or the model of the camera (of a pair, the left one).
-            yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of the lens axis.
+            yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of
+                the lens axis.
 
         Raises:
-            ConfigError: an option is unknown or invalid; or not exactly one of `focal_px` and `rig` is given.
+            ConfigError: an option is unknown or invalid; or not exactly one of `focal_px` and `rig`
+                is given.
             RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
         """
         cameras = rig if focal_px is None else focal_px
@@ -192,7 +216,9 @@ class Pipeline:
         if focal_px is not None and not (_is_number(focal_px) and 0 < focal_px < math.inf):
             raise ConfigError(f"focal_px: expected a positive number, found {focal_px!r}.")
         if focal_px is None and not isinstance(cameras, str | Path | StereoRig | PinholeCamera):
-            raise ConfigError(f"rig: expected a calibration file or a PinholeCamera, found {type(rig).__name__}.")
+            raise ConfigError(
+                f"rig: expected a calibration file or a PinholeCamera, found {type(rig).__name__}."
+            )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
         return MonoPipeline(cameras, chosen, **objects, align="off", view=view, keep_s=keep_s)
@@ -204,28 +230,43 @@ class Pipeline:
 
     @property
     def calibration(self) -> RecordingCalibration | None:
-        """The camera models of the next rectified frame; None before the first frame, which gives the image size."""
+        """The camera models of the next rectified frame; None before the first frame, which gives
+        the image size.
+        """
         return None if self._opened is None else self._opened.next_calibration
 
     @property
     def latency_ms(self) -> dict[str, float]:
-        """`p50`, `p95` and `max` of the latencies of the last 1,000 frames in ms; empty before the first frame.
+        """`p50`, `p95` and `max` of the latencies of the last 1,000 frames in ms; empty before the
+        first frame.
 
-        They count from the time of the images if `time_s` is of `time.monotonic` or `time.time`, else from the call.
+        They count from the time of the images if `time_s` is of `time.monotonic` or `time.time`,
+        else from the call.
         """
         return latency_ms(self._latencies_s)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user about the detector, the calibration, the pair and the methods so far."""
+        """Messages for the user about the detector, the calibration, the pair and the methods so
+        far.
+        """
         boxes = self._boxes.notes()
         if self._opened is None:
             return boxes
-        unit = "time_s: the latest frames are more than 5 s apart, so no road user is tracked; give time_s in seconds."
-        return (*boxes, *([unit] if self._n_long_steps == _N_LONG_STEPS else []), *self._opened.notes)
+        unit = (
+            "time_s: the latest frames are more than 5 s apart, so no road user is tracked; give "
+            "time_s in seconds."
+        )
+        return (
+            *boxes,
+            *([unit] if self._n_long_steps == _N_LONG_STEPS else []),
+            *self._opened.notes,
+        )
 
     def events(self) -> tuple[Event, ...]:
-        """Events of the last `keep_s` seconds, including events in progress; times count from the first frame."""
+        """Events of the last `keep_s` seconds, including events in progress; times count from the
+        first frame.
+        """
         return self._rows.events()
 
     def to_arrow(self) -> pa.Table:
@@ -241,28 +282,40 @@ class Pipeline:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
     @KeywordsInErrors(RunSettings)
-    def _step(self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
+    def _step(
+        self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None
+    ) -> FrameResult:
         called_s = time.monotonic(), time.time()
         if self._is_closed:
             raise UsageError("this pipeline is closed; create a new one for further frames.")
-        checked = {name: _checked(image, name, is_left=name != "right") for name, image in images.items()}
+        checked = {
+            name: _checked(image, name, is_left=name != "right") for name, image in images.items()
+        }
         known, opened = _known_motion(ego_speed_mps), self._opened
         if not _is_number(time_s) or not self._last_s < time_s < math.inf:
             after = f" after {self._last_s} s, the time of the last frame" if self._index else ""
             raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
         time_s = float(time_s)
         if opened is None:
-            opened = self._open(tuple((image.shape[1], image.shape[0]) for image in checked.values()))
+            opened = self._open(
+                tuple((image.shape[1], image.shape[0]) for image in checked.values())
+            )
         opened.check_sizes(checked)
         first_s = time_s if math.isnan(self._first_s) else self._first_s
         try:
             result = opened.step(list(checked.values()), self._index, time_s - first_s, known)
         except BaseException:
-            if self._opened is None:  # a first frame that is refused does not fix the size of the images
+            # a first frame that is refused does not fix the size of the images
+            if self._opened is None:
                 opened.close()
             raise
         is_long = self._index > 0 and time_s - self._last_s > _LONG_STEP_S
@@ -270,7 +323,9 @@ class Pipeline:
         self._opened, self._first_s, self._last_s = opened, first_s, time_s
         self._index += 1
         self._rows.add(result)
-        waited_s = next((now_s - time_s for now_s in called_s if abs(now_s - time_s) < _SAME_CLOCK_S), 0.0)
+        waited_s = next(
+            (now_s - time_s for now_s in called_s if abs(now_s - time_s) < _SAME_CLOCK_S), 0.0
+        )
         self._latencies_s.append(max(waited_s, 0.0) + time.monotonic() - called_s[0])
         return result
 
@@ -298,22 +353,26 @@ class Pipeline:
 class StereoPipeline(Pipeline):
     """The pipeline of two cameras."""
 
-    def step(self, left: Image, right: Image, time_s: float, *, ego_speed_mps: float | None = None) -> FrameResult:
+    def step(
+        self, left: Image, right: Image, time_s: float, *, ego_speed_mps: float | None = None
+    ) -> FrameResult:
         """Result of the next frame.
 
         Args:
-            left: (H, W, 3) uint8 BGR or (H, W) uint8, as recorded (not rectified, unless the rig is). The images are
-                not copied: do not change them afterwards.
+            left: (H, W, 3) uint8 BGR or (H, W) uint8, as recorded (not rectified, unless the rig
+                is). The images are not copied: do not change them afterwards.
             right: image of the right camera at the same time.
-            time_s: time of the images in seconds on any clock; must increase. Times in results count from the first
-                frame.
-            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from the images (in a
-                `MonoPipeline` only with `camera_height_m`).
+            time_s: time of the images in seconds on any clock; must increase. Times in results
+                count from the first frame.
+            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from
+                the images (in a `MonoPipeline` only with `camera_height_m`).
 
         Raises:
-            FrameError: an image has another size or type than the first image, or the time does not increase.
+            FrameError: an image has another size or type than the first image, or the time does not
+                increase.
             RigError: the first images do not fit the rig, or left and right are swapped.
-            DetectorError, TrackerError, MethodError: an object of another package returned something else.
+            DetectorError, TrackerError, MethodError: an object of another package returned
+                something else.
         """
         return self._step({"left": left, "right": right}, time_s, ego_speed_mps)
 
@@ -321,7 +380,9 @@ class StereoPipeline(Pipeline):
 class MonoPipeline(Pipeline):
     """The pipeline of one camera."""
 
-    def step(self, image: Image, time_s: float, *, ego_speed_mps: float | None = None) -> FrameResult:
+    def step(
+        self, image: Image, time_s: float, *, ego_speed_mps: float | None = None
+    ) -> FrameResult:
         """Result of the next frame; see `StereoPipeline.step`."""
         return self._step({"image": image}, time_s, ego_speed_mps)
 
@@ -333,24 +394,47 @@ def _is_number(value: object) -> bool:
 def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
     if ego_speed_mps is None:
         return None
-    if not _is_number(ego_speed_mps) or ego_speed_mps > MAX_SPEED_MPS or ego_speed_mps < -_MAX_BACKWARDS_MPS:
+    if (
+        not _is_number(ego_speed_mps)
+        or ego_speed_mps > MAX_SPEED_MPS
+        or ego_speed_mps < -_MAX_BACKWARDS_MPS
+    ):
         limits = f"-{_MAX_BACKWARDS_MPS:.0f} (backwards) to {MAX_SPEED_MPS:.0f} m/s"
-        raise FrameError(f"ego_speed_mps: expected a number from {limits}, found {ego_speed_mps!r}.")
+        raise FrameError(
+            f"ego_speed_mps: expected a number from {limits}, found {ego_speed_mps!r}."
+        )
     return None if math.isnan(ego_speed_mps) else EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
 
 
 def _checked(image: Any, name: str, *, is_left: bool) -> Image:
     """An image as (H, W, 3) uint8 BGR; a right image may be grey."""
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
-        got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-        raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}.")
+    if (
+        not isinstance(image, np.ndarray)
+        or image.dtype != np.uint8
+        or image.ndim not in (2, 3)
+        or 0 in image.shape
+    ):
+        got = (
+            f"{image.dtype} {image.shape}"
+            if isinstance(image, np.ndarray)
+            else type(image).__name__
+        )
+        raise FrameError(
+            f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}."
+        )
     if image.ndim == 3 and image.shape[2] != 3:
         raise FrameError(f"{name}: expected 3 channels in BGR, found {image.shape[2]}.")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if image.ndim == 2 and is_left else image
+    return (
+        np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        if image.ndim == 2 and is_left
+        else image
+    )
 
 
 class _Opened:
-    """A pipeline after its first frame: calibrations without and with the alignment, and the stages."""
+    """A pipeline after its first frame: calibrations without and with the alignment, and the
+    stages.
+    """
 
     def __init__(
         self,
@@ -359,7 +443,12 @@ class _Opened:
         stages: FramePipeline,
         stepwise: StepwiseAlignment | None,
     ) -> None:
-        self._unaligned, self.calibration, self._stages, self._stepwise = unaligned, aligned, stages, stepwise
+        self._unaligned, self.calibration, self._stages, self._stepwise = (
+            unaligned,
+            aligned,
+            stages,
+            stepwise,
+        )
         rig = unaligned.rig
         self._monitor = None if stepwise is None or rig is None else PairMonitor(rig)
         self._sync = SyncMonitor()
@@ -385,15 +474,26 @@ class _Opened:
         pair = () if self._monitor is None else self._monitor.notes
         stages, check = self._stages, self._stages.scale_check
         scale = () if check is None else check.notes
-        return (*self.calibration.notes, *pair, *self._sync.notes, *stages.notes, *stages.ranging.notes(), *scale)
+        return (
+            *self.calibration.notes,
+            *pair,
+            *self._sync.notes,
+            *stages.notes,
+            *stages.ranging.notes(),
+            *scale,
+        )
 
     def check_sizes(self, images: Mapping[str, Image]) -> None:
         for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):
             if (image.shape[1], image.shape[0]) != size_px:
                 got = f"{image.shape[1]}x{image.shape[0]}"
-                raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px.")
+                raise FrameError(
+                    f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px."
+                )
 
-    def step(self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None) -> FrameResult:
+    def step(
+        self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None
+    ) -> FrameResult:
         self._apply()
         recorded = self.calibration.frame_of(images, index, time_s)
         (frame,) = self._sync.add(recorded)
@@ -402,20 +502,24 @@ class _Opened:
             before = self._monitor.finding
             self._monitor.add(frame)
             is_same = before is not None and before is self._monitor.finding
-            has_stereo = self._has_stereo if is_same else self._checked(self._monitor, is_first=index == 0)
+            has_stereo = (
+                self._has_stereo if is_same else self._checked(self._monitor, is_first=index == 0)
+            )
             finding = self._monitor.finding
         shown = frame if has_stereo else replace(frame, right=None)
         result = self._stages.step(self._stages.detected(shown), known)
         is_usable = frame is recorded and (finding is None or finding.has_stereo)
         if self._stepwise is not None and self._stepwise.is_active and is_usable:
-            unaligned = frame  # the alignment is estimated without the correction of rows and shifts
+            # the alignment is estimated without the correction of rows and shifts
+            unaligned = frame
             if self.calibration.rectifier is not self._unaligned.rectifier:
                 unaligned = self._unaligned.frame_of(images, index, time_s)
             self._pending = self._thread.submit(self._stepwise.add, unaligned, frame)
         return result
 
     def _checked(self, monitor: PairMonitor, *, is_first: bool) -> bool:
-        """Whether the checked frame has stereo: not before the first pairs are explained, and not if they are repaired.
+        """Whether the checked frame has stereo: not before the first pairs are explained, and not
+        if they are repaired.
 
         With a given alignment, the first pair decides until the pairs are explained.
         """
@@ -433,7 +537,9 @@ class _Opened:
             self._pending = None
             self._stepwise.restart(finding.prior)
             if self._stepwise.current is not None:
-                self._unaligned = self.calibration = self._unaligned.with_alignment(self._stepwise.current)
+                self._unaligned = self.calibration = self._unaligned.with_alignment(
+                    self._stepwise.current
+                )
         return self._has_stereo and not is_repaired
 
     def _apply(self) -> None:

@@ -30,15 +30,26 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
 
         def advance(status: str = "") -> None:
             n = int(progress.tasks[0].completed) + 1
-            progress.update(task, completed=n, fps=n / max(time.perf_counter() - start_s, 1e-9), status=status)
+            progress.update(
+                task, completed=n, fps=n / max(time.perf_counter() - start_s, 1e-9), status=status
+            )
 
         yield advance
 
 
 @contextmanager
 def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int | None], None]]:
-    """Progress bar that disappears at the end; yields a callable that takes the finished and total steps."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    """Progress bar that disappears at the end; yields a callable that takes the finished and total
+    steps.
+    """
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(
+        *columns, console=console, disable=not console.is_terminal, transient=True
+    ) as progress:
         task = progress.add_task(text, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)

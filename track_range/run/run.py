@@ -1,4 +1,5 @@
-"""Run: detection, tracking and ranging of one recording, frame by frame; `track-range run` is built on it.
+"""Run: detection, tracking and ranging of one recording, frame by frame; `track-range run` is built
+on it.
 
     open      recording, calibration, detector, tracker, methods, ground truth
     iterate   one FrameResult per frame; rows are collected, and written if there is an output folder
@@ -55,7 +56,8 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """One pass over one recording: iterate it once; afterwards it provides the rows and the summary.
+    """One pass over one recording: iterate it once; afterwards it provides the rows and the
+    summary.
 
     Example:
         >>> import track_range as tr
@@ -86,15 +88,18 @@ class Run:
 
         Args:
             settings: files are written if `out` is set.
-            detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
-            tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of the tracker in the
-            settings.
+            detector: an object with `detect(image) -> Detections`, instead of the model of the
+                settings.
+            tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of the
+                tracker in the settings.
             rig: models of the cameras, instead of a calibration file.
-            progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
+            progress: whether to show progress bars (also in a notebook), or the Rich console to
+                show them on.
             opened_detectors: detectors that are used again instead of being opened for this run.
 
         Raises:
-            ConfigError: both a detector and recorded detections are given, or a rig and a focal length.
+            ConfigError: both a detector and recorded detections are given, or a rig and a focal
+                length.
         """
         if rig is not None and settings.focal_px is not None:
             raise ConfigError("give rig or focal_px, not both.")
@@ -127,11 +132,12 @@ class Run:
 
         Args:
             left: recording of the left camera; a list of files if it consists of several.
-            right: recording of the right camera; None = `left` has the images of both, with `stereo_layout`, by
-                default "auto", or is a bag, with `topics=("/left", "/right")`.
-            options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
-                `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
-                `detect` and `update`, `rig` a `StereoRig`; `progress` shows progress bars.
+            right: recording of the right camera; None = `left` has the images of both, with
+                `stereo_layout`, by default "auto", or is a bag, with `topics=("/left", "/right")`.
+            options: options of `track-range run`, with underscores: `rig="rig.yaml"`,
+                `detector="yolov5n.onnx"`, `align="off"`, `sgbm=False`, `out="results"`. `detector`
+                and `tracker` may also be objects with `detect` and `update`, `rig` a `StereoRig`;
+                `progress` shows progress bars.
 
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another option.
@@ -143,7 +149,8 @@ class Run:
     def mono(cls, video: str | Path | Sequence[str | Path], **options: Unpack[RunKeywords]) -> Self:
         """A run on the video, image folder or stream of one camera; see `stereo` for the options.
 
-        A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"], focal_px=1150)`.
+        A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"],
+        focal_px=1150)`.
 
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another option.
@@ -157,7 +164,8 @@ class Run:
         progress = values.pop("progress", False)
         return cls(settings_from({**source, **values}), **objects, progress=progress)
 
-    # -- open -----------------------------------------------------------------------------------------------------
+    # -- open
+    # -----------------------------------------------------------------------------------------------------
 
     @KeywordsInErrors(RunSettings)
     def open(self) -> Self:
@@ -203,34 +211,50 @@ class Run:
     def __enter__(self) -> Self:
         return self.open()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
-    # -- iterate --------------------------------------------------------------------------------------------------
+    # -- iterate
+    # --------------------------------------------------------------------------------------------------
 
     def __iter__(self) -> Generator[FrameResult, None, None]:
-        """Results of the frames in order, once; leaving the loop early ends the run with the frames processed so far.
+        """Results of the frames in order, once; leaving the loop early ends the run with the frames
+        processed so far.
 
         Raises:
             RuntimeError: the run was iterated before, or is closed.
         """
         if self._frames is not None:
-            raise RuntimeError("expected a run that was not iterated yet; create a new run, or use its rows (to_arrow)")
+            raise RuntimeError(
+                "expected a run that was not iterated yet; create a new run, or use "
+                "its rows (to_arrow)"
+            )
         if self._is_closed:
             raise RuntimeError("expected an open run, but it was closed; create a new run")
         frames = self._processed()
-        self._frames = weakref.ref(frames)  # a weak reference: when the loop drops the generator, the run ends
+        # a weak reference: when the loop drops the generator, the run ends
+        self._frames = weakref.ref(frames)
         return frames
 
     def _processed(self) -> Generator[FrameResult, None, None]:
-        """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
+        """Results of all frames; a run that fails or is stopped after the first frame is finished
+        before the error.
+        """
         session = self.session
         with KeywordsInErrors(RunSettings):
             with closing(session.recording), self._output_of_folder() as output:
                 output.start(session)
                 start_s = time.perf_counter()
                 try:
-                    with session.results() as results, frame_progress(self._console, self.n_frames) as advance:
+                    with (
+                        session.results() as results,
+                        frame_progress(self._console, self.n_frames) as advance,
+                    ):
                         for result in results:
                             session.meter.add(result)
                             session.findings.add(result)
@@ -258,7 +282,8 @@ class Run:
 
     @KeywordsInErrors(RunSettings)
     def write(self, folder: str | Path) -> Path:
-        """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other files to `folder`.
+        """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other
+        files to `folder`.
 
         After an iteration all files except the videos are written, from the rows.
 
@@ -274,8 +299,8 @@ class Run:
             return folder
         if self._summary is None:
             raise RuntimeError(
-                "expected a run that is finished or not started: leave its loop or close() it first, or give out= to "
-                "write while iterating"
+                "expected a run that is finished or not started: leave its loop or close() it "
+                "first, or give out= to write while iterating"
             )
         if self._folder is not None and real_path(folder) == real_path(self._folder):
             return folder  # already written while iterating, including videos
@@ -283,12 +308,15 @@ class Run:
         with RunOutput(self.settings, folder) as output:
             output.start(session, has_videos=False)
             columns = rows.table.to_columns(is_rounded=False)
-            for result in frames_of_rows(columns, rows.frame_index, rows.methods, session.recording.videos[0].fps):
+            for result in frames_of_rows(
+                columns, rows.frame_index, rows.methods, session.recording.videos[0].fps
+            ):
                 output.write(result)
             self._finish(output)
         return folder
 
-    # -- results --------------------------------------------------------------------------------------------------
+    # -- results
+    # --------------------------------------------------------------------------------------------------
 
     @property
     def session(self) -> RunSession:
@@ -309,12 +337,16 @@ class Run:
 
     @property
     def alignment(self) -> PairAlignment | None:
-        """The alignment of a calibrated pair, which `Pipeline.stereo(align=...)` takes; None = other recordings."""
+        """The alignment of a calibrated pair, which `Pipeline.stereo(align=...)` takes; None =
+        other recordings.
+        """
         return self.session.recording.calibration.alignment
 
     @property
     def uncalibrated_video(self) -> str | None:
-        """Name of the one recorded video, if its focal length is not known exactly; None for other recordings."""
+        """Name of the one recorded video, if its focal length is not known exactly; None for other
+        recordings.
+        """
         shown, calibration = self.session.inputs.get("mono"), self.session.recording.calibration
         is_known = calibration.kind == "rig" and not calibration.focal_sigma
         is_live = self.session.recording.live is not None
@@ -332,14 +364,20 @@ class Run:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the summary is available: all frames were processed, or the run was stopped after some."""
+        """Whether the summary is available: all frames were processed, or the run was stopped after
+        some.
+        """
         return self._summary is not None
 
     def draw(self, result: FrameResult) -> Image:
-        """Overlay of a frame, (H, W, 3) uint8 BGR; to be called from one thread, in the order of the frames."""
+        """Overlay of a frame, (H, W, 3) uint8 BGR; to be called from one thread, in the order of
+        the frames.
+        """
         if self._overlay is None:
             session = self.session
-            self._overlay = overlay_picture(session.settings, session.recording, session.meter.captions)
+            self._overlay = overlay_picture(
+                session.settings, session.recording, session.meter.captions
+            )
         return self._overlay(result)
 
     @property
@@ -350,16 +388,22 @@ class Run:
             RuntimeError: the run is not finished.
         """
         if self._summary is None:
-            raise RuntimeError("expected a finished run: iterate it, close() it, or call write() before summary")
+            raise RuntimeError(
+                "expected a finished run: iterate it, close() it, or call write() before summary"
+            )
         return self._summary
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Events so far that have ended; of a finished run all events, in the order of their starts."""
+        """Events so far that have ended; of a finished run all events, in the order of their
+        starts.
+        """
         return self.session.rows.events
 
     def to_arrow(self) -> pa.Table:
-        """Rows so far, one per track and frame, with the columns of tracks.csv; null = not measured."""
+        """Rows so far, one per track and frame, with the columns of tracks.csv; null = not
+        measured.
+        """
         return self.session.rows.table.to_arrow()
 
     def to_pandas(self) -> pd.DataFrame:

@@ -1,4 +1,6 @@
-"""RunSession: opened inputs of a run, the rows and events of its finished frames, its notes and its summary."""
+"""RunSession: opened inputs of a run, the rows and events of its finished frames, its notes and its
+summary.
+"""
 
 from __future__ import annotations
 
@@ -74,18 +76,19 @@ _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 _NO_POSITIONS = "--keep-gps: the recording has no telemetry with positions that can be used."
 ANONYMIZED = (
-    "Anonymized: the heads of detected or tracked people and riders and the number plates of detected or tracked "
-    "vehicles are covered in all images of the results. Undetected heads and plates are not covered: check the videos "
-    "before you share them."
+    "Anonymized: the heads of detected or tracked people and riders and the number plates of "
+    "detected or tracked vehicles are covered in all images of the results. Undetected heads and "
+    "plates are not covered: check the videos before you share them."
 )
 
 
 class RunSession:
-    """Opened inputs of a run, and the results of its finished frames; an unusable input raises its error.
+    """Opened inputs of a run, and the results of its finished frames; an unusable input raises its
+    error.
 
-    `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name of each task of the
-    opening. `wall_s` are the seconds for opening the videos and processing all frames, without loading the network and
-    without the estimation of the alignment.
+    `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name
+    of each task of the opening. `wall_s` are the seconds for opening the videos and processing all
+    frames, without loading the network and without the estimation of the alignment.
     """
 
     def __init__(
@@ -105,8 +108,10 @@ class RunSession:
 
         self.settings = settings
         self.stopped_by: BaseException | None = None  # error that ended the run early
-        self.frame_notes: tuple[str, ...] = ()  # on the frame numbers of labels, known at the end of the run
-        shapes = load_curves(settings.curves, "europe")  # cars of one region show the focal length better than of any
+        # on the frame numbers of labels, known at the end of the run
+        self.frame_notes: tuple[str, ...] = ()
+        # cars of one region show the focal length better than of any
+        shapes = load_curves(settings.curves, "europe")
         start_s = time.perf_counter()
         self.recording = open_input(settings, progress, rig)
         alignment = self.recording.calibration.alignment
@@ -119,7 +124,9 @@ class RunSession:
             else:  # an object may depend on the order of the frames, so that it cannot look ahead
                 models = partial(ready_model, console=console)
                 self.box_source = open_box_source(settings, self.recording, models, open_detector)
-            self.box_source = outside_regions(self.box_source, settings.ignore, self.recording.calibration)
+            self.box_source = outside_regions(
+                self.box_source, settings.ignore, self.recording.calibration
+            )
             if detector is None:
                 self._estimate_focal_length(shapes, progress)
             calibration, path = self.recording.calibration, settings.truth
@@ -148,12 +155,16 @@ class RunSession:
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
         self._paced: PacedFrames | None = None
         if settings.realtime and self.recording.live is None:
-            self._paced = PacedFrames(self.recording.frames, 1 / (self.recording.fps or settings.folder_fps))
+            self._paced = PacedFrames(
+                self.recording.frames, 1 / (self.recording.fps or settings.folder_fps)
+            )
         self.meter = FrameMeter(self.recording.live or self._paced, every=settings.every)
         self.findings = Findings()
 
     def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
-        """Estimate the unknown focal length of a recording that is not live from the boxes in its first seconds."""
+        """Estimate the unknown focal length of a recording that is not live from the boxes in its
+        first seconds.
+        """
         recording, settings, video = self.recording, self.settings, self.recording.videos[0].path
         guesses = recording.calibration.guesses
         if not guesses or recording.live is not None or isinstance(video, LiveAddress):
@@ -173,12 +184,16 @@ class RunSession:
 
     @contextmanager
     def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:
-        """Context with the results of all frames, anonymized if requested; its end stops the threads."""
+        """Context with the results of all frames, anonymized if requested; its end stops the
+        threads.
+        """
         frames, paced = self.recording.frames, self._paced
         is_live = self.recording.live is not None or paced is not None
         depths = LIVE_DEPTHS if is_live else None
         with ExitStack() as stack:
-            results = run_in_threads(self.pipeline, frames if paced is None else iter(paced), depths)
+            results = run_in_threads(
+                self.pipeline, frames if paced is None else iter(paced), depths
+            )
             stack.enter_context(closing(results))
             if paced is not None:
                 stack.callback(paced.stop)
@@ -193,7 +208,9 @@ class RunSession:
     @property
     def provenance(self) -> Provenance:
         """Origin of the results."""
-        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings), origins()))
+        return Provenance.of_inputs(
+            self.detected(), settings_hash(absolute_settings(self.settings), origins())
+        )
 
     def info(self, overlay: Path | None) -> RunInfo:
         """Properties of the run for result writers."""
@@ -276,7 +293,10 @@ class RunSession:
         is_asked = isinstance(error, RunStoppedError | GeneratorExit | KeyboardInterrupt)
         if is_asked or self.settings.anonymize:  # a cause may name folders
             return f"{stopped}."
-        return f"{stopped}: {error if isinstance(error, UserError) else f'{type(error).__name__}: {error}'}"
+        return (
+            f"{stopped}: "
+            f"{error if isinstance(error, UserError) else f'{type(error).__name__}: {error}'}"
+        )
 
     def _odometry_note(self, source: str) -> str:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
@@ -284,9 +304,15 @@ class RunSession:
         return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."
 
     def _without_paths(self, note: str) -> str:
-        """A note with the names of the input files instead of their paths, and without the home folder."""
+        """A note with the names of the input files instead of their paths, and without the home
+        folder.
+        """
         rig = self.recording.calibration.path
-        for path in [*input_files(self.settings), *([] if rig is None else [rig]), *self.speed.files]:
+        for path in [
+            *input_files(self.settings),
+            *([] if rig is None else [rig]),
+            *self.speed.files,
+        ]:
             for text in (os.path.realpath(path), str(path)):
                 note = note.replace(text, path.name) if os.sep in text else note
         return note.replace(str(Path.home()), "~")
@@ -302,14 +328,15 @@ class RunSession:
         labelled |= {} if self.truth is None else {"--truth": self.truth.frame}
         labelled = {option: frames for option, frames in labelled.items() if len(frames)}
         missed = [
-            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
-            f"{first} to {last}: check that the boxes belong to this video, and whether their frame numbers start at 0."
+            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the "
+            f"frames of the video, {first} to {last}: check that the boxes belong to this video, "
+            "and whether their frame numbers start at 0."
             for option, frames in labelled.items()
             if not np.isin(frames, processed).any()
         ]
         beyond = [
-            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; later boxes "
-            "are ignored."
+            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is "
+            f"{last}; later boxes are ignored."
             for option, frames in labelled.items()
             if is_whole and frames.min() <= last < frames.max()
         ]
@@ -321,14 +348,22 @@ class RunSession:
         return (*missed, *beyond, *shift)
 
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
-        """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""
+        """Content of summary.json, and the rows with the ground truth; `videos`: file names by
+        video ("overlay").
+        """
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
-        calibration, odometry = recording.calibration, pipeline.ego.odometry if pipeline.ego.speed is None else None
+        calibration, odometry = (
+            recording.calibration,
+            pipeline.ego.odometry if pipeline.ego.speed is None else None,
+        )
         rows.finish()
         columns, n_frames = rows.table.to_columns(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
         detect = None if self.box_source.prepare is None else self.box_source.detect
-        self.frame_notes = (*self._notes_on_frames(columns), *self.findings.notes(detect, recording.rig))
+        self.frame_notes = (
+            *self._notes_on_frames(columns),
+            *self.findings.notes(detect, recording.rig),
+        )
         self.frame_notes += still_boxes_note(columns, calibration)
         busy_s = {**pipeline.clock.busy_s, "read": recording.busy_s}
         summary = {
@@ -336,7 +371,9 @@ class RunSession:
             **frame_spans(np.array(rows.frame_index, np.int64), self.settings.every or 1),
             "starts_s": round(rows.starts_s, 6),
             "utc": None if recording.utc is None else recording.utc.summary(),
-            "ego_speed": self.speed.summary(np.array(rows.ego_mps), None if odometry is None else odometry.source),
+            "ego_speed": self.speed.summary(
+                np.array(rows.ego_mps), None if odometry is None else odometry.source
+            ),
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
             "stages_ms": stage_times_ms(busy_s, n_frames),
@@ -378,4 +415,7 @@ def _region_of(track: TelemetryTrack | None) -> Region:
     is_known = has_position(track.latitude_deg, track.longitude_deg)
     if not is_known.any():
         return "unknown"
-    return region_at(float(np.median(track.latitude_deg[is_known])), float(np.median(track.longitude_deg[is_known])))
+    return region_at(
+        float(np.median(track.latitude_deg[is_known])),
+        float(np.median(track.longitude_deg[is_known])),
+    )

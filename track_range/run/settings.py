@@ -1,6 +1,7 @@
 """RunSettings: all options of a run in one object, and the rules between them.
 
-The options of input, detection and tracking are in `run.options`; options of ranging and output are here.
+The options of input, detection and tracking are in `run.options`; options of ranging and output are
+here.
 """
 
 from __future__ import annotations
@@ -35,14 +36,17 @@ class RangingOptions(Options):
 
     curves: Annotated[
         Path | None,
-        _clip_option("Size curves of the mono method, written by `track-range fit` (default: the packaged curves)."),
+        _clip_option(
+            "Size curves of the mono method, written by `track-range fit` (default: the "
+            "packaged curves)."
+        ),
     ] = None
     region: Annotated[
         Region | None,
         _clip_option(
-            "Region of the recording, since sizes of vehicles, people and lanes differ between regions (default: from "
-            "GPS positions, which --ego-speed auto reads; else unknown, with larger sigmas for one camera). Size "
-            "curves in a file override the region."
+            "Region of the recording, since sizes of vehicles, people and lanes differ between "
+            "regions (default: from GPS positions, which --ego-speed auto reads; else unknown, "
+            "with larger sigmas for one camera). Size curves in a file override the region."
         ),
     ] = None
     sgbm: Annotated[
@@ -56,25 +60,31 @@ class RangingOptions(Options):
     sgbm_options: Annotated[
         dict[str, Any],
         option(
-            "Parameters of dense stereo that override the rig's parameters: fields of SgbmSettings.", is_file_only=True
+            "Parameters of dense stereo that override the rig's parameters: fields of "
+            "SgbmSettings.",
+            is_file_only=True,
         ),
     ] = Field(default_factory=dict)
     warning_options: Annotated[
         dict[str, Any],
         option(
-            "Thresholds of the collision warning that override the defaults: fields of WarningSettings.",
+            "Thresholds of the collision warning that override the defaults: fields of "
+            "WarningSettings.",
             is_file_only=True,
         ),
     ] = Field(default_factory=dict)
     event_options: Annotated[
         dict[str, Any],
-        option("Thresholds of the events that override the defaults: fields of EventSettings.", is_file_only=True),
+        option(
+            "Thresholds of the events that override the defaults: fields of EventSettings.",
+            is_file_only=True,
+        ),
     ] = Field(default_factory=dict)
     align: Annotated[
         str,
         _clip_option(
-            "Disparity correction: estimated from the drive (auto), none (off), or read from a file written by "
-            "`track-range align`.",
+            "Disparity correction: estimated from the drive (auto), none (off), or read from a "
+            "file written by `track-range align`.",
             words=("auto", "off"),
             metavar="FILE",
             is_file=True,
@@ -83,8 +93,8 @@ class RangingOptions(Options):
     lanes: Annotated[
         str,
         option(
-            "Detector of the lines of the ego lane, for distances by lane width: edge-based (classical), none (off), "
-            "or a lane network (ONNX).",
+            "Detector of the lines of the ego lane, for distances by lane width: edge-based "
+            "(classical), none (off), or a lane network (ONNX).",
             words=("classical", "off"),
             metavar="FILE",
             is_file=True,
@@ -93,7 +103,8 @@ class RangingOptions(Options):
     lane_width_m: Annotated[
         float | None,
         _clip_option(
-            "Width of the ego lane in metres (default: estimated from the drive, region and speed).",
+            "Width of the ego lane in metres (default: estimated from the drive, region and "
+            "speed).",
             metavar="M",
             ge=1.5,
             le=6.0,
@@ -117,7 +128,9 @@ class RangingOptions(Options):
 
             SgbmSettings.of(values)
         elif values:
-            chosen_numbers(WarningSettings if info.field_name == "warning_options" else EventSettings, values)
+            chosen_numbers(
+                WarningSettings if info.field_name == "warning_options" else EventSettings, values
+            )
         return values
 
     @property
@@ -139,26 +152,32 @@ class OutputOptions(Options):
     out: Annotated[
         Path | None,
         _file_option(
-            "Folder of the results (default: LEFT-track-range in the current folder).", metavar="DIR", is_shared=True
+            "Folder of the results (default: LEFT-track-range in the current folder).",
+            metavar="DIR",
+            is_shared=True,
         ),
     ] = None
     write: Annotated[
         tuple[str, ...],
         _file_option(
-            f"Formats of the result files: {', '.join(f'{name} ({text})' for name, text in FILES_OF_WRITERS.items())}, "
-            "or formats of installed packages.",
+            "Formats of the result files: "
+            f"{', '.join(f'{name} ({text})' for name, text in FILES_OF_WRITERS.items())}, or "
+            "formats of installed packages.",
             metavar="A,B,...",
         ),
     ] = DEFAULT_WRITERS
     anonymize: Annotated[
         bool,
         option(
-            "Irreversible blur of heads and number plates in all images of the results, and no folder names in the "
-            "results; undetected heads and plates are not blurred."
+            "Irreversible blur of heads and number plates in all images of the results, and no "
+            "folder names in the results; undetected heads and plates are not blurred."
         ),
     ] = False
     mcap_profile: Annotated[
-        str, _file_option("Message types of run.mcap: Foxglove's, or ROS 2's (CDR).", choices=PROFILES.keys)
+        str,
+        _file_option(
+            "Message types of run.mcap: Foxglove's, or ROS 2's (CDR).", choices=PROFILES.keys
+        ),
     ] = "foxglove"
     mcap_images: Annotated[
         bool, _file_option("Images in run.mcap, as JPEG.", flag="--mcap-images/--no-mcap-images")
@@ -174,20 +193,26 @@ class OutputOptions(Options):
     keep_gps: Annotated[
         bool,
         _file_option(
-            "Output of the recording's positions in telemetry.csv; without this option, results have no positions."
+            "Output of the recording's positions in telemetry.csv; without this option, results "
+            "have no positions."
         ),
     ] = False
-    overlay: Annotated[bool, _file_option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay")] = True
+    overlay: Annotated[
+        bool, _file_option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay")
+    ] = True
     clips: Annotated[
         bool,
         _file_option(
-            "Short video of each event in the folder clips, cut from overlay.mp4: from 3 s before its start to 2 s "
-            "after its end."
+            "Short video of each event in the folder clips, cut from overlay.mp4: from 3 s before "
+            "its start to 2 s after its end."
         ),
     ] = False
     disparity: Annotated[
         bool,
-        _file_option("Video of the disparities of dense stereo, disparity.mp4.", flag="--disparity/--no-disparity"),
+        _file_option(
+            "Video of the disparities of dense stereo, disparity.mp4.",
+            flag="--disparity/--no-disparity",
+        ),
     ] = False
     overlay_disparity: Annotated[
         bool,
@@ -220,13 +245,17 @@ class PipelineOptions(RangingOptions, TrackingOptions, DetectionOptions):
 
 
 class RunSettings(OutputOptions, PipelineOptions, InputOptions):
-    """All settings that determine the results of a run: options of `track-range run` and keys of settings.yaml."""
+    """All settings that determine the results of a run: options of `track-range run` and keys of
+    settings.yaml.
+    """
 
     @model_validator(mode="after")
     def _without_contradictions(self) -> Self:
         for is_broken, sentence in _CONTRADICTIONS:
             if is_broken(self):
-                raise ValueError(sentence.format(n=len(self.topics), topic=quoted("".join(self.topics[:1]))))
+                raise ValueError(
+                    sentence.format(n=len(self.topics), topic=quoted("".join(self.topics[:1])))
+                )
         return self
 
     @property
@@ -240,24 +269,41 @@ class RunSettings(OutputOptions, PipelineOptions, InputOptions):
         return self.stereo is not None and self.sgbm
 
 
-_CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (  # whether they do, and what to do instead
+# whether they do, and what to do instead
+_CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (
     (lambda run: len(run.videos) == 0, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-    (lambda run: None not in (run.stereo, run.mono), "give either --stereo LEFT RIGHT or --mono VIDEO"),
-    (lambda run: len(run.videos) == 1 and len(run.topics) > 1, "--topics: expected 1 topic, got {n}"),
     (
-        lambda run: len(run.videos) > 1 and len(run.topics) not in ((0, 1, 2) if run.has_both_in_one else (0, 2)),
+        lambda run: None not in (run.stereo, run.mono),
+        "give either --stereo LEFT RIGHT or --mono VIDEO",
+    ),
+    (
+        lambda run: len(run.videos) == 1 and len(run.topics) > 1,
+        "--topics: expected 1 topic, got {n}",
+    ),
+    (
+        lambda run: (
+            len(run.videos) > 1
+            and len(run.topics) not in ((0, 1, 2) if run.has_both_in_one else (0, 2))
+        ),
         "--topics: expected 2 topics, got {n}",
     ),
     (
         lambda run: run.stereo_layout is not None and not run.has_both_in_one,
-        "--stereo-layout needs --stereo with one recording of both cameras; omit the option, or the right video",
+        "--stereo-layout needs --stereo with one recording of both cameras; omit the option, or "
+        "the right video",
     ),
-    (lambda run: run.track is not None and run.mono is None, "--track needs --mono; give --stereo FILE for two tracks"),
+    (
+        lambda run: run.track is not None and run.mono is None,
+        "--track needs --mono; give --stereo FILE for two tracks",
+    ),
     (
         lambda run: len(run.topics) > 1 and len({*zip(run.videos, run.topics, strict=True)}) == 1,
         "--topics: expected the topics of two cameras, got {topic} twice",
     ),
-    (lambda run: None not in (run.detector, run.detections), "give --detector or --detections, not both"),
+    (
+        lambda run: None not in (run.detector, run.detections),
+        "give --detector or --detections, not both",
+    ),
     (lambda run: None not in (run.rig, run.focal_px), "give --rig or --focal-px, not both"),
     (
         lambda run: run.yaw_deg != 0 and run.mono is None,
@@ -273,16 +319,19 @@ _CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (  # wh
     ),
     (
         lambda run: run.overlay_disparity and not (run.has_dense_stereo and run.overlay),
-        "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and cannot be combined with "
-        "--no-sgbm or --no-overlay",
+        "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and "
+        "cannot be combined with --no-sgbm or --no-overlay",
     ),
     (
-        lambda run: run.overlay_recorded and (not run.overlay or run.overlay_disparity or run.anonymize),
-        "--overlay-recorded draws on the images as recorded: it cannot be combined with --no-overlay, "
-        "--overlay-disparity or --anonymize",
+        lambda run: (
+            run.overlay_recorded and (not run.overlay or run.overlay_disparity or run.anonymize)
+        ),
+        "--overlay-recorded draws on the images as recorded: it cannot be combined with "
+        "--no-overlay, --overlay-disparity or --anonymize",
     ),
     (
         lambda run: run.disparity and not run.has_dense_stereo,
-        "--disparity shows dense stereo: it requires --stereo, and cannot be combined with --no-sgbm",
+        "--disparity shows dense stereo: it requires --stereo, and cannot be combined with "
+        "--no-sgbm",
     ),
 )

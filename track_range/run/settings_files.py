@@ -1,6 +1,8 @@
-"""Settings of a run from the command line, `--settings FILE` and the defaults, in this order of precedence.
+"""Settings of a run from the command line, `--settings FILE` and the defaults, in this order of
+precedence.
 
-`settings.yaml` in the folder of a run contains all of them; `track-range --settings DIR/settings.yaml` repeats the run.
+`settings.yaml` in the folder of a run contains all of them; `track-range --settings
+DIR/settings.yaml` repeats the run.
 """
 
 from __future__ import annotations
@@ -32,14 +34,15 @@ if TYPE_CHECKING:
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
 _PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
-"""Settings that are, or may be, paths; settings that the run reads; and settings that are always paths."""
+"""Settings that are, or may be, paths; settings that the run reads; and settings that are always
+paths."""
 
 
 def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSettings:
     """Settings from options (None = not given), which override a settings.yaml.
 
-    Invalid or contradicting options raise UsageError, an unreadable file, an unknown key or an invalid value in it
-    ConfigError.
+    Invalid or contradicting options raise UsageError, an unreadable file, an unknown key or an
+    invalid value in it ConfigError.
     """
     base = read_settings(file) if file else {}
     given = {key: value for key, value in options.items() if value is not None}
@@ -56,29 +59,46 @@ def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSe
     return settings
 
 
-def options_and_objects(model: type[Options], options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are objects.
+def options_and_objects(
+    model: type[Options], options: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are
+    objects.
 
     ConfigError: one of the three is neither a text or path nor such an object.
     """
     objects = {}
     for name, member, expected in (
-        ("detector", "detect", "the name or file of a model, or an object with detect(image) -> Detections"),
-        ("tracker", "update", "a name, or an object with update(detections, time_s, image) -> Tracks"),
+        (
+            "detector",
+            "detect",
+            "the name or file of a model, or an object with detect(image) -> Detections",
+        ),
+        (
+            "tracker",
+            "update",
+            "a name, or an object with update(detections, time_s, image) -> Tracks",
+        ),
         ("rig", "right_from_left", "a calibration file or a StereoRig"),
     ):
         value = options.get(name)
         if hasattr(value, member) and not isinstance(value, type):
             objects[name] = value
         elif not isinstance(value, str | Path | None):
-            given = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+            given = (
+                f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+            )
             raise ConfigError(f"{name}: expected {expected}, found {given}.")
     keywords = model.keywords()
-    return {keywords.get(name, name): value for name, value in options.items() if name not in objects}, objects
+    return {
+        keywords.get(name, name): value for name, value in options.items() if name not in objects
+    }, objects
 
 
 def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
-    """Options of detection, tracking and ranging from values by field (None = not given); ConfigError if invalid."""
+    """Options of detection, tracking and ranging from values by field (None = not given);
+    ConfigError if invalid.
+    """
     try:
         return PipelineOptions.of(values)
     except UsageError as error:
@@ -86,7 +106,9 @@ def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
 
 
 def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:
-    """Check that the current folder has the inputs that an anonymized run's file names by `keys`, without folders."""
+    """Check that the current folder has the inputs that an anonymized run's file names by `keys`,
+    without folders.
+    """
     videos = [path for video in settings.videos for path in files_of(video)]
     for key in keys:
         files = videos if key in ("stereo", "mono") else []
@@ -95,15 +117,21 @@ def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None)
         missing = next((path for path in files if not path.exists()), None)
         if missing is not None:
             raise ConfigError(
-                f"{file}: the settings of an anonymized run name files without folders, and the current folder "
-                f"contains no {quoted(missing.name)}; give {RunSettings.flag(key)} again."
+                f"{file}: the settings of an anonymized run name files without folders, and the "
+                f"current folder contains no {quoted(missing.name)}; give {RunSettings.flag(key)} "
+                "again."
             )
 
 
 def _error_of(
-    error: ValidationError | UsageError, given: dict[str, Any], base: dict[str, Any], file: Path | None
+    error: ValidationError | UsageError,
+    given: dict[str, Any],
+    base: dict[str, Any],
+    file: Path | None,
 ) -> ConfigError:
-    """The error for invalid settings; it names the file if a value or a contradiction within the file is the cause."""
+    """The error for invalid settings; it names the file if a value or a contradiction within the
+    file is the cause.
+    """
     sentence = RunSettings.problem(error) if isinstance(error, ValidationError) else str(error)
     if file is None:
         return UsageError(sentence)
@@ -112,7 +140,9 @@ def _error_of(
             return UsageError(sentence)
         key, problem = first_problem(error)
         is_unknown = error.errors()[0]["type"] == "extra_forbidden"
-        return ConfigError(f"{file}: {sentence}" if is_unknown else f"{file}: 'run.{key}': {problem}.")
+        return ConfigError(
+            f"{file}: {sentence}" if is_unknown else f"{file}: 'run.{key}': {problem}."
+        )
     try:
         RunSettings(**base)
     except (ValidationError, UsageError):
@@ -121,10 +151,14 @@ def _error_of(
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """Values in a settings.yaml, which are not validated; ConfigError if it cannot be read, or is another file."""
+    """Values in a settings.yaml, which are not validated; ConfigError if it cannot be read, or is
+    another file.
+    """
     document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
-        raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
+        raise ConfigError(
+            f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'."
+        )
     run, methods = document.get("run"), document.get("methods")
     if isinstance(methods, dict) and methods:
         from track_range.ranging.registry import methods as registered
@@ -132,36 +166,50 @@ def read_settings(file: Path) -> dict[str, Any]:
         known = {method.name for method in registered()}
         for name in methods.keys() - known:
             raise ConfigError(
-                f"{file}: expected the ranging method {name!r} ({methods[name]}), but it is not registered; install "
-                "its package, register it before the run, or delete it from the section 'methods'."
+                f"{file}: expected the ranging method {name!r} ({methods[name]}), but it is not "
+                "registered; install its package, register it before the run, or delete it from "
+                "the section 'methods'."
             )
     if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
         raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")
     return run
 
 
-def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
-    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`.
+def save_settings(
+    settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None
+) -> None:
+    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs
+    under `found`.
 
     `methods` are the origins of the ranging methods that are not built in.
     """
     from track_range.ranging.registry import origins  # imports numpy, which --help does not need
 
     run, methods = absolute_settings(settings), origins()
-    head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run, methods)}
-    others = ({"methods": methods} if methods else {}) | ({} if detected is None else {"found": detected})
+    head = {
+        "track_range_settings": 1,
+        "schema_version": SCHEMA_VERSION,
+        "settings_hash": settings_hash(run, methods),
+    }
+    others = ({"methods": methods} if methods else {}) | (
+        {} if detected is None else {"found": detected}
+    )
     write_text(path, yaml_text({**head, "run": run, **others}))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
-    """Settings as in settings.yaml: plain values, with absolute paths; file names only if the run is anonymized."""
+    """Settings as in settings.yaml: plain values, with absolute paths; file names only if the run
+    is anonymized.
+    """
     run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     for key in _FILES & run.keys():
         if key in _PATHS or os.path.exists(run[key]):  # False for a name that is too long
             run[key] = os.path.realpath(run[key])
 
     def absolute(video: VideoName) -> str | list[str]:
-        return plain_name(video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path))
+        return plain_name(
+            video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path)
+        )
 
     if settings.stereo:
         run["stereo"] = [absolute(video) for video in settings.stereo]
@@ -171,7 +219,9 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
 
 
 def without_folders(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings or inputs with the names of files instead of their paths, which may contain the name of a person."""
+    """Settings or inputs with the names of files instead of their paths, which may contain the name
+    of a person.
+    """
     keys = _FILES | {"stereo", "mono", "left", "right"}
     if not str(run.get("ignore")).lower().endswith(MASK_SUFFIXES):
         keys -= {"ignore"}
@@ -198,7 +248,10 @@ def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]
     if has_times or settings.folder_fps != RunSettings.model_fields["folder_fps"].default:
         return ()
     rate = f"their times follow from {settings.folder_fps:g} frames per second"
-    return (f"The images have no times: {rate}, on which all speeds depend. Give the rate with --folder-fps.",)
+    return (
+        f"The images have no times: {rate}, on which all speeds depend. Give the rate with "
+        "--folder-fps.",
+    )
 
 
 def unused_options(settings: RunSettings) -> tuple[str, ...]:
@@ -207,10 +260,16 @@ def unused_options(settings: RunSettings) -> tuple[str, ...]:
     if settings.mono is not None and settings.align not in ("auto", "off"):
         notes.append("--align is not used with one camera.")
     if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
-        notes.append("--realtime has no effect on cameras and streams, which are read in real time already.")
-    optional = (name for name, field in DetectionOptions.model_fields.items() if field.default is None)
+        notes.append(
+            "--realtime has no effect on cameras and streams, which are read in real time already."
+        )
+    optional = (
+        name for name, field in DetectionOptions.model_fields.items() if field.default is None
+    )
     of_detector = [name for name in optional if name not in ("detector", "detections", "ignore")]
     given = [RunSettings.flag(name) for name in of_detector if getattr(settings, name) is not None]
     if settings.detections is not None and given:
-        notes.append(f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} not used with --detections.")
+        notes.append(
+            f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} not used with --detections."
+        )
     return tuple(notes)

@@ -1,4 +1,5 @@
-"""Writing of a simulated drive: videos of both cameras, rig, ground truth, ego speed and simulated detections.
+"""Writing of a simulated drive: videos of both cameras, rig, ground truth, ego speed and simulated
+detections.
 
 left.mp4, right.mp4     H.264, near lossless; or lossless PNGs in the folders left/ and right/; or both.mp4 or both/
 rig.yaml                the cameras
@@ -7,7 +8,8 @@ detections.txt          simulated detections in KITTI's format (`camera/playback
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
 masks/, mask_ids/                                   optional: visible heads and number plates (`write_masks`)
 
-With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without --fov-deg.
+With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without
+--fov-deg.
 
 Frame numbers count the frames of the left file: dropped frames have no number and no ground truth.
 """
@@ -32,7 +34,13 @@ from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.camera.playback import play_back
-from track_range.simulation.camera.tables import TRUTH_HEADER, contacts_text, ego_speed_text, kitti_text, truth_rows
+from track_range.simulation.camera.tables import (
+    TRUTH_HEADER,
+    contacts_text,
+    ego_speed_text,
+    kitti_text,
+    truth_rows,
+)
 from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.settings import DriveOptions
@@ -42,7 +50,8 @@ from track_range.simulation.world.truth import joined, visible_objects
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 
-N_THREADS = min(4, os.cpu_count() or 1)  # for rendering, and frames rendered ahead; images do not depend on it
+# for rendering, and frames rendered ahead; images do not depend on it
+N_THREADS = min(4, os.cpu_count() or 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +68,12 @@ class Drive:
     contacts: Path
 
     @classmethod
-    def in_folder(cls, folder: Path, *, is_lossless: bool = False, is_packed: bool = False) -> Drive:
-        """The paths of the files in a folder; `is_packed`: left and right are one video of both cameras."""
+    def in_folder(
+        cls, folder: Path, *, is_lossless: bool = False, is_packed: bool = False
+    ) -> Drive:
+        """The paths of the files in a folder; `is_packed`: left and right are one video of both
+        cameras.
+        """
         suffix = "" if is_lossless else ".mp4"
         return cls(
             left=folder / f"{'both' if is_packed else 'left'}{suffix}",
@@ -85,32 +98,42 @@ def write_drive(
     options: DriveOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Drive:
-    """Write a drive to `folder`, where files with the same names are replaced; the same seed gives the same drive.
+    """Write a drive to `folder`, where files with the same names are replaced; the same seed gives
+    the same drive.
 
-    `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` is for the scene, textures, sensor noise and simulated
-    detections. `rig`: a rectified pair, or identical, parallel cameras with wide lenses; None = KITTI's angle of view,
-    1240 x 376 px and 0.54 m. Odd image sizes grow by one, also in the rig file. `progress` is called after each frame
-    with the number of finished frames and the total. Raises ValueError: less than one frame, an unknown scenario, a rig
-    that is not rectified, or disparities or masks of a wide lens. Raises OutputError, VideoError: the folder or a file
-    in it cannot be written.
+    `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` is for the scene, textures, sensor
+    noise and simulated detections. `rig`: a rectified pair, or identical, parallel cameras with
+    wide lenses; None = KITTI's angle of view, 1240 x 376 px and 0.54 m. Odd image sizes grow by
+    one, also in the rig file. `progress` is called after each frame with the number of finished
+    frames and the total. Raises ValueError: less than one frame, an unknown scenario, a rig that is
+    not rectified, or disparities or masks of a wide lens. Raises OutputError, VideoError: the
+    folder or a file in it cannot be written.
     """
     options = options or DriveOptions()
     rig = drive_files.with_even_size(rig or kitti_like_rig())
     n_frames = round(seconds * fps)
     if n_frames < 1:
-        raise ValueError(f"seconds: expected at least one frame, got {seconds:g} s at {fps:g} frames/s")
+        raise ValueError(
+            f"seconds: expected at least one frame, got {seconds:g} s at {fps:g} frames/s"
+        )
     scene = make_scenario(scenario, seed=seed, seconds=seconds)
     if options.car_size != 1.0:
         scene = scene.with_car_sizes(options.car_size)
     scene = replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
     wide_lens = WideLens.of(rig) if rig.left.is_wide else None
     if wide_lens is not None and (options.disparity or options.masks):
-        raise ValueError("options: disparities and masks need a pinhole, but the rig has wide lenses")
+        raise ValueError(
+            "options: disparities and masks need a pinhole, but the rig has wide lenses"
+        )
     pinholes = rig if wide_lens is None else wide_lens.pinholes
     camera = pinholes.left
-    renderer = Renderer(scene, pinholes, noise_grey=options.noise_grey, faults=options, wide_lens=wide_lens)
+    renderer = Renderer(
+        scene, pinholes, noise_grey=options.noise_grey, faults=options, wide_lens=wide_lens
+    )
     make_folder(folder)
-    drive = Drive.in_folder(folder, is_lossless=options.lossless, is_packed=options.stereo_layout is not None)
+    drive = Drive.in_folder(
+        folder, is_lossless=options.lossless, is_packed=options.stereo_layout is not None
+    )
     save_rig(rig_in_file(rig, options), drive.rig)
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     left_times_s: list[float] = []
@@ -128,16 +151,24 @@ def write_drive(
             if left_image is not None:
                 image, inverse_depth, *part_labels = left_image.result()
                 left.write(image, time_s)
-                visible = visible_objects(scene, time_s, frame=len(rows), camera=camera, inverse_depth=inverse_depth)
+                visible = visible_objects(
+                    scene, time_s, frame=len(rows), camera=camera, inverse_depth=inverse_depth
+                )
                 left_times_s.append(time_s)
                 labels.append(visible.labels)
                 rows.append(truth_rows(renderer, time_s, visible))
                 if options.masks:
                     drive_files.write_masks(folder, len(rows) - 1, part_labels[0], scene)
                 if options.disparity:
-                    objects = drive_files.object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
+                    objects = drive_files.object_map(
+                        inverse_depth, pinholes, visible, scene.rotations(time_s)
+                    )
                     _write_kitti_2015(folder / "image_2", number, image)
-                    _write_kitti_2015(folder / "disp_occ_0", number, drive_files.disparity_map(inverse_depth, pinholes))
+                    _write_kitti_2015(
+                        folder / "disp_occ_0",
+                        number,
+                        drive_files.disparity_map(inverse_depth, pinholes),
+                    )
                     _write_kitti_2015(folder / "obj_map", number, objects)
             if right_image is not None:
                 image = right_image.result()
@@ -161,17 +192,22 @@ def write_drive(
 def _rendering(
     pool: ThreadPoolExecutor, renderer: Renderer, times_s: list[float], options: DriveOptions
 ) -> Iterator[tuple[int, Future[tuple[Any, ...]] | None, Future[Image] | None]]:
-    """Number of each frame with its left image, depth and labels, and its right image; None = dropped."""
+    """Number of each frame with its left image, depth and labels, and its right image; None =
+    dropped.
+    """
     seed = renderer.scene.seed
     kept_left, kept_right = (
-        set(kept_frames(options, len(times_s), seed, is_right=is_right)) for is_right in (False, True)
+        set(kept_frames(options, len(times_s), seed, is_right=is_right))
+        for is_right in (False, True)
     )
     render_left = renderer.render_with_labels if options.masks else renderer.render_with_depth
     waiting: deque[tuple[int, Future[tuple[Any, ...]] | None, Future[Image] | None]] = deque()
     for number, time_s in enumerate(times_s):
         left = pool.submit(render_left, time_s) if number in kept_left else None
         right_s = time_s + options.late_s
-        right = pool.submit(renderer.render, right_s, side="right") if number in kept_right else None
+        right = (
+            pool.submit(renderer.render, right_s, side="right") if number in kept_right else None
+        )
         waiting.append((number, left, right))
         if len(waiting) > N_THREADS:
             yield waiting.popleft()

@@ -26,30 +26,58 @@ class Faults(Options):
 
     gain: Annotated[
         float,
-        _fault("Brightness of the right camera relative to the left one, as a factor.", "--gain", "FACTOR", 0.1, 4),
+        _fault(
+            "Brightness of the right camera relative to the left one, as a factor.",
+            "--gain",
+            "FACTOR",
+            0.1,
+            4,
+        ),
     ] = 1.0
     blur_px: Annotated[
-        float, _fault("Standard deviation in pixels of the blur of both cameras.", "--blur", "PX", 0, 20)
+        float,
+        _fault("Standard deviation in pixels of the blur of both cameras.", "--blur", "PX", 0, 20),
     ] = 0.0
     rain: Annotated[float, _fault("Density of rain, from 0 to 1.", "--rain", "0..1", 0, 1)] = 0.0
     row_offset_px: Annotated[
         float,
-        _fault("Vertical offset of the right image in pixels, positive downwards.", "--row-offset", "PX", -20, 20),
+        _fault(
+            "Vertical offset of the right image in pixels, positive downwards.",
+            "--row-offset",
+            "PX",
+            -20,
+            20,
+        ),
     ] = 0.0
     disparity_offset_px: Annotated[
-        float, _fault("Constant error of all disparities in pixels.", "--disparity-offset", "PX", -20, 20)
+        float,
+        _fault("Constant error of all disparities in pixels.", "--disparity-offset", "PX", -20, 20),
     ] = 0.0
     drop_fraction: Annotated[
-        float, _fault("Fraction of frames dropped by each camera, from 0 to 0.9.", "--drop-frames", "FRACTION", 0, 0.9)
+        float,
+        _fault(
+            "Fraction of frames dropped by each camera, from 0 to 0.9.",
+            "--drop-frames",
+            "FRACTION",
+            0,
+            0.9,
+        ),
     ] = 0.0
     late_s: Annotated[
-        float, _fault("Delay of the right camera in seconds, which its timestamps do not show.", "--late", "S", -1, 1)
+        float,
+        _fault(
+            "Delay of the right camera in seconds, which its timestamps do not show.",
+            "--late",
+            "S",
+            -1,
+            1,
+        ),
     ] = 0.0
     wrong_rig: Annotated[
         Literal["baseline", "focal", "principal"] | None,
         option(
-            "Error in rig.yaml: baseline (5 % too long), focal (focal length 4 % too long) or principal (principal "
-            "point 15 px off).",
+            "Error in rig.yaml: baseline (5 % too long), focal (focal length 4 % too long) or "
+            "principal (principal point 15 px off).",
             metavar="NAME",
             panel=_FAULTS,
         ),
@@ -61,7 +89,14 @@ NO_FAULTS = Faults()
 
 class _Recording(Options):
     car_size: Annotated[
-        float, option("Size of all cars relative to the usual size.", metavar="FACTOR", panel=_DRIVE, ge=0.5, le=2)
+        float,
+        option(
+            "Size of all cars relative to the usual size.",
+            metavar="FACTOR",
+            panel=_DRIVE,
+            ge=0.5,
+            le=2,
+        ),
     ] = 1.0
     camera_pitch_deg: Annotated[
         float,
@@ -75,29 +110,41 @@ class _Recording(Options):
         ),
     ] = 0.0
     lossless: Annotated[
-        bool, option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT)
+        bool,
+        option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT),
     ] = False
     stereo_layout: Annotated[
         PackedLayout | None,
-        option("Video both.mp4 of both cameras in this layout, instead of left.mp4 and right.mp4.", panel=_OUTPUT),
+        option(
+            "Video both.mp4 of both cameras in this layout, instead of left.mp4 and right.mp4.",
+            panel=_OUTPUT,
+        ),
     ] = None
     disparity: Annotated[
         bool,
         option(
-            "Additional output of true disparities in KITTI 2015's layout (image_2/, image_3/, disp_occ_0/, obj_map/).",
+            "Additional output of true disparities in KITTI 2015's layout (image_2/, image_3/, "
+            "disp_occ_0/, obj_map/).",
             panel=_OUTPUT,
         ),
     ] = False
     masks: Annotated[
         bool,
         option(
-            "Additional output of the visible heads and number plates in the left images, as PNG images (masks/, "
-            "mask_ids/).",
+            "Additional output of the visible heads and number plates in the left images, as PNG "
+            "images (masks/, mask_ids/).",
             panel=_OUTPUT,
         ),
     ] = False
     noise_grey: Annotated[
-        float, _fault("Standard deviation of the sensor noise in grey levels of 255.", "--noise", "LEVELS", 0, 40)
+        float,
+        _fault(
+            "Standard deviation of the sensor noise in grey levels of 255.",
+            "--noise",
+            "LEVELS",
+            0,
+            40,
+        ),
     ] = 2.0
 
 
@@ -110,31 +157,39 @@ class _Input(Options):
     images: Annotated[
         int | None,
         option(
-            "Number of labelled training images to render instead of a drive: images/, labels/, data.yaml.",
+            "Number of labelled training images to render instead of a drive: images/, labels/, "
+            "data.yaml.",
             metavar="N",
             panel=_OUTPUT,
             ge=1,
             le=1_000_000,
         ),
     ] = None
-    frames: Annotated[int, option("Number of images of each scene, with --images.", panel=_OUTPUT, ge=1, le=1000)] = 6
+    frames: Annotated[
+        int, option("Number of images of each scene, with --images.", panel=_OUTPUT, ge=1, le=1000)
+    ] = 6
     scenario: Annotated[
         str | None,
         option(
-            f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city; with --images: roads with traffic and few people).",
+            f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city; with --images: roads with "
+            "traffic and few people).",
             metavar="NAME",
             panel=_DRIVE,
             choices=lambda: SCENARIO_NAMES,
         ),
     ] = None
     seconds: Annotated[
-        float | None, option("Length of the drive in seconds (default: 10).", metavar="S", panel=_DRIVE)
+        float | None,
+        option("Length of the drive in seconds (default: 10).", metavar="S", panel=_DRIVE),
     ] = None
-    fps: Annotated[float | None, option("Frame rate (default: 10).", metavar="FPS", panel=_DRIVE, ge=1, le=120)] = None
+    fps: Annotated[
+        float | None, option("Frame rate (default: 10).", metavar="FPS", panel=_DRIVE, ge=1, le=120)
+    ] = None
     seed: Annotated[
         int | None,
         option(
-            "Random seed for the drive (default: 0), or with --images the number of the first scene (default: 1000).",
+            "Random seed for the drive (default: 0), or with --images the number of the first "
+            "scene (default: 1000).",
             panel=_DRIVE,
             ge=0,
             le=2**31,
@@ -143,8 +198,8 @@ class _Input(Options):
     rig: Annotated[
         Path | None,
         option(
-            "Calibration file of the pair to simulate, rectified or with equal, parallel wide lenses (default: KITTI's "
-            "angle of view, 1240 x 376 pixels).",
+            "Calibration file of the pair to simulate, rectified or with equal, parallel wide "
+            "lenses (default: KITTI's angle of view, 1240 x 376 pixels).",
             panel=_DRIVE,
         ),
     ] = None
@@ -155,5 +210,9 @@ class SimulationSettings(DriveOptions, _Input):
 
     @property
     def has_drive_options(self) -> bool:
-        """Whether an option is given that applies only to drives, even if its value is the default."""
-        return not self.model_fields_set.isdisjoint((*DriveOptions.model_fields, "seconds", "fps", "rig"))
+        """Whether an option is given that applies only to drives, even if its value is the
+        default.
+        """
+        return not self.model_fields_set.isdisjoint(
+            (*DriveOptions.model_fields, "seconds", "fps", "rig")
+        )

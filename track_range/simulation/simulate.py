@@ -1,4 +1,6 @@
-"""Simulation of a stereo drive with exact ground truth, or of labelled images for training a detector."""
+"""Simulation of a stereo drive with exact ground truth, or of labelled images for training a
+detector.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +13,13 @@ from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.output_files import OutputError, locked_output, make_folder, write_bytes, write_text
+from track_range.foundation.files.output_files import (
+    OutputError,
+    locked_output,
+    make_folder,
+    write_bytes,
+    write_text,
+)
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.simulation.camera.drive_files import with_even_size
@@ -48,13 +56,16 @@ class Simulated:
 def simulate(settings: SimulationSettings, progress: StepProgress = no_progress) -> Simulated:
     """Write a drive with exact ground truth, or labelled images, to `settings.out`.
 
-    Raises UsageError for settings that contradict each other or are out of range, RigError for an unusable rig,
-    OutputError, VideoError or FolderLockError for a folder that cannot be written, or that another run is writing to.
+    Raises UsageError for settings that contradict each other or are out of range, RigError for an
+    unusable rig, OutputError, VideoError or FolderLockError for a folder that cannot be written, or
+    that another run is writing to.
     """
     if settings.images is None:
         return _drive(settings, progress)
     if settings.has_drive_options:
-        raise UsageError("--images: options of a drive do not apply to training images; remove them.")
+        raise UsageError(
+            "--images: options of a drive do not apply to training images; remove them."
+        )
     n_frames = min(settings.frames, settings.images)
     n_scenes = -(-settings.images // n_frames)
     seed = FIRST_IMAGE_SCENE if settings.seed is None else settings.seed
@@ -69,12 +80,20 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
     seconds = DEFAULT_SECONDS if settings.seconds is None else settings.seconds
     fps = settings.fps or DEFAULT_FPS
     if not 1 / fps <= seconds <= LONGEST_S:
-        raise UsageError(f"--seconds {seconds:g}: expected {1 / fps:g} s (one frame) to {LONGEST_S:g} s.")
+        raise UsageError(
+            f"--seconds {seconds:g}: expected {1 / fps:g} s (one frame) to {LONGEST_S:g} s."
+        )
     rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
     if rig is not None and rig.left.is_wide and (settings.disparity or settings.masks):
-        raise UsageError("--disparity, --masks: expected a rig of pinholes, found a wide lens; omit these options.")
+        raise UsageError(
+            "--disparity, --masks: expected a rig of pinholes, found a wide lens; "
+            "omit these options."
+        )
     if settings.stereo_layout is not None and settings.drop_fraction:
-        raise UsageError("--drop-frames: two cameras drop different frames; omit --drop-frames or --stereo-layout.")
+        raise UsageError(
+            "--drop-frames: two cameras drop different frames; omit --drop-frames or "
+            "--stereo-layout."
+        )
     with locked_output(settings.out), progress("rendering") as advance:
         drive = write_drive(
             settings.out,
@@ -97,32 +116,45 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
         raise RigError(f"{path}: expected two cameras, got one.")
     if rig.left.width_px == 0:
         width_px, height_px = KITTI_SIZE_PX
-        notes.append(f"Note: {path} contains no image size; KITTI's {width_px} x {height_px} px is used.")
-        left, right = (replace(camera, width_px=width_px, height_px=height_px) for camera in (rig.left, rig.right))
+        notes.append(
+            f"Note: {path} contains no image size; KITTI's {width_px} x {height_px} px is used."
+        )
+        left, right = (
+            replace(camera, width_px=width_px, height_px=height_px)
+            for camera in (rig.left, rig.right)
+        )
         rig = StereoRig(left, right, rig.right_from_left)
     if rig.left.is_wide:
         parallel = StereoRig.rectified(rig.left, rig.baseline_m)
-        if rig.left != rig.right or not np.allclose(rig.right_from_left, parallel.right_from_left, atol=1e-5):
+        if rig.left != rig.right or not np.allclose(
+            rig.right_from_left, parallel.right_from_left, atol=1e-5
+        ):
             raise RigError(
-                f"{path}: simulating wide lenses requires two identical, parallel cameras side by side, found other "
-                "cameras; copy 'left' to 'right' and use the identity as rotation."
+                f"{path}: simulating wide lenses requires two identical, parallel cameras side by "
+                "side, found other cameras; copy 'left' to 'right' and use the identity as "
+                "rotation."
             )
         return with_even_size(parallel), tuple(notes)
     if not _is_nearly_rectified(rig):
         raise RigError(
-            f"{path}: expected a rectified pair (KITTI's calib.txt, or identical, parallel cameras without "
-            "distortion); give the rig of the rectified images."
+            f"{path}: expected a rectified pair (KITTI's calib.txt, or identical, parallel cameras "
+            "without distortion); give the rig of the rectified images."
         )
     rig = StereoRig.rectified(rig.left.without_distortion(), rig.baseline_m)
     even = with_even_size(rig)
     if even.left != rig.left:
         old, new = (f"{camera.width_px} x {camera.height_px}" for camera in (rig.left, even.left))
-        notes.append(f"Note: images of {new} px are rendered; videos need even sizes, and {path.name} has {old} px.")
+        notes.append(
+            f"Note: images of {new} px are rendered; videos need even sizes, and "
+            f"{path.name} has {old} px."
+        )
     return even, tuple(notes)
 
 
 def _is_nearly_rectified(rig: StereoRig) -> bool:
-    """Whether a rig differs from a rectified rig by less than 0.1 px and 1 cm, as KITTI's rigs do."""
+    """Whether a rig differs from a rectified rig by less than 0.1 px and 1 cm, as KITTI's rigs
+    do.
+    """
     if rig.left.is_distorted or rig.right.is_distorted or rig.baseline_m <= 0:
         return False
     same_cameras = np.allclose(rig.left.matrix, rig.right.matrix, atol=0.1)
@@ -138,19 +170,23 @@ def write_image_set(
     make: Callable[[int, float], Scene] = make_scene,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write `n_frames` images of each scene into `folder`; returns data.yaml, which lists all images for training.
+    """Write `n_frames` images of each scene into `folder`; returns data.yaml, which lists all
+    images for training.
 
     Objects that are less than half visible are written to `ignored` (see `labels_pseudo` in
     detection/training/data/data_yaml.py): whether a detector finds them has no effect on its loss.
 
-    `folder` gets images/, labels/, ignored/ and data.yaml. The same `seeds` give the same images; `make` creates a
-    scene from its seed and length in seconds. `progress` is called after each image with the number of finished images
-    and the total. OutputError if the folder cannot be written, or contains images or a data.yaml.
+    `folder` gets images/, labels/, ignored/ and data.yaml. The same `seeds` give the same images;
+    `make` creates a scene from its seed and length in seconds. `progress` is called after each
+    image with the number of finished images and the total. OutputError if the folder cannot be
+    written, or contains images or a data.yaml.
     """
     for name in ("images", "labels", "ignored"):
         make_folder(folder / name)
     if (folder / "data.yaml").exists() or any((folder / "images").iterdir()):
-        raise OutputError(f"{folder}: the folder already contains a data set; choose another folder.")
+        raise OutputError(
+            f"{folder}: the folder already contains a data set; choose another folder."
+        )
     rig = kitti_like_rig()
     times_s = (np.arange(n_frames) * SECONDS / n_frames).tolist()
     n_written = 0
@@ -158,7 +194,12 @@ def write_image_set(
         scene = make(seed, SECONDS)
         renderer, truth = Renderer(scene, rig), label_scene(scene, times_s, camera=rig.left)
         for frame, time_s in enumerate(times_s):
-            _write(folder, f"{seed:06}_{frame:02}", renderer.render(time_s), truth.select(truth.frame == frame))
+            _write(
+                folder,
+                f"{seed:06}_{frame:02}",
+                renderer.render(time_s),
+                truth.select(truth.frame == frame),
+            )
             n_written += 1
             if progress is not None:
                 progress(n_written, len(seeds) * n_frames)
@@ -176,13 +217,22 @@ def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
     write_bytes(folder / "images" / f"{name}.jpg", encoded.tobytes())
     boxes = np.clip(truth.xyxy_px + 0.5, 0, [width, height, width, height])
     sizes = boxes[:, 2:] - boxes[:, :2]
-    ignored = (truth.occluded >= _HIDDEN) | (scale * sizes.min(axis=1, initial=np.inf) < MIN_SIDE_PX)
+    ignored = (truth.occluded >= _HIDDEN) | (
+        scale * sizes.min(axis=1, initial=np.inf) < MIN_SIDE_PX
+    )
     names = [road_class_of(kitti_type) for kitti_type in truth.kitti_type]
-    fractions = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [width, height, width, height]
+    fractions = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [
+        width,
+        height,
+        width,
+        height,
+    ]
     labels, pseudo_labels = [], []
     for road_class, row, is_ignored in zip(names, fractions, ignored, strict=True):
         if road_class is not None and row[2:].min() > 0:
-            line = " ".join([str(ROAD_CLASSES.index(road_class)), *(f"{fraction:.6f}" for fraction in row)])
+            line = " ".join(
+                [str(ROAD_CLASSES.index(road_class)), *(f"{fraction:.6f}" for fraction in row)]
+            )
             if is_ignored:
                 pseudo_labels.append(f"{line} {_IGNORED_SCORE}\n")
             else:

@@ -1,1 +1,3 @@
-"""Views of results: overlay, event clips, report, live view, anonymization, and the writer of videos."""
+"""Views of results: overlay, event clips, report, live view, anonymization, and the writer of
+videos.
+"""

@@ -4,9 +4,10 @@
     clip              |-----------------------|
                       recoded  copied
 
-A clip starts `BEFORE_S` before its event and ends `AFTER_S` after it. Players can only start at a keyframe, so the
-frames before the first keyframe of the clip, at most one second, are encoded again with the overlay's settings; all
-others are copied. If the encoder of another version gives other parameter sets, the whole clip is encoded again.
+A clip starts `BEFORE_S` before its event and ends `AFTER_S` after it. Players can only start at a
+keyframe, so the frames before the first keyframe of the clip, at most one second, are encoded again
+with the overlay's settings; all others are copied. If the encoder of another version gives other
+parameter sets, the whole clip is encoded again.
 """
 
 from __future__ import annotations
@@ -32,21 +33,26 @@ from track_range.results.events.event import Event, clip_name, is_clip_name
 from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.video_writer import VideoWriter
 
-BEFORE_S, AFTER_S = 3.0, 2.0  # time before the start and after the end of an event that its clip shows, s
+# time before the start and after the end of an event that its clip shows, s
+BEFORE_S, AFTER_S = 3.0, 2.0
 _TIME_TOLERANCE_S = 1e-3  # of the time of a frame
 MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 
-def write_clips(overlay: Path, events: Sequence[Event], folder: Path, *, starts_s: float) -> tuple[Path, ...]:
+def write_clips(
+    overlay: Path, events: Sequence[Event], folder: Path, *, starts_s: float
+) -> tuple[Path, ...]:
     """Write a clip of each event of which the overlay shows a frame, and return their paths.
 
-    Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read, OutputError if a clip
-    cannot be written. `events` are all events of the run, in the order of events.csv; `starts_s` is the time of the
-    overlay's first frame in seconds from the start of the video.
+    Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read,
+    OutputError if a clip cannot be written. `events` are all events of the run, in the order of
+    events.csv; `starts_s` is the time of the overlay's first frame in seconds from the start of the
+    video.
     """
     if not overlay.exists():
         raise VideoError(
-            f"{overlay}: no such file; clips are cut from the overlay, so repeat the run without --no-overlay."
+            f"{overlay}: no such file; clips are cut from the overlay, so repeat the run without "
+            "--no-overlay."
         )
     check_regular(overlay, VideoError, "the overlay of a run")
     remove_clips(folder)
@@ -63,7 +69,9 @@ def write_clips(overlay: Path, events: Sequence[Event], folder: Path, *, starts_
 
 
 def clip_interval_s(event: Event) -> tuple[float, float]:
-    """Start and end of an event's clip in seconds from the start of the video; the video may be shorter."""
+    """Start and end of an event's clip in seconds from the start of the video; the video may be
+    shorter.
+    """
     start_s, end_s = event.start_s - BEFORE_S, event.end_s + AFTER_S
     if end_s - start_s > MAX_CLIP_S:
         start_s = min(max(event.peak_s - 2 * MAX_CLIP_S / 3, start_s), end_s - MAX_CLIP_S)
@@ -72,24 +80,30 @@ def clip_interval_s(event: Event) -> tuple[float, float]:
 
 
 def remove_clips(folder: Path) -> None:
-    """Remove the clips of an earlier run, and their folder if it is then empty; OutputError if this fails."""
+    """Remove the clips of an earlier run, and their folder if it is then empty; OutputError if this
+    fails.
+    """
     try:
         for path in list(folder.iterdir()) if folder.is_dir() else ():
             if is_clip_name(path.name):
                 path.unlink(missing_ok=True)
-            elif is_clip_name(path.name[1:].rpartition(".")[0]):  # temporary folder of a run that was killed
+            # temporary folder of a run that was killed
+            elif is_clip_name(path.name[1:].rpartition(".")[0]):
                 shutil.rmtree(path, ignore_errors=True)
     except OSError as error:
-        raise OutputError(f"{folder}: clips of an earlier run cannot be removed ({describe(error)}).") from error
+        raise OutputError(
+            f"{folder}: clips of an earlier run cannot be removed ({describe(error)})."
+        ) from error
     with suppress(OSError):  # other files in it remain
         folder.rmdir()
 
 
 def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
-    """Write the frames of a `VideoWriter`'s video between two times, relative to its first frame, atomically.
+    """Write the frames of a `VideoWriter`'s video between two times, relative to its first frame,
+    atomically.
 
-    False if there are none; then nothing is written. VideoError if the video cannot be read, OutputError if the clip
-    cannot be written.
+    False if there are none; then nothing is written. VideoError if the video cannot be read,
+    OutputError if the clip cannot be written.
     """
     with ExitStack() as opened:
         container, stream = opened.enter_context(_opened(video))
@@ -112,12 +126,16 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
                     packets = [*_packets(*encoded), *packets]
                 _mux(packets, folder / path.name)
         except (av.FFmpegError, OSError) as error:
-            raise OutputError(f"{path}: the clip cannot be written ({error.strerror or error}).") from error
+            raise OutputError(
+                f"{path}: the clip cannot be written ({error.strerror or error})."
+            ) from error
     return True
 
 
 def frame_at(video: Path, time_s: float) -> Image | None:
-    """The frame at a time of a `VideoWriter`'s video, from its first frame; None = the frame cannot be read."""
+    """The frame at a time of a `VideoWriter`'s video, from its first frame; None = the frame cannot
+    be read.
+    """
     with suppress(VideoError, av.FFmpegError), _opened(video) as (container, stream):
         tick = max(round((time_s - _TIME_TOLERANCE_S) / (stream.time_base or Fraction(1))), 0)
         container.seek(tick, stream=stream)
@@ -133,7 +151,9 @@ _Packet: TypeAlias = "av.Packet[VideoStream]"
 def _packets_between(
     container: InputContainer, stream: VideoStream, start_s: float, end_s: float
 ) -> tuple[list[_Packet], list[_Packet]]:
-    """Packets between two times: before the first keyframe, and from there on; valid while the video is open."""
+    """Packets between two times: before the first keyframe, and from there on; valid while the
+    video is open.
+    """
     ticks_per_s = 1 / (stream.time_base or Fraction(1))
     first_tick, last_tick = round(start_s * ticks_per_s), round(end_s * ticks_per_s)
     before: list[_Packet] = []
@@ -151,23 +171,33 @@ def _packets_between(
 
 def _packets(container: InputContainer, stream: VideoStream) -> Iterator[_Packet]:
     """Packets of a video, without the end marker and without a cut-off last packet."""
-    return (packet for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt)
+    return (
+        packet
+        for packet in container.demux(stream)
+        if packet.pts is not None and not packet.is_corrupt
+    )
 
 
-def _encode(container: InputContainer, stream: VideoStream, first_tick: int, n_frames: int, path: Path) -> None:
+def _encode(
+    container: InputContainer, stream: VideoStream, first_tick: int, n_frames: int, path: Path
+) -> None:
     """Write frames from a time on to a file, with the settings of the overlay."""
     codec = stream.codec_context
     fps = float(codec.framerate or stream.average_rate or 1)
     container.seek(first_tick, stream=stream)
     frames = (frame for frame in container.decode(stream) if (frame.pts or 0) >= first_tick)
-    with VideoWriter(path, width_px=codec.width, height_px=codec.height, fps=fps, quantizer=QUANTIZER) as writer:
+    with VideoWriter(
+        path, width_px=codec.width, height_px=codec.height, fps=fps, quantizer=QUANTIZER
+    ) as writer:
         for frame in islice(frames, n_frames):
             time_s = ((frame.pts or 0) - first_tick) * (frame.time_base or Fraction(1))
             writer.write(bgr_image(frame), float(time_s))
 
 
 def _mux(packets: Sequence[_Packet], path: Path) -> None:
-    """Write packets to an MP4 file whose index comes first, so that browsers play the clip while it loads."""
+    """Write packets to an MP4 file whose index comes first, so that browsers play the clip while it
+    loads.
+    """
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream_from_template(packets[0].stream)
         for packet in packets:
@@ -180,9 +210,12 @@ def _opened(video: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     try:
         with av.open(str(video)) as container:
             if not container.streams.video:
-                raise VideoError(f"{video}: expected the overlay of a run, found a file without video.")
+                raise VideoError(
+                    f"{video}: expected the overlay of a run, found a file without video."
+                )
             yield container, container.streams.video[0]
     except av.FFmpegError as error:
         raise VideoError(
-            f"{video}: expected the overlay of a run, found a file that cannot be read ({error.strerror or error})."
+            f"{video}: expected the overlay of a run, found a file that cannot be read "
+            f"({error.strerror or error})."
         ) from error

@@ -1,1 +1,3 @@
-"""Appearance of tracked objects: embeddings, the gallery of each track, and re-identification networks."""
+"""Appearance of tracked objects: embeddings, the gallery of each track, and re-identification
+networks.
+"""

@@ -4,8 +4,8 @@
 
     cos(a, b) = sum sqrt(a_i b_i)
 
-is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012). The
-embeddings of tracks are kept in `track_range.tracking.appearance.gallery`.
+is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012).
+The embeddings of tracks are kept in `track_range.tracking.appearance.gallery`.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,11 @@ MIN_SIDE_PX = 4.0  # minimum width and height of a box with an embedding
 MIN_FRACTION_INSIDE = 0.3  # minimum fraction of a box inside the image, for an embedding
 _FAR_PX = 1e6  # box edges are clipped here, so that areas stay finite
 _BOX_BLOCK = 64  # boxes embedded at once: their data stays in the processor's cache
-_N_LEVELS = 64  # levels in which values 0..255 are counted before they are distributed over soft bins
-_NEUTRAL = 8  # largest difference, in grey levels, between the colour channels of a grey image after video compression
+# levels in which values 0..255 are counted before they are distributed over soft bins
+_N_LEVELS = 64
+# largest difference, in grey levels, between the colour channels of a grey image after video
+# compression
+_NEUTRAL = 8
 _STEP_PX = 16  # distance between the pixels that decide whether an image is grey
 
 
@@ -45,26 +48,29 @@ class ColourLayoutSettings:
     n_bands: int = 6  # horizontal bands of the box, each with separate histograms; divides `n_rows`
     n_bins: int = 8  # soft bins per histogram
     chroma_span: float = 40.0  # largest distinguished distance of a* and b* from grey, CIELAB units
-    # spread_x, spread_y: standard deviations, in widths and heights of the box, of the Gaussian weight of a point about
-    # the box's centre: corners show background
+    # spread_x, spread_y: standard deviations, in widths and heights of the box, of the Gaussian
+    # weight of a point about the box's centre: corners show background
     spread_x: float = 0.4
     spread_y: float = 0.35
     max_cosine_distance: float = 0.08  # see `AppearanceModel`
 
     def __post_init__(self) -> None:
         if self.n_rows % self.n_bands:
-            raise ValueError(f"n_rows: expected a multiple of n_bands = {self.n_bands}, got {self.n_rows}")
+            raise ValueError(
+                f"n_rows: expected a multiple of n_bands = {self.n_bands}, got {self.n_rows}"
+            )
 
 
 class ColourLayout:
     """The built-in appearance model: lightness, a* and b* of CIELAB in bands from top to bottom.
 
-    In grey images only lightness is used: their a* and b* are equal everywhere and would make all boxes similar.
+    In grey images only lightness is used: their a* and b* are equal everywhere and would make all
+    boxes similar.
 
-    Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, with only three cars,
-    was not used for that, but `max_cosine_distance` was chosen on all drives. Single embeddings are compared, within a
-    class, at least half visible, with boxes jittered by 4 %. (OSNet x0.25 takes a hundred times as long and was tuned
-    on none of these drives.)
+    Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, with
+    only three cars, was not used for that, but `max_cosine_distance` was chosen on all drives.
+    Single embeddings are compared, within a class, at least half visible, with boxes jittered by 4
+    %. (OSNet x0.25 takes a hundred times as long and was tuned on none of these drives.)
 
         frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
         0005   area under the curve   1.000  0.995  0.967             0.981  0.985  0.967
@@ -72,8 +78,9 @@ class ColourLayout:
         drives area under the curve   0.989  0.975  0.981             0.991  0.976  0.962
                same object, 95 % below 0.059  0.103  0.100             0.236  0.367  0.379
 
-    At `max_cosine_distance`, with a track's gallery, 0 to 9 % of the same objects are rejected and 11 to 25 % of other
-    objects accepted. Dimming an image to 0.8 stays below it (0.075 for 95 of 100 boxes), dimming to 0.6 does not.
+    At `max_cosine_distance`, with a track's gallery, 0 to 9 % of the same objects are rejected and
+    11 to 25 % of other objects accepted. Dimming an image to 0.8 stays below it (0.075 for 95 of
+    100 boxes), dimming to 0.6 does not.
     """
 
     def __init__(self, settings: ColourLayoutSettings | None = None) -> None:
@@ -87,7 +94,9 @@ class ColourLayout:
         self._band = np.arange(settings.n_rows) * settings.n_bands // settings.n_rows
         level = (np.arange(_N_LEVELS) + 0.5) * (256 / _N_LEVELS) - 0.5
         chroma = (level - 128.0) / settings.chroma_span / 2 + 0.5
-        self._soft_bins = np.stack([_soft_bins(value, settings.n_bins) for value in (level / 255, chroma, chroma)])
+        self._soft_bins = np.stack(
+            [_soft_bins(value, settings.n_bins) for value in (level / 255, chroma, chroma)]
+        )
 
     @property
     def n_values(self) -> int:
@@ -95,7 +104,9 @@ class ColourLayout:
         return 3 * self._settings.n_bands * self._settings.n_bins
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """See `AppearanceModel.embed`; parts outside the image do not count. ValueError: the image is not (H, W, 3)."""
+        """See `AppearanceModel.embed`; parts outside the image do not count. ValueError: the image
+        is not (H, W, 3).
+        """
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         usable = np.flatnonzero(has_appearance(image, xyxy_px))
@@ -105,18 +116,26 @@ class ColourLayout:
         has_colour = bool(difference > _NEUTRAL)
         for start in range(0, len(usable), _BOX_BLOCK):
             rows = usable[start : start + _BOX_BLOCK]
-            embedding[rows] = self._embed(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), has_colour)
+            embedding[rows] = self._embed(
+                image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), has_colour
+            )
         return embedding
 
     def _embed(self, image: Image, xyxy_px: FloatArray, has_colour: bool) -> Descriptors:
         n, settings = len(xyxy_px), self._settings
         bgr, weight = self._sampled(image, xyxy_px)
-        lab = cv2.cvtColor(bgr.reshape(n * settings.n_rows, settings.n_columns, 3), cv2.COLOR_BGR2LAB)
+        lab = cv2.cvtColor(
+            bgr.reshape(n * settings.n_rows, settings.n_columns, 3), cv2.COLOR_BGR2LAB
+        )
         # One histogram of all boxes, indexed by channel, box, band and level.
         offset = (np.arange(n)[:, None] * settings.n_bands + self._band) * _N_LEVELS
         level = lab.reshape(n, settings.n_rows, settings.n_columns, 3) // (256 // _N_LEVELS)
         n_cells = n * settings.n_bands * _N_LEVELS
-        index = level.transpose(3, 0, 1, 2) + offset[:, :, None] + (np.arange(3) * n_cells)[:, None, None, None]
+        index = (
+            level.transpose(3, 0, 1, 2)
+            + offset[:, :, None]
+            + (np.arange(3) * n_cells)[:, None, None, None]
+        )
         weights = np.broadcast_to(weight, index.shape)
         counts = np.bincount(index.ravel(), weights.ravel(), minlength=3 * n_cells)
         histograms = counts.reshape(3, -1, _N_LEVELS) @ self._soft_bins
@@ -125,7 +144,9 @@ class ColourLayout:
         return unit_rows(np.sqrt(histograms).reshape(3, n, -1).transpose(1, 0, 2).reshape(n, -1))
 
     def _sampled(self, image: Image, xyxy_px: FloatArray) -> tuple[Image, FloatArray]:
-        """(N, rows, columns, 3) colours at the points of the grid, and their weights, 0 outside the image."""
+        """(N, rows, columns, 3) colours at the points of the grid, and their weights, 0 outside the
+        image.
+        """
         height, width = image.shape[:2]
         left, top, right, bottom = xyxy_px.T[:, :, None]
         x = np.rint(left + (right - left) * self._u).astype(np.int64)
@@ -136,6 +157,8 @@ class ColourLayout:
 
 
 def _soft_bins(value: FloatArray, n_bins: int) -> FloatArray:
-    """(L, bins) fraction of each value (L,), clipped to 0..1, in each bin, linear between the two nearest bins."""
+    """(L, bins) fraction of each value (L,), clipped to 0..1, in each bin, linear between the two
+    nearest bins.
+    """
     position = np.clip(value, 0.0, 1.0) * (n_bins - 1)
     return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_bins)), 0.0)

@@ -1,11 +1,13 @@
-"""Gallery: the appearance embeddings of each track, and their distances from the embeddings of boxes.
+"""Gallery: the appearance embeddings of each track, and their distances from the embeddings of
+boxes.
 
     distance = min over the track's embeddings of 1 - cos(track's embedding, box's embedding)      in [0, 2]
 
-as in DeepSORT (Wojke et al., 2017), with a running mean and the last few embeddings instead of the last hundred. On
-simulated drives, the mean and three embeddings (4 slots) separate road users as well as the last 20 embeddings, and
-better than the mean alone: equal-error rates of 4, 9, 7 % against 5, 9, 7 % and 10, 11, 8 % after 0.1, 0.6, 1.2 s.
-A row of zeros is an unknown appearance; its distance is inf.
+as in DeepSORT (Wojke et al., 2017), with a running mean and the last few embeddings instead of the
+last hundred. On simulated drives, the mean and three embeddings (4 slots) separate road users as
+well as the last 20 embeddings, and better than the mean alone: equal-error rates of 4, 9, 7 %
+against 5, 9, 7 % and 10, 11, 8 % after 0.1, 0.6, 1.2 s. A row of zeros is an unknown appearance;
+its distance is inf.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ import numpy.typing as npt
 from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-_SPARSE = 0.1  # fraction of pairs to compare below which single pairs are faster than a matrix product of all: a tenth
+# fraction of pairs to compare below which single pairs are faster than a matrix product of all: a
+# tenth
+_SPARSE = 0.1
 _PAIR_BLOCK = 256  # pairs compared at once: larger blocks do not fit into the processor's cache
 
 
@@ -26,16 +30,20 @@ def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
     """(N, D) rows scaled to length 1; rows that are zero or not finite become zeros."""
     finite = np.isfinite(embedding).all(axis=1, keepdims=True)
     rows = np.where(finite, embedding, 0.0).astype(np.float64)
-    rows /= np.maximum(np.abs(rows).max(axis=1, keepdims=True, initial=0.0), np.finfo(np.float64).tiny)
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 0.5), np.float32)
+    rows /= np.maximum(
+        np.abs(rows).max(axis=1, keepdims=True, initial=0.0), np.finfo(np.float64).tiny
+    )
+    return np.asarray(
+        rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 0.5), np.float32
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
     """Embeddings of N tracks, K each: a running mean and the most recent embeddings; immutable."""
 
-    # (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest first. Zeros = unknown;
-    # the first embedding of a track fills all slots; D = 0 = no embeddings.
+    # (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest
+    # first. Zeros = unknown; the first embedding of a track fills all slots; D = 0 = no embeddings.
     embedding: npt.NDArray[np.float32]
     mean_memory: float = 0.9  # weight of the old mean when an embedding is appended
 
@@ -65,7 +73,9 @@ class Gallery:
         """The tracks of both galleries, `other`'s last; ValueError if their shapes differ."""
         length = _common_length(self.embedding, other.embedding)
         return Gallery(
-            np.concatenate([_lengthened(self.embedding, length), _lengthened(other.embedding, length)]),
+            np.concatenate(
+                [_lengthened(self.embedding, length), _lengthened(other.embedding, length)]
+            ),
             self.mean_memory,
         )
 
@@ -75,24 +85,31 @@ class Gallery:
         return self.concatenate(Gallery(new, self.mean_memory))
 
     def append(self, rows: IntArray, embedding: Descriptors) -> Gallery:
-        """The gallery with one more embedding (M, D) for M different tracks, `rows`; zeros change nothing."""
+        """The gallery with one more embedding (M, D) for M different tracks, `rows`; zeros change
+        nothing.
+        """
         known = embedding.any(axis=1)
         if not known.any():
             return self
         rows, new = rows[known], embedding[known]
-        embedding = np.array(_lengthened(self.embedding, _common_length(self.embedding, new[:, None])))
+        embedding = np.array(
+            _lengthened(self.embedding, _common_length(self.embedding, new[:, None]))
+        )
         old = embedding[rows]
         mean = unit_rows(self.mean_memory * old[:, 0] + (1 - self.mean_memory) * new)
-        shifted = np.concatenate([mean[:, None], new[:, None], old[:, 1:-1]], axis=1)[:, : old.shape[1]]
+        shifted = np.concatenate([mean[:, None], new[:, None], old[:, 1:-1]], axis=1)[
+            :, : old.shape[1]
+        ]
         is_first: BoolArray = np.logical_not(old[:, :1].any(axis=2, keepdims=True))
         embedding[rows] = np.where(is_first, new[:, None], shifted)
         return Gallery(embedding, self.mean_memory)
 
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
-        """(N, M) minimum distance of each track's embeddings from each box's embedding; inf where one is missing.
+        """(N, M) minimum distance of each track's embeddings from each box's embedding; inf where
+        one is missing.
 
-        `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are compared; all other
-        distances are inf.
+        `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are
+        compared; all other distances are inf.
         """
         distance = np.full((len(self), len(embedding)), np.inf)
         if not distance.size or not self.embedding.shape[2] or not embedding.shape[1]:
@@ -119,10 +136,16 @@ def _common_length(a: Descriptors, b: Descriptors) -> int:
     """D of two (N, K, D) arrays; one array may have D = 0."""
     lengths = {a.shape[2], b.shape[2]} - {0}
     if len(lengths) > 1:
-        raise ValueError(f"expected embeddings of equal length, got {a.shape[2]} and {b.shape[2]} numbers")
+        raise ValueError(
+            f"expected embeddings of equal length, got {a.shape[2]} and {b.shape[2]} numbers"
+        )
     return max(lengths, default=0)
 
 
 def _lengthened(embedding: Descriptors, length: int) -> Descriptors:
     """(N, K, length) embeddings: zeros if D = 0."""
-    return embedding if embedding.shape[2] == length else np.zeros((*embedding.shape[:2], length), np.float32)
+    return (
+        embedding
+        if embedding.shape[2] == length
+        else np.zeros((*embedding.shape[:2], length), np.float32)
+    )

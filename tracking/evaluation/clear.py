@@ -3,9 +3,9 @@
     MOTA = 1 - (FP + FN + switches) / truth boxes        Bernardin and Stiefelhagen, 2008
     IDF1 = 2 IDTP / (truth boxes + result boxes)         Ristani et al., 2016
 
-A result box and a truth box can match if their IoU is at least 0.5. CLEAR continues the matches of the frame before
-where possible, and maximises the IoU otherwise; identity metrics map whole tracks to each other. Details follow
-TrackEval.
+A result box and a truth box can match if their IoU is at least 0.5. CLEAR continues the matches of
+the frame before where possible, and maximises the IoU otherwise; identity metrics map whole tracks
+to each other. Details follow TrackEval.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from track_range.tracking.evaluation.tracked_boxes import Similarity
 
 MIN_IOU = 0.5  # minimum IoU of a match
 _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
-_CONTINUITY_BONUS = 1000.0  # for a pair matched in the previous frame; exceeds any sum of IoUs of a frame
+# for a pair matched in the previous frame; exceeds any sum of IoUs of a frame
+_CONTINUITY_BONUS = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,8 @@ class ClearCounts:
     fp: int
     idsw: int  # identity switches
     frag: int  # fragmentations: how often a truth track is lost and matched again
-    mt: int  # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
+    # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
+    mt: int
     pt: int
     ml: int
     iou_sum: float  # sum of the IoU of the matches
@@ -82,7 +84,8 @@ def count_clear(similarity: Similarity) -> ClearCounts:
     iou_sum = 0.0
     for truth_ids, result_ids, iou in similarity.by_frame:
         if not len(truth_ids) or not len(result_ids):
-            continue  # tracks matched in the previous frame count as matched in this one, as in TrackEval
+            # tracks matched in the previous frame count as matched in this one, as in TrackEval
+            continue
         score = iou + _CONTINUITY_BONUS * (result_ids[None, :] == last_frame[truth_ids][:, None])
         score[iou < MIN_IOU - _EPSILON] = 0.0
         rows, columns = linear_sum_assignment(score, maximize=True)
@@ -117,7 +120,9 @@ def count_clear(similarity: Similarity) -> ClearCounts:
 
 
 def _identity_matches(similarity: Similarity) -> int:
-    """IDTP: the number of matched boxes under the best one-to-one mapping of truth to result identities."""
+    """IDTP: the number of matched boxes under the best one-to-one mapping of truth to result
+    identities.
+    """
     n_common = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
     for truth_ids, result_ids, iou in similarity.by_frame:
         n_common[np.ix_(truth_ids, result_ids)] += iou >= MIN_IOU

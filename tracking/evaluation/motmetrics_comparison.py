@@ -1,8 +1,8 @@
 """Scores of the package motmetrics for the same boxes, and why some differ from `evaluation.clear`.
 
-Both use the boxes that count under the benchmark's rules (`benchmark_rules`), and match at an IoU of at least 0.5.
-`clear` agrees with TrackEval, as published by KITTI and MOTChallenge; motmetrics follows Bernardin and Stiefelhagen,
-2008.
+Both use the boxes that count under the benchmark's rules (`benchmark_rules`), and match at an IoU
+of at least 0.5. `clear` agrees with TrackEval, as published by KITTI and MOTChallenge; motmetrics
+follows Bernardin and Stiefelhagen, 2008.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,8 @@ import numpy as np
 from track_range.tracking.evaluation.clear import MIN_IOU
 from track_range.tracking.evaluation.tracked_boxes import Similarity
 
-_METRICS: Mapping[str, str] = {  # motmetrics' names of the fields of `TrackingScores`, where it has them
+# motmetrics' names of the fields of `TrackingScores`, where it has them
+_METRICS: Mapping[str, str] = {
     "mota": "mota",
     "motp": "motp",
     "idf1": "idf1",
@@ -27,16 +28,17 @@ _METRICS: Mapping[str, str] = {  # motmetrics' names of the fields of `TrackingS
     "pt": "partially_tracked",
     "ml": "mostly_lost",
 }
-_RATIOS = ("mota", "motp", "idf1", "idp", "idr")  # in per cent in `TrackingScores`, fractions in motmetrics
+# in per cent in `TrackingScores`, fractions in motmetrics
+_RATIOS = ("mota", "motp", "idf1", "idp", "idr")
 
 _MATCHING = (
-    "different pairs are matched: motmetrics prefers the last match of each truth track, however old; "
-    "track-range prefers a match in the previous frame only, as TrackEval does"
+    "different pairs are matched: motmetrics prefers the last match of each truth track, however "
+    "old; track-range prefers a match in the previous frame only, as TrackEval does"
 )
 
 _EIGHTY_PER_CENT = (
-    "a truth track matched in exactly 80 % of its frames counts as mostly tracked in motmetrics only; different "
-    "pairs may be matched, see IDsw"
+    "a truth track matched in exactly 80 % of its frames counts as mostly tracked in motmetrics "
+    "only; different pairs may be matched, see IDsw"
 )
 REASONS: Mapping[str, str] = {  # why motmetrics' score may differ, by field of `TrackingScores`
     "mota": "a consequence of the differences in IDsw, FP and FN",
@@ -48,8 +50,9 @@ REASONS: Mapping[str, str] = {  # why motmetrics' score may differ, by field of 
     "fp": _MATCHING,
     "fn": _MATCHING,
     "frag": (
-        "only track-range counts a fragmentation if a track is matched again after frames without a truth box, and "
-        "only motmetrics if it is unmatched in frames without results; different pairs may be matched, see IDsw"
+        "only track-range counts a fragmentation if a track is matched again after frames without "
+        "a truth box, and only motmetrics if it is unmatched in frames without results; different "
+        "pairs may be matched, see IDsw"
     ),
     "mt": _EIGHTY_PER_CENT,
     "pt": _EIGHTY_PER_CENT,
@@ -59,7 +62,9 @@ REASONS: Mapping[str, str] = {  # why motmetrics' score may differ, by field of 
 
 @dataclass(frozen=True, slots=True)
 class MotmetricsFigures:
-    """motmetrics' scores by their names in `TrackingScores`: ratios in per cent, NaN where the denominator is 0."""
+    """motmetrics' scores by their names in `TrackingScores`: ratios in per cent, NaN where the
+    denominator is 0.
+    """
 
     combined: Mapping[str, float]  # scores of all sequences combined
     sequences: Mapping[str, Mapping[str, float]]  # scores of each sequence, by name
@@ -84,7 +89,10 @@ def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures
         generate_overall=True,
     )
     # The mean distance over all matches; motmetrics' own is NaN where one sequence has no match.
-    n_matches, mean_distance = table["num_detections"].to_numpy()[:-1], table["motp"].to_numpy()[:-1]
+    n_matches, mean_distance = (
+        table["num_detections"].to_numpy()[:-1],
+        table["motp"].to_numpy()[:-1],
+    )
     table.loc[table.index[-1], "motp"] = (
         np.nansum(n_matches * mean_distance) / n_matches.sum() if n_matches.any() else np.nan
     )
@@ -93,6 +101,9 @@ def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures
 
 
 def _figures(row: Mapping[str, float]) -> dict[str, float]:
-    figures = {name: float(row[metric]) * (100.0 if name in _RATIOS else 1.0) for name, metric in _METRICS.items()}
+    figures = {
+        name: float(row[metric]) * (100.0 if name in _RATIOS else 1.0)
+        for name, metric in _METRICS.items()
+    }
     figures["motp"] = 100.0 - figures["motp"]  # motmetrics gives the mean of 1 - IoU
     return figures

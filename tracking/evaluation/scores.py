@@ -1,7 +1,9 @@
-"""Scores of tracks: HOTA, CLEAR (MOTA, MOTP, switches) and identity metrics (IDF1), of one or several sequences.
+"""Scores of tracks: HOTA, CLEAR (MOTA, MOTP, switches) and identity metrics (IDF1), of one or
+several sequences.
 
-A result box and a truth box can match only if their classes are equal. HOTA is evaluated at IoU thresholds from 0.05 to
-0.95, the other metrics at 0.5 (`tracking.hota` and `tracking.clear`, which agree with TrackEval).
+A result box and a truth box can match only if their classes are equal. HOTA is evaluated at IoU
+thresholds from 0.05 to 0.95, the other metrics at 0.5 (`tracking.hota` and `tracking.clear`, which
+agree with TrackEval).
 """
 
 from __future__ import annotations
@@ -18,12 +20,15 @@ from track_range.tracking.evaluation.clear import MIN_IOU, ClearCounts, count_cl
 from track_range.tracking.evaluation.hota import HotaCounts, count_hota
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, Similarity, TrackedBoxes
 
-_MIN_FRACTION_IGNORED = 0.5  # of an unmatched result box inside an ignore region for which it is dropped
+# of an unmatched result box inside an ignore region for which it is dropped
+_MIN_FRACTION_IGNORED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingScores:
-    """Scores of one or more sequences: ratios in per cent (NaN where the denominator is 0), and counts."""
+    """Scores of one or more sequences: ratios in per cent (NaN where the denominator is 0), and
+    counts.
+    """
 
     hota: float  # higher-order tracking accuracy
     deta: float  # detection accuracy, a part of HOTA
@@ -38,7 +43,8 @@ class TrackingScores:
     fp: int  # unmatched result boxes
     fn: int  # unmatched truth boxes
     frag: int  # fragmentations: how often a truth track is lost and matched again
-    mt: int  # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
+    # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
+    mt: int
     pt: int
     ml: int
     n: int  # truth boxes
@@ -53,7 +59,9 @@ class TrackingCounts:
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> TrackingCounts:
-        """Counts of one sequence, after the benchmark's rules; ids of truth and results need not agree."""
+        """Counts of one sequence, after the benchmark's rules; ids of truth and results need not
+        agree.
+        """
         return cls.of_similarity(Similarity.of(truth, results))
 
     @classmethod
@@ -73,7 +81,9 @@ class TrackingCounts:
         """The scores that follow from the counts."""
         parts = {name: getattr(self.hota, name) for name in ("hota", "deta", "assa", "loca")}
         names = ("mota", "motp", "idf1", "idp", "idr", "idsw", "fp", "fn", "frag", "mt", "pt", "ml")
-        return TrackingScores(**parts, **{name: getattr(self.clear, name) for name in names}, n=self.clear.n_truth)
+        return TrackingScores(
+            **parts, **{name: getattr(self.clear, name) for name in names}, n=self.clear.n_truth
+        )
 
 
 def evaluate_tracks(
@@ -81,8 +91,8 @@ def evaluate_tracks(
 ) -> TrackingScores:
     """Scores of the tracks of one sequence; ids of truth and results need not agree.
 
-    Unmatched result boxes are dropped first where at least half of their area lies in one region of `ignore` (which an
-    IoU of 0.5 with that region implies).
+    Unmatched result boxes are dropped first where at least half of their area lies in one region of
+    `ignore` (which an IoU of 0.5 with that region implies).
     """
     if ignore is not None and len(ignore.frame):
         results = results.select(~_ignored(truth, results, ignore))
@@ -90,17 +100,21 @@ def evaluate_tracks(
 
 
 def _ignored(truth: TrackedBoxes, results: TrackedBoxes, ignore: IgnoreRegions) -> BoolArray:
-    """(M,) whether a result box lies in a region and is unmatched in the assignment with the largest total IoU."""
+    """(M,) whether a result box lies in a region and is unmatched in the assignment with the
+    largest total IoU.
+    """
     is_ignored: BoolArray = np.zeros(len(results), np.bool_)
     for frame in np.unique(ignore.frame):
         rows = np.flatnonzero(results.frame == frame)
         frame_truth, frame_results = truth.select(truth.frame == frame), results.select(rows)
         overlap = iou(frame_truth.xyxy_px, frame_results.xyxy_px)
-        allowed = (frame_truth.class_id[:, None] == frame_results.class_id[None, :]) & (overlap >= MIN_IOU)
-        _, matched = min_cost_matching(np.where(allowed, 1.0 - overlap, np.inf), max_cost=1.0)
-        fraction = fraction_inside(frame_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(
-            axis=1, initial=0.0
+        allowed = (frame_truth.class_id[:, None] == frame_results.class_id[None, :]) & (
+            overlap >= MIN_IOU
         )
+        _, matched = min_cost_matching(np.where(allowed, 1.0 - overlap, np.inf), max_cost=1.0)
+        fraction = fraction_inside(
+            frame_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]
+        ).max(axis=1, initial=0.0)
         is_inside = fraction >= _MIN_FRACTION_IGNORED
         is_inside[matched] = False
         is_ignored[rows] = is_inside

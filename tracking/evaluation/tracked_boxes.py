@@ -1,7 +1,8 @@
-"""TrackedBoxes: boxes with identities in many frames, truth or result; Similarity: their IoU in each frame.
+"""TrackedBoxes: boxes with identities in many frames, truth or result; Similarity: their IoU in
+each frame.
 
-All metrics are computed from the similarity, so that they count the same boxes; its identities are numbered from 0.
-IgnoreRegions are the regions in which results are ignored.
+All metrics are computed from the similarity, so that they count the same boxes; its identities are
+numbered from 0. IgnoreRegions are the regions in which results are ignored.
 """
 
 from __future__ import annotations
@@ -37,12 +38,16 @@ class TrackedBoxes:
 
     def select(self, rows: BoolArray | IntArray | slice) -> TrackedBoxes:
         """The rows that a mask, an index array or a slice selects, in its order."""
-        return TrackedBoxes(self.frame[rows], self.track_id[rows], self.xyxy_px[rows], self.class_id[rows])
+        return TrackedBoxes(
+            self.frame[rows], self.track_id[rows], self.xyxy_px[rows], self.class_id[rows]
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class IgnoreRegions:
-    """Regions in which unmatched results are ignored: KITTI's DontCare areas, vans when evaluating cars, and so on."""
+    """Regions in which unmatched results are ignored: KITTI's DontCare areas, vans when evaluating
+    cars, and so on.
+    """
 
     frame: IntArray  # (M,) int64 frame numbers from 0
     xyxy_px: FloatArray  # (M, 4) float64 boxes
@@ -63,15 +68,23 @@ class Similarity:
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Similarity:
-        """The similarity of one sequence's boxes, after the benchmark's rules; the IoU of different classes is 0."""
-        truth, results = (boxes.select(np.argsort(boxes.frame, kind="stable")) for boxes in (truth, results))
+        """The similarity of one sequence's boxes, after the benchmark's rules; the IoU of different
+        classes is 0.
+        """
+        truth, results = (
+            boxes.select(np.argsort(boxes.frame, kind="stable")) for boxes in (truth, results)
+        )
         frames = np.union1d(truth.frame, results.frame)
         starts, ends = (
             [np.searchsorted(boxes.frame, frames, side=side) for boxes in (truth, results)]
             for side in ("left", "right")
         )
-        _, truth_id, truth_count = np.unique(truth.track_id, return_inverse=True, return_counts=True)
-        _, result_id, result_count = np.unique(results.track_id, return_inverse=True, return_counts=True)
+        _, truth_id, truth_count = np.unique(
+            truth.track_id, return_inverse=True, return_counts=True
+        )
+        _, result_id, result_count = np.unique(
+            results.track_id, return_inverse=True, return_counts=True
+        )
         by_frame = []
         for a, b, c, d in zip(starts[0], ends[0], starts[1], ends[1], strict=True):
             is_same_class = truth.class_id[a:b, None] == results.class_id[None, c:d]

@@ -1,4 +1,6 @@
-"""Ablation of the detector improvements of the monocular paper, on the same images and training budget."""
+"""Ablation of the detector improvements of the monocular paper, on the same images and training
+budget.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ MODEL = "yolov5n"
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Changes to the baseline: anchors from k-means on the training boxes, attention modules (CBAM), box loss."""
+    """Changes to the baseline: anchors from k-means on the training boxes, attention modules
+    (CBAM), box loss.
+    """
 
     has_own_anchors: bool = False
     has_cbam: bool = False
@@ -73,8 +77,12 @@ def ablation(options: Namespace) -> Figures:
     ms = _inference_ms(options)
     figures: Figures = {}
     for name in CONFIGURATIONS:
-        rows = [result for (other, _, _), result in zip(runs, results, strict=True) if other == name]
-        means = {f"mean_{key}": float(np.mean([row[key] for row in rows])) for key in ("ap50", "ap50_95")}
+        rows = [
+            result for (other, _, _), result in zip(runs, results, strict=True) if other == name
+        ]
+        means = {
+            f"mean_{key}": float(np.mean([row[key] for row in rows])) for key in ("ap50", "ap50_95")
+        }
         figures[name] = {**means, "inference_ms": ms[name], "seeds": rows}
     return figures
 
@@ -95,20 +103,27 @@ class _Log:
 
 
 def _trained(name: str, seed: int, options: Namespace) -> dict[str, Any]:
-    """Figures of one configuration with one seed, which is trained and exported if it is not finished."""
+    """Figures of one configuration with one seed, which is trained and exported if it is not
+    finished.
+    """
     out = options.out / f"{name}-{seed}"
     figures = out / "figures.json"
     budget = {key: str(vars(options)[key]) for key in ("data", "images", "size", "epochs", "batch")}
     if figures.is_file():
         stored: dict[str, Any] = json.loads(figures.read_text())
         if stored["budget"] != budget:
-            raise SystemExit(f"{out}: expected a run with the same options, got {stored['budget']}; use another --out.")
+            raise SystemExit(
+                f"{out}: expected a run with the same options, got "
+                f"{stored['budget']}; use another --out."
+            )
         return stored
     out.mkdir(parents=True, exist_ok=True)
     configuration = CONFIGURATIONS[name]
     data = read_data_yaml(options.data)
     sample = np.random.default_rng(0).permutation(len(data.train))[: options.images]
-    images = CachedImages([data.train[i] for i in sample], data.road_class_id, max_side_px=2 * options.size)
+    images = CachedImages(
+        [data.train[i] for i in sample], data.road_class_id, max_side_px=2 * options.size
+    )
     validation = CachedImages(data.val, data.road_class_id)
     anchors, fit = None, None
     if configuration.has_own_anchors:
@@ -132,20 +147,28 @@ def _trained(name: str, seed: int, options: Namespace) -> dict[str, Any]:
         augmentation=AugmentationSettings(),
     )
     prepare_torch(seed=seed, n_threads=1 if options.jobs > 1 else 0)
-    network = make_network(MODEL, len(data.road_class_id), anchors_px=anchors, has_cbam=configuration.has_cbam)
+    network = make_network(
+        MODEL, len(data.road_class_id), anchors_px=anchors, has_cbam=configuration.has_cbam
+    )
     run = Training(network, settings, TrainingSets(images, validation, data.road_class_id), out)
     if (out / LAST).is_file():
         run.resume()
     run.run(_Log(out.name))
     scores = run.scores()
-    export_onnx(run.average.network, out / "model.onnx", {"names": [ROAD_CLASSES[i] for i in data.road_class_id]})
+    export_onnx(
+        run.average.network,
+        out / "model.onnx",
+        {"names": [ROAD_CLASSES[i] for i in data.road_class_id]},
+    )
     result = {"seed": seed, "budget": budget, **scores.as_dict(), "anchors": fit}
     figures.write_text(json.dumps(result, indent=2))
     return result
 
 
 def _inference_ms(options: Namespace, n_rounds: int = 40) -> dict[str, float]:
-    """Median time in ms of each configuration's network on one thread, alternating between the configurations."""
+    """Median time in ms of each configuration's network on one thread, alternating between the
+    configurations.
+    """
     seed = options.seeds[0]
     networks = {}
     for name in CONFIGURATIONS:

@@ -1,6 +1,7 @@
 """Fraction of the head and number plate pixels that `--anonymize` covers in simulated drives.
 
-`live` uses no later frames. Heads and plates that may be recognised count separately (`READABLE_PX`).
+`live` uses no later frames. Heads and plates that may be recognised count separately
+(`READABLE_PX`).
 """
 
 from __future__ import annotations
@@ -41,13 +42,18 @@ READABLE_PX = {IdentifyingPart.HEAD: 8, IdentifyingPart.PLATE: 12}
 """Minimum width of a part of which details can be recognised, px."""
 
 CLASSES = {
-    IdentifyingPart.HEAD: [ROAD_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")],
-    IdentifyingPart.PLATE: [ROAD_CLASSES.index(name) for name in ("car", "motorcycle", "bus", "truck")],
+    IdentifyingPart.HEAD: [
+        ROAD_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")
+    ],
+    IdentifyingPart.PLATE: [
+        ROAD_CLASSES.index(name) for name in ("car", "motorcycle", "bus", "truck")
+    ],
 }
 """Classes of road users with each part."""
 
 COVERED_FRACTION = 0.9
-"""Minimum covered fraction of a readable part; with less in one of its frames, its road user counts as exposed."""
+"""Minimum covered fraction of a readable part; with less in one of its frames, its road user counts
+as exposed."""
 
 TRACKED_IOU = 0.3
 MIN_VISIBLE_FRACTION = 0.1
@@ -59,7 +65,8 @@ Key = tuple[IdentifyingPart, bool, bool]
 
 @dataclass(frozen=True, slots=True)
 class SeenPart:
-    """A visible head or plate: row of its road user in the scene, (P,) rows and columns of its pixels.
+    """A visible head or plate: row of its road user in the scene, (P,) rows and columns of its
+    pixels.
 
     `is_tracked`: whether a track shows its road user, by source of the boxes.
     """
@@ -89,7 +96,9 @@ class SeenFrame:
 )
 def anonymization(options: Namespace) -> Figures:
     drives = [
-        list(seen_frames(scenario, seed, options.seconds)) for scenario in options.scenarios for seed in options.seeds
+        list(seen_frames(scenario, seed, options.seconds))
+        for scenario in options.scenarios
+        for seed in options.seeds
     ]
     figures: Figures = {}
     sources: tuple[BoxSource, ...] = ("detector", "truth")
@@ -103,14 +112,23 @@ def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]
     drive = SimulatedDrive.of(scenario, seed=seed, seconds=seconds)
     renderer = drive.renderer
     network = open_detector(ready_model(DEFAULT_MODEL, Console(quiet=True)), DetectorOptions())
-    trackers: dict[BoxSource, DeepSortTracker] = {"detector": DeepSortTracker(), "truth": DeepSortTracker()}
+    trackers: dict[BoxSource, DeepSortTracker] = {
+        "detector": DeepSortTracker(),
+        "truth": DeepSortTracker(),
+    }
     for index, time_s in enumerate(drive.times_s.tolist()):
         image, inverse_depth, labels = renderer.render_with_labels(time_s)
         visible = visible_objects(
-            renderer.scene, time_s, frame=index, camera=renderer.rig.left, inverse_depth=inverse_depth
+            renderer.scene,
+            time_s,
+            frame=index,
+            camera=renderer.rig.left,
+            inverse_depth=inverse_depth,
         )
         is_visible = visible.visible_share >= MIN_VISIBLE_FRACTION
-        class_id = map_to_road_classes([user.kitti_type for user in renderer.scene.road_users])[visible.row]
+        class_id = map_to_road_classes([user.kitti_type for user in renderer.scene.road_users])[
+            visible.row
+        ]
         rows = np.flatnonzero(is_visible & (class_id >= 0))
         boxes_px = visible.labels.xyxy_px
         detections: dict[BoxSource, Detections] = {
@@ -123,7 +141,9 @@ def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]
         for source, tracker in trackers.items():
             tracks = tracker.update(detections[source], time_s, image)
             results[source] = result_of(frame, tracks, candidates[source])
-        parts = seen_parts(*masks_of(labels), visible.row, boxes_px, {s: r.tracks for s, r in results.items()})
+        parts = seen_parts(
+            *masks_of(labels), visible.row, boxes_px, {s: r.tracks for s, r in results.items()}
+        )
         yield SeenFrame(results, tuple(parts), image.shape[:2])
 
 
@@ -132,7 +152,9 @@ def result_of(frame: Frame, tracks: Tracks, candidates: Detections) -> FrameResu
     names = ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s")
     unknown: dict[str, Any] = {name: np.full(len(tracks), np.nan) for name in names}
     xyz_m = np.full((len(tracks), 3), np.nan)
-    return FrameResult(frame=frame, tracks=tracks, ranges={}, xyz_m=xyz_m, candidates=candidates, **unknown)
+    return FrameResult(
+        frame=frame, tracks=tracks, ranges={}, xyz_m=xyz_m, candidates=candidates, **unknown
+    )
 
 
 def seen_parts(
@@ -147,7 +169,8 @@ def seen_parts(
         which, row = IdentifyingPart((number - 1) % 2 + 1), (number - 1) // 2
         rows, columns = np.nonzero((part == which) & (user == row))
         is_tracked = {
-            source: row in box_of and _is_shown(box_of[row], shown.select(np.isin(shown.class_id, CLASSES[which])))
+            source: row in box_of
+            and _is_shown(box_of[row], shown.select(np.isin(shown.class_id, CLASSES[which])))
             for source, shown in tracks.items()
         }
         yield SeenPart(row, which, rows, columns, is_tracked)
@@ -162,13 +185,20 @@ def covered(regions: Regions, shape: tuple[int, int]) -> BoolArray:
     mask = np.zeros(shape, np.bool_)
     height, width = shape
     for x1, y1, x2, y2 in regions.xyxy_px.tolist():
-        left, top = (int(np.clip(np.floor(edge + 0.5), 0, size)) for edge, size in ((x1, width), (y1, height)))
-        right, bottom = (int(np.clip(np.ceil(edge + 0.5), 0, size)) for edge, size in ((x2, width), (y2, height)))
+        left, top = (
+            int(np.clip(np.floor(edge + 0.5), 0, size))
+            for edge, size in ((x1, width), (y1, height))
+        )
+        right, bottom = (
+            int(np.clip(np.ceil(edge + 0.5), 0, size)) for edge, size in ((x2, width), (y2, height))
+        )
         mask[top:bottom, left:right] = True
     return mask
 
 
-def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead: LookAhead) -> dict[str, float]:
+def scores(
+    drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead: LookAhead
+) -> dict[str, float]:
     """Fractions of covered pixels, and of needlessly covered ones of the image."""
     n_covered: dict[Key, int] = {}
     n_pixels: dict[Key, int] = {}
@@ -189,7 +219,9 @@ def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead:
                     if key[1]:
                         objects = exposed.setdefault((key[0], key[2]), {})
                         is_exposed = n_in_mask < COVERED_FRACTION * len(seen.row)
-                        objects[drive, seen.user] = objects.get((drive, seen.user), False) or is_exposed
+                        objects[drive, seen.user] = (
+                            objects.get((drive, seen.user), False) or is_exposed
+                        )
     return {
         **{_name(key): n_covered[key] / n_pixels[key] for key in sorted(n_pixels)},
         **{

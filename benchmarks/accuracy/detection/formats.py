@@ -3,7 +3,8 @@
 Boxes in 2,000 frames, of 10 tracks, with distances for 80 % of them, are written and read again:
 
     edges, distance, score   largest difference; "-" = not in the format
-    ids, classes, predicted  fraction of the boxes for which the value is the same; "-" = not in the format
+    ids, classes, predicted  fraction of the boxes for which the value is the same; "-" = not in the
+    format
 """
 
 from __future__ import annotations
@@ -70,9 +71,15 @@ def _figures(table: BoxTable, label_format: LabelFormat, path: Path) -> dict[str
         "edges_px": float(np.abs(back.xyxy_px - table.xyxy_px).max()),
         "distance_m": _error(back.distance_m, table.distance_m),
         "score": _error(back.score, table.score),
-        "ids_pct": _fraction(back.track_id == table.track_id, is_there=bool((back.track_id >= 0).any())),
-        "classes_pct": _fraction(back.class_id == table.class_id, is_there=bool((back.class_id >= 0).any())),
-        "predicted_pct": _fraction(back.observed == table.observed, is_there=not back.observed.all()),
+        "ids_pct": _fraction(
+            back.track_id == table.track_id, is_there=bool((back.track_id >= 0).any())
+        ),
+        "classes_pct": _fraction(
+            back.class_id == table.class_id, is_there=bool((back.class_id >= 0).any())
+        ),
+        "predicted_pct": _fraction(
+            back.observed == table.observed, is_there=not back.observed.all()
+        ),
         "size_mb": sum(file.stat().st_size for file in files) / 1e6,
         "write_s": written_s - start_s,
         "read_s": read_s - written_s,

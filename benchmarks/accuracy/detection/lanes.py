@@ -1,7 +1,7 @@
 """Lane detection: time per image and accuracy on simulated drives.
 
-The true line is the edge of the lane, which is the middle of a double line: a detector of one of its two lines has an
-error of 3 %.
+The true line is the edge of the lane, which is the middle of a double line: a detector of one of
+its two lines has an error of 3 %.
 """
 
 from __future__ import annotations
@@ -25,16 +25,29 @@ from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
 SEEDS = (201, 202)
-ROWS = np.linspace(0.62, 0.92, 6)  # (K,) rows in which lines are compared, as fractions of the image height
+# (K,) rows in which lines are compared, as fractions of the image height
+ROWS = np.linspace(0.62, 0.92, 6)
 OTHER_LANE = 0.2  # error of a line, in lane widths, above which it belongs to another lane
 
-NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
+NETS = tuple(
+    REAL_DATA / "models" / name
+    for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx")
+)
 """Default lane networks."""
 
 
 @workload(
-    option("--net", default=NETS, nargs="*", metavar="FILE", help="lane networks, in addition to edges"),
-    option("--scenarios", default=SCENARIOS, nargs="*", choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
+    option(
+        "--net", default=NETS, nargs="*", metavar="FILE", help="lane networks, in addition to edges"
+    ),
+    option(
+        "--scenarios",
+        default=SCENARIOS,
+        nargs="*",
+        choices=tuple(ALL_SCENARIOS),
+        metavar="NAME",
+        help="scenarios",
+    ),
     option("--seeds", default=SEEDS, metavar="N", help="random seeds of the drives"),
     option("--seconds", default=5.0, help="length of a simulated drive"),
 )
@@ -64,14 +77,18 @@ def _name(finder: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """Columns (2, K) of lines in `ROWS`, detected (NaN = not both) and true (NaN = not known), and processor time."""
+    """Columns (2, K) of lines in `ROWS`, detected (NaN = not both) and true (NaN = not known), and
+    processor time.
+    """
 
     detected_px: FloatArray
     true_px: FloatArray
     ms: float
 
 
-def _samples(finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray) -> list[_Sample]:
+def _samples(
+    finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray
+) -> list[_Sample]:
     """Lines detected in images; `true_px` (F, 2, K) are the true ones."""
     finder = open_lane_finder(finder_name, Runtime(n_threads=1, device="cpu"))
     samples = []
@@ -90,11 +107,16 @@ def _columns_px(lines: LaneLines, height_px: int) -> FloatArray:
     return np.stack([lines.left.x_px(ROWS * height_px), lines.right.x_px(ROWS * height_px)])
 
 
-def _simulated(scenario: str, finders: Sequence[str], options: Namespace) -> dict[str, list[_Sample]]:
+def _simulated(
+    scenario: str, finders: Sequence[str], options: Namespace
+) -> dict[str, list[_Sample]]:
     samples: dict[str, list[_Sample]] = {finder: [] for finder in finders}
     for seed in options.seeds:
         drive = SimulatedDrive.of(scenario, seed=seed, seconds=options.seconds)
-        images, true_px = drive.left_images(), drive.lane_px(ROWS * drive.renderer.rig.left.height_px)
+        images, true_px = (
+            drive.left_images(),
+            drive.lane_px(ROWS * drive.renderer.rig.left.height_px),
+        )
         for finder in finders:
             samples[finder] += _samples(finder, images, drive.times_s.tolist(), true_px)
     return samples
@@ -112,7 +134,9 @@ def _errors(samples: Sequence[_Sample]) -> Figures:
 
 
 def _differences(detected_px: FloatArray, reference_px: FloatArray) -> Figures:
-    """Differences of lines (F, 2, K) from reference lines, over the images with both of them in all rows."""
+    """Differences of lines (F, 2, K) from reference lines, over the images with both of them in all
+    rows.
+    """
     both = np.isfinite(detected_px).all(axis=(1, 2)) & np.isfinite(reference_px).all(axis=(1, 2))
     detected_px, reference_px = detected_px[both], reference_px[both]
     width_px = reference_px[:, 1] - reference_px[:, 0]

@@ -1,4 +1,6 @@
-"""Recall of detectors trained on real images for simulated cars, as a measure of the realism of the simulation."""
+"""Recall of detectors trained on real images for simulated cars, as a measure of the realism of the
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,38 @@ _CAR = ROAD_CLASSES.index("car")
 
 
 @workload(
-    option("--model", type=Path, action="append", default=[], metavar="FILE", help="detector in addition to ours"),
+    option(
+        "--model",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="detector in addition to ours",
+    ),
     option("--seeds", default=2, help="number of drives per scenario"),
 )
 def recall(options: Namespace) -> Figures:
-    """Recall of detectors of real images for simulated cars, at least 30 px high and half visible, at IoU 0.5."""
+    """Recall of detectors of real images for simulated cars, at least 30 px high and half visible,
+    at IoU 0.5.
+    """
     runtime = Runtime(n_threads=1)
     models = {
-        name: YoloDetector(find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime)
+        name: YoloDetector(
+            find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime
+        )
         for name in (DEFAULT_MODEL, *map(str, options.model))
     }
-    scores: dict[str, dict[str, list[float]]] = {name: {scenario: [] for scenario in SCENARIOS} for name in models}
+    scores: dict[str, dict[str, list[float]]] = {
+        name: {scenario: [] for scenario in SCENARIOS} for name in models
+    }
     for scenario in SCENARIOS:
         for image, cars_px in _images(scenario, options.seeds):
             for name, model in models.items():
                 detected = model.detect(image)
                 is_hit = (iou(cars_px, detected.xyxy_px) >= 0.5) & (detected.class_id == _CAR)
-                scores[name][scenario].extend((is_hit * detected.score).max(axis=1, initial=0.0).tolist())
+                scores[name][scenario].extend(
+                    (is_hit * detected.score).max(axis=1, initial=0.0).tolist()
+                )
     return {
         Path(name).name: {"all": _recall(list(chain.from_iterable(by_scenario.values())))}
         | {scenario: _recall(best) for scenario, best in by_scenario.items()}
@@ -65,7 +82,10 @@ def _images(scenario: str, n_seeds: int) -> Iterator[tuple[Image, FloatArray]]:
 
 
 def _recall(scores: list[float]) -> dict[str, float]:
-    """Number of cars and recall at each threshold, from the confidence of the best detection of each car."""
+    """Number of cars and recall at each threshold, from the confidence of the best detection of
+    each car.
+    """
     return {"n": len(scores)} | {
-        f"at_{threshold}": round(float(np.mean(np.array(scores) >= threshold)), 3) for threshold in _SCORES
+        f"at_{threshold}": round(float(np.mean(np.array(scores) >= threshold)), 3)
+        for threshold in _SCORES
     }

@@ -1,1 +1,3 @@
-"""Workloads that measure distances, and what they depend on: stereo, alignment, camera height and motion."""
+"""Workloads that measure distances, and what they depend on: stereo, alignment, camera height and
+motion.
+"""

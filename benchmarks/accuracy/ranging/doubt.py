@@ -1,8 +1,10 @@
-"""What runs say about wrong inputs: every fault of scale, image size, synchronisation and pairing at several strengths.
+"""What runs say about wrong inputs: every fault of scale, image size, synchronisation and pairing
+at several strengths.
 
-Each case is a whole run, with the packaged detector by default. A fault is a change of the images or of the calibration
-of a drive; it is noticed from the first frame after which a note of the run names it, the right cause is named if that
-note contains it, and errors of fused distances count from the moment of the fault on.
+Each case is a whole run, with the packaged detector by default. A fault is a change of the images
+or of the calibration of a drive; it is noticed from the first frame after which a note of the run
+names it, the right cause is named if that note contains it, and errors of fused distances count
+from the moment of the fault on.
 """
 
 from __future__ import annotations
@@ -72,13 +74,18 @@ def _baseline(factor: float) -> Callable[[Drive, int], Drive]:
 
 def _focal(factor: float) -> Callable[[Drive, int], Drive]:
     def change(drive: Drive, _: int) -> Drive:
-        scaled = {name: [factor * v if i in (0, 3, 5) else v for i, v in enumerate(p)] for name, p in drive.rig.items()}
+        scaled = {
+            name: [factor * v if i in (0, 3, 5) else v for i, v in enumerate(p)]
+            for name, p in drive.rig.items()
+        }
         return replace(drive, rig=scaled)
 
     return change
 
 
-def _each(left: Callable[[Image], Image] | None, right: Callable[[Image], Image] | None) -> Callable[..., Drive]:
+def _each(
+    left: Callable[[Image], Image] | None, right: Callable[[Image], Image] | None
+) -> Callable[..., Drive]:
     def change(drive: Drive, _: int) -> Drive:
         return replace(
             drive,
@@ -98,7 +105,10 @@ def _yaw(degrees: float) -> Callable[[Drive, int], Drive]:
     def change(drive: Drive, _: int) -> Drive:
         K = np.reshape(drive.rig["P3"], (3, 4))[:, :3]
         H = K @ cv2.Rodrigues(np.radians([0.0, degrees, 0.0]))[0] @ np.linalg.inv(K)
-        warped = [np.asarray(cv2.warpPerspective(image, H, image.shape[1::-1]), np.uint8) for image in drive.right]
+        warped = [
+            np.asarray(cv2.warpPerspective(image, H, image.shape[1::-1]), np.uint8)
+            for image in drive.right
+        ]
         return replace(drive, right=warped)
 
     return change
@@ -130,7 +140,9 @@ def _flipped(code: int) -> Callable[[Image], Image]:
 
 def _unrelated(drive: Drive, _: int) -> Drive:
     """The right images are those of another drive."""
-    other = decoded(REAL_DATA / "kitti_stereo" / ("0005" if drive.name == "0003" else "0003") / "right.mp4")
+    other = decoded(
+        REAL_DATA / "kitti_stereo" / ("0005" if drive.name == "0003" else "0003") / "right.mp4"
+    )
     size_px = drive.left[0].shape[1::-1]
     images = [np.asarray(cv2.resize(image, size_px), np.uint8) for image in other]
     return replace(drive, right=[images[k % len(images)] for k in range(len(drive.left))])
@@ -142,11 +154,21 @@ PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
 
 FAULTS = (
     *(
-        Fault("scale", f"baseline {f:g}", _baseline(f), SCALE, "baseline", is_known=f in (0.83, 1.2))
+        Fault(
+            "scale", f"baseline {f:g}", _baseline(f), SCALE, "baseline", is_known=f in (0.83, 1.2)
+        )
         for f in (0.39, 0.5, 0.67, 0.83, 1.2, 1.5, 2.54, 4.3, 9.0)
     ),
     *(
-        Fault("scale", f"focal length {f:g}, one camera", _focal(f), SCALE, "focal length", is_mono=True, is_known=True)
+        Fault(
+            "scale",
+            f"focal length {f:g}, one camera",
+            _focal(f),
+            SCALE,
+            "focal length",
+            is_mono=True,
+            is_known=True,
+        )
         for f in (0.5, 2.0)
     ),
     *(
@@ -154,17 +176,39 @@ FAULTS = (
         for x, y in ((0.75, 0.75), (0.5, 0.5), (1024 / 1242, 320 / 375))
     ),
     *(Fault("time", f"{k} dropped", _skipped(k), TIME, "left video lags") for k in (1, 3)),
-    *(Fault("time", f"{k} repeated", _skipped(-k), TIME, "right video (repeats|lags)") for k in (1, 5)),
-    Fault("time", "frozen", _order(lambda n, at: [*range(at), *[at] * (n - at)]), TIME, "right video repeats"),
-    Fault("time", "lag 2 from the start", _order(lambda n, at: [0, 0, *range(n - 2)]), TIME, "right video lags"),
+    *(
+        Fault("time", f"{k} repeated", _skipped(-k), TIME, "right video (repeats|lags)")
+        for k in (1, 5)
+    ),
+    Fault(
+        "time",
+        "frozen",
+        _order(lambda n, at: [*range(at), *[at] * (n - at)]),
+        TIME,
+        "right video repeats",
+    ),
+    Fault(
+        "time",
+        "lag 2 from the start",
+        _order(lambda n, at: [0, 0, *range(n - 2)]),
+        TIME,
+        "right video lags",
+    ),
     Fault("pair", "swapped", lambda d, _: replace(d, left=d.right, right=d.left), PAIR, "swapped"),
     *(
         Fault(
-            "pair", f"offset {x:+d} px", _each(None, _shifted(-x, 0)), f"{PAIR}|px too", "disparities|camera is turned"
+            "pair",
+            f"offset {x:+d} px",
+            _each(None, _shifted(-x, 0)),
+            f"{PAIR}|px too",
+            "disparities|camera is turned",
         )
         for x in (-60, -15, 15, 60)
     ),
-    *(Fault("pair", f"yaw {a:+d} degrees", _yaw(a), f"{PAIR}|px too", "disparities|turned") for a in (-3, -1, 1, 3)),
+    *(
+        Fault("pair", f"yaw {a:+d} degrees", _yaw(a), f"{PAIR}|px too", "disparities|turned")
+        for a in (-3, -1, 1, 3)
+    ),
     Fault("pair", "rows 20 px", _each(None, _shifted(0, 20)), PAIR, "ertical|rows"),
     Fault("pair", "both upside down", _each(_flipped(-1), _flipped(-1)), PAIR, "upside down"),
     Fault("pair", "right upside down", _each(None, _flipped(-1)), PAIR, "upside down"),
@@ -176,21 +220,37 @@ CLEAN = Fault("", "none", lambda drive, _: drive, f"{SCALE}|{SIZE}|{PAIR}", "")
 
 
 @workload(
-    option("--sections", default=("scale", "size", "time", "pair"), metavar="NAME", help="kinds of faults"),
-    option("--scenarios", default=SCENARIOS, metavar="NAME", help="scenarios of simulated drives, or none"),
+    option(
+        "--sections",
+        default=("scale", "size", "time", "pair"),
+        metavar="NAME",
+        help="kinds of faults",
+    ),
+    option(
+        "--scenarios",
+        default=SCENARIOS,
+        metavar="NAME",
+        help="scenarios of simulated drives, or none",
+    ),
     option("--seeds", default=SEEDS, metavar="N", help="random seeds of simulated drives"),
     option(
-        "--real", default=("0003", "0005", "gray51"), metavar="NAME", help="KITTI's drives; 'none' = simulation only"
+        "--real",
+        default=("0003", "0005", "gray51"),
+        metavar="NAME",
+        help="KITTI's drives; 'none' = simulation only",
     ),
     option(
         "--simulated-boxes",
         action="store_true",
-        help="boxes of a simulated detector and no alignment: three times as fast, for --sections scale time",
+        help="boxes of a simulated detector and no alignment: three times as fast, for --sections "
+        "scale time",
     ),
     CACHE_OPTION,
 )
 def doubt(options: Namespace) -> Figures:
-    """Notes and errors of runs with wrong inputs, by fault; without a fault, notes are false alarms."""
+    """Notes and errors of runs with wrong inputs, by fault; without a fault, notes are false
+    alarms.
+    """
     cases: dict[str, list[dict[str, Any]]] = {}
     for drive in _drives(options):
         frame = round(min(FAULT_S * FPS, len(drive.left) / 3))
@@ -209,14 +269,24 @@ def _case(drive: Drive, fault: Fault, frame: int) -> dict[str, Any]:
     from_frame = frame if fault.section == "time" and "start" not in fault.name else 0
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        (root / "calib.txt").write_text("".join(f"{k}: {' '.join(map(str, v))}\n" for k, v in changed.rig.items()))
-        lines = [line for line in drive.truth.splitlines() if int(line.split(" ", 1)[0]) >= from_frame]
+        (root / "calib.txt").write_text(
+            "".join(f"{k}: {' '.join(map(str, v))}\n" for k, v in changed.rig.items())
+        )
+        lines = [
+            line for line in drive.truth.splitlines() if int(line.split(" ", 1)[0]) >= from_frame
+        ]
         (root / "truth.txt").write_text("\n".join(lines) + "\n")
         for side, images in (("left", changed.left), ("right", changed.right)):
             (root / side).mkdir()
             for number, image in enumerate(images):
-                cv2.imwrite(str(root / side / f"{number:06d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        options: dict[str, Any] = {"rig": root / "calib.txt", "sgbm": False, "duration": len(changed.left) / FPS}
+                cv2.imwrite(
+                    str(root / side / f"{number:06d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]
+                )
+        options: dict[str, Any] = {
+            "rig": root / "calib.txt",
+            "sgbm": False,
+            "duration": len(changed.left) / FPS,
+        }
         is_same_size = changed.left[0].shape == drive.left[0].shape
         options |= {"truth": root / "truth.txt"} if lines and is_same_size else {}
         options |= drive.known if fault.is_known else {}
@@ -231,11 +301,16 @@ def _case(drive: Drive, fault: Fault, frame: int) -> dict[str, Any]:
                         noticed_s = max(result.time_s - from_frame / FPS, 0.0)
                 notes, methods = " ".join(run.notes), run.summary["methods"]
         except tr.RigError as error:
-            notes, noticed_s = str(error), 0.0 if re.search(fault.said, str(error)) else float("nan")
+            notes, noticed_s = (
+                str(error),
+                0.0 if re.search(fault.said, str(error)) else float("nan"),
+            )
         if np.isnan(noticed_s) and re.search(fault.said, notes):
             noticed_s = len(changed.left) / FPS
         fused, stereo = methods.get("fused", {}), methods.get("stereo", {})
-        found = " ".join(sentence for sentence in re.split(r"(?<=\.) ", notes) if re.search(fault.said, sentence))
+        found = " ".join(
+            sentence for sentence in re.split(r"(?<=\.) ", notes) if re.search(fault.said, sentence)
+        )
         return {
             "noticed_s": noticed_s,
             "named": bool(fault.cause and re.search(fault.cause, found)),
@@ -273,9 +348,16 @@ def _drives(options: Namespace) -> Iterator[Drive]:
         folder = REAL_DATA / ("kitti_odometry" if name == "gray51" else "kitti_stereo") / name
         if name == "none" or not folder.exists():
             continue
-        lines = dict(line.split(":", 1) for line in (folder / "calib.txt").read_text().splitlines() if ":" in line)
+        lines = dict(
+            line.split(":", 1)
+            for line in (folder / "calib.txt").read_text().splitlines()
+            if ":" in line
+        )
         names = ("P0", "P1") if name == "gray51" else ("P2", "P3")
-        rig = {target: [float(v) for v in lines[own].split()] for target, own in zip(("P2", "P3"), names, strict=True)}
+        rig = {
+            target: [float(v) for v in lines[own].split()]
+            for target, own in zip(("P2", "P3"), names, strict=True)
+        }
         labels = folder / "label.txt"
         yield Drive(
             name,
@@ -291,14 +373,31 @@ def _drives(options: Namespace) -> Iterator[Drive]:
             if not (folder / "rig.yaml").exists():
                 write_drive(folder, scenario=scenario, seed=seed, seconds=SECONDS, fps=FPS)
             drive = _simulated(f"{scenario} {seed}", folder)
-            yield replace(drive, boxes=folder / "detections.txt") if options.simulated_boxes else drive
+            yield (
+                replace(drive, boxes=folder / "detections.txt")
+                if options.simulated_boxes
+                else drive
+            )
 
 
 def _simulated(name: str, folder: Path) -> Drive:
     left, right = decoded(folder / "left.mp4"), decoded(folder / "right.mp4")
     rig, _ = load_rig(folder / "rig.yaml", size_px=(left[0].shape[1], left[0].shape[0]))
     camera = rig.left
-    P2 = [camera.fx_px, 0.0, camera.cx_px, 0.0, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0]
+    P2 = [
+        camera.fx_px,
+        0.0,
+        camera.cx_px,
+        0.0,
+        0.0,
+        camera.fy_px,
+        camera.cy_px,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+    ]
     P3 = [*P2[:3], -camera.fx_px * rig.baseline_m, *P2[4:]]
     return Drive(
         name,

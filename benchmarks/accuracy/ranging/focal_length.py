@@ -1,4 +1,6 @@
-"""Focal lengths and distances of cameras without a calibration, with no, one and three known distances."""
+"""Focal lengths and distances of cameras without a calibration, with no, one and three known
+distances.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,17 @@ from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes, unhidden
+from track_range.ranging.fitting.camera.focal_evidence import (
+    default_guess,
+    focal_of_field,
+    focal_posterior,
+)
+from track_range.ranging.fitting.camera.measurements import (
+    FocalGuess,
+    KnownObject,
+    SceneBoxes,
+    unhidden,
+)
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
@@ -28,17 +39,22 @@ from track_range.stereo.geometry.rig import StereoRig
 SCENARIOS = ("city", "town", "highway", "queue")
 SIZE_PX = (1280, 720)
 SECONDS, STEP_S = 20.0, 0.4  # length of a simulated drive and time between its frames, s
-TAPE_SIGMA, EDGE_PX = 0.01, 1.5  # relative error of a known distance, and error of the edges of its box in px
-NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0  # distances that are compared, and the largest known distance, m
+# relative error of a known distance, and error of the edges of its box in px
+TAPE_SIGMA, EDGE_PX = 0.01, 1.5
+# distances that are compared, and the largest known distance, m
+NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0
 CHOICES = 5  # number of choices of known objects per real drive
-NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")  # rows of the tables
+# rows of the tables
+NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")
 
 
 @dataclass(frozen=True, slots=True)
 class RoadDrive:
-    """Boxes that are not hidden, with their true distances (N,), of a drive with a camera of unknown focal length.
+    """Boxes that are not hidden, with their true distances (N,), of a drive with a camera of
+    unknown focal length.
 
-    `size_px` is (width, height) of the images, `focal_px` the true focal length; `known` are choices of known objects.
+    `size_px` is (width, height) of the images, `focal_px` the true focal length; `known` are
+    choices of known objects.
     """
 
     name: str
@@ -62,7 +78,9 @@ def focal_length(options: Namespace) -> Figures:
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     groups = {name: [simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS}
     groups["all simulated"] = [drive for name in SCENARIOS for drive in groups[name]]
-    groups |= {name: list(labelled_drives(name, road_set(name, options.data))) for name in options.sets}
+    groups |= {
+        name: list(labelled_drives(name, road_set(name, options.data))) for name in options.sets
+    }
     groups["all real"] = [drive for name in options.sets for drive in groups[name]]
     return {name: _figures(drives, sizes) for name, drives in groups.items()}
 
@@ -72,7 +90,8 @@ def simulated_drive(scenario: str, seed: int) -> RoadDrive:
     focal_px = focal_of_field(rng.uniform(50, 100), SIZE_PX[0])
     pitch_rad, height_m = math.radians(rng.normal(0, 2)), rng.uniform(1.2, 1.8)
     camera = PinholeCamera.of_focal_length(focal_px, SIZE_PX)
-    camera = replace(camera, cy_px=camera.cy_px - focal_px * math.tan(pitch_rad))  # a pitched camera, nearly
+    # a pitched camera, nearly
+    camera = replace(camera, cy_px=camera.cy_px - focal_px * math.tan(pitch_rad))
     scene = replace(make_scenario(scenario, seed=seed, seconds=SECONDS), camera_height_m=height_m)
     times_s = np.arange(0, SECONDS - STEP_S / 2, STEP_S / 2)
     drive = BoxDrive(scene, times_s, StereoRig.rectified(camera, 0.5), seed=seed)
@@ -86,13 +105,19 @@ def simulated_drive(scenario: str, seed: int) -> RoadDrive:
     is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
     rows = np.flatnonzero(is_car & (true.hidden_fraction < 0.05) & (true.outside_fraction <= 0))
     known = _chosen(true.xyxy_px[rows], true.distance_m[rows], true.user[rows], SIZE_PX, rng)
-    return RoadDrive(scenario, SIZE_PX, focal_px, SceneBoxes.joined(parts), np.concatenate(distances), (known,))
+    return RoadDrive(
+        scenario, SIZE_PX, focal_px, SceneBoxes.joined(parts), np.concatenate(distances), (known,)
+    )
 
 
 def labelled_drives(name: str, road: RoadSet) -> Iterator[RoadDrive]:
-    """The drives of a data set, one for each sequence and camera; of KITTI's drives, every fifth frame."""
+    """The drives of a data set, one for each sequence and camera; of KITTI's drives, every fifth
+    frame.
+    """
     step = 1 if road.train is None else 5
-    _, drive = np.unique(np.column_stack([road.boxes.sequence, road.boxes.fxycxy_px]), axis=0, return_inverse=True)
+    _, drive = np.unique(
+        np.column_stack([road.boxes.sequence, road.boxes.fxycxy_px]), axis=0, return_inverse=True
+    )
     for k in range(int(drive.max()) + 1):
         chosen = np.flatnonzero(drive.reshape(-1) == k)
         rows, identity = road.boxes.select(chosen), road.object_id[chosen]
@@ -106,14 +131,26 @@ def labelled_drives(name: str, road: RoadSet) -> Iterator[RoadDrive]:
         is_car = (rows.class_name == "car") & (rows.occluded == 0)
         cars, size_px = rows.select(is_car), (int(rows.size_px[0, 0]), int(rows.size_px[0, 1]))
         choices = tuple(
-            _chosen(cars.xyxy_px, cars.distance_m, identity[is_car], size_px, np.random.default_rng([k, n]))
+            _chosen(
+                cars.xyxy_px,
+                cars.distance_m,
+                identity[is_car],
+                size_px,
+                np.random.default_rng([k, n]),
+            )
             for n in range(CHOICES)
         )
-        yield RoadDrive(name, size_px, float(rows.fxycxy_px[0, 0]), scene, rows.distance_m[shown], choices)
+        yield RoadDrive(
+            name, size_px, float(rows.fxycxy_px[0, 0]), scene, rows.distance_m[shown], choices
+        )
 
 
 def _chosen(
-    xyxy_px: FloatArray, distance_m: FloatArray, identity: Any, size_px: tuple[int, int], rng: np.random.Generator
+    xyxy_px: FloatArray,
+    distance_m: FloatArray,
+    identity: Any,
+    size_px: tuple[int, int],
+    rng: np.random.Generator,
 ) -> tuple[KnownObject, ...]:
     """Up to three different objects in random order, as a person would measure them."""
     offset_px = (xyxy_px[:, 0] + xyxy_px[:, 2] - size_px[0]) / 2
@@ -139,7 +176,9 @@ def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[
     for drive in drives:
         for name, guess in _estimates(drive, sizes):
             log_error = math.log(guess.focal_px / drive.focal_px)
-            errors[name].append((log_error, guess.sigma, *_distance_errors(drive, guess.focal_px, sizes)))
+            errors[name].append(
+                (log_error, guess.sigma, *_distance_errors(drive, guess.focal_px, sizes))
+            )
     return {name: _summary(np.array(values)) for name, values in errors.items() if values}
 
 
@@ -154,22 +193,37 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
             if len(known) < n:
                 continue
             fit = fit_camera(
-                drive.size_px, prior, sizes, objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise
+                drive.size_px,
+                prior,
+                sizes,
+                objects=known[:n],
+                scene=drive.scene,
+                scene_noise=posterior.relative_noise,
             )
             yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")
 
 
 def _distance_errors(drive: RoadDrive, focal_px: float, sizes: CuboidSizes) -> tuple[float, float]:
-    """Median error, and magnitude of the common scale error, of distances by size with this focal length."""
+    """Median error, and magnitude of the common scale error, of distances by size with this focal
+    length.
+    """
     rows = np.flatnonzero((drive.true_m >= NEAREST_M) & (drive.true_m <= FARTHEST_M))
     scene = drive.scene.select(rows)
     xyxy_px = scene.xyxy_px
-    is_whole = (xyxy_px[:, 0] > 2) & (xyxy_px[:, 2] < drive.size_px[0] - 3) & (xyxy_px[:, 3] > xyxy_px[:, 1])
+    is_whole = (
+        (xyxy_px[:, 0] > 2)
+        & (xyxy_px[:, 2] < drive.size_px[0] - 3)
+        & (xyxy_px[:, 3] > xyxy_px[:, 1])
+    )
     scene, true_m = scene.select(is_whole), drive.true_m[rows][is_whole]
     camera = PinholeCamera.of_focal_length(focal_px, drive.size_px)
     no_bottom = np.ones(len(scene), np.bool_), np.zeros(len(scene), np.bool_)
     boxes = measured_boxes(
-        scene.xyxy_px, scene.size_class, camera=camera, noise=BoxNoise(), uses_width_bottom=no_bottom
+        scene.xyxy_px,
+        scene.size_class,
+        camera=camera,
+        noise=BoxNoise(),
+        uses_width_bottom=no_bottom,
     )
     log_ratio = np.log(sizes.measure(boxes).distance_m / true_m)
     return float(np.nanmedian(np.abs(log_ratio))), abs(float(np.nanmedian(log_ratio)))

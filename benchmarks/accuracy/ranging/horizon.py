@@ -1,4 +1,6 @@
-"""Distances of one camera at a known height or speed, on simulated drives with changed car sizes."""
+"""Distances of one camera at a known height or speed, on simulated drives with changed car
+sizes.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,12 @@ HEIGHT_M = 1.65  # height of the simulated cameras above the road
     option("--seconds", default=14.0, help="length of the simulated drives"),
     option("--car-size", default=1.1, help="size of the cars relative to the scenario's"),
     option("--pitch", default=-1.0, help="pitch of the camera in degrees, positive = up"),
-    option("--known", default=("height", "none"), choices=KNOWN, help="what is known besides the calibration"),
+    option(
+        "--known",
+        default=("height", "none"),
+        choices=KNOWN,
+        help="what is known besides the calibration",
+    ),
     option("--cache", type=Path, help="folder in which simulated drives are kept"),
 )
 def horizon(options: Namespace) -> Figures:
@@ -64,7 +71,14 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
     speed = folder / "speed" / drive.ego_speed.name
     if not speed.exists():
         drive_options = DriveOptions(car_size=options.car_size, camera_pitch_deg=options.pitch)
-        write_drive(folder, scenario=scenario, seed=seed, seconds=options.seconds, fps=FPS, options=drive_options)
+        write_drive(
+            folder,
+            scenario=scenario,
+            seed=seed,
+            seconds=options.seconds,
+            fps=FPS,
+            options=drive_options,
+        )
         speed.parent.mkdir()
         os.replace(drive.ego_speed, speed)  # not beside the video, where a run would find it
     settings = RunSettings(
@@ -80,7 +94,9 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
 
 
 def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Columns]:
-    """A finished run, which writes nothing, and its columns with the truth: `truth`, or that of the settings."""
+    """A finished run, which writes nothing, and its columns with the truth: `truth`, or that of the
+    settings.
+    """
     run = Run(settings)
     for _ in run:
         pass
@@ -90,12 +106,17 @@ def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Co
 
 
 def _figures(drives: Mapping[str, Columns]) -> Figures:
-    """Errors over all drives and by drive, and biases; the magnitude of a bias is its mean over the drives."""
+    """Errors over all drives and by drive, and biases; the magnitude of a bias is its mean over the
+    drives.
+    """
     bias = {name: _biases(columns) for name, columns in drives.items()}
     known = {
-        key: [value for row in bias.values() if (value := row[key]) is not None] for key in next(iter(bias.values()))
+        key: [value for row in bias.values() if (value := row[key]) is not None]
+        for key in next(iter(bias.values()))
     }
-    magnitude = {key: float(np.mean(np.abs(values))) if values else None for key, values in known.items()}
+    magnitude = {
+        key: float(np.mean(np.abs(values))) if values else None for key, values in known.items()
+    }
     return {
         "all": _scores(joined(list(drives.values()))),
         "drives": {name: _scores(columns) for name, columns in drives.items()},
@@ -105,10 +126,17 @@ def _figures(drives: Mapping[str, Columns]) -> Figures:
 
 def _scores(columns: Columns) -> Figures:
     """Scores over the rows that all methods measured, with the coverage of each method."""
-    columns_of = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS}
-    true_m, common = columns["truth_m"], np.all([np.isfinite(each.distance_m) for each in columns_of.values()], axis=0)
+    columns_of = {
+        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS
+    }
+    true_m, common = (
+        columns["truth_m"],
+        np.all([np.isfinite(each.distance_m) for each in columns_of.values()], axis=0),
+    )
     in_span = (true_m >= SPAN_M[0]) & (true_m < SPAN_M[1])
-    coverage = {name: score_rows(each, true_m, in_span)["coverage"] for name, each in columns_of.items()}
+    coverage = {
+        name: score_rows(each, true_m, in_span)["coverage"] for name, each in columns_of.items()
+    }
     return {
         name: {**score_rows(each, true_m, in_span & common), "coverage": coverage[name]}
         for name, each in columns_of.items()

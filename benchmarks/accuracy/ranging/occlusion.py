@@ -1,4 +1,6 @@
-"""Occlusion: failures of stereo matchers, and the fit of the choice between the surfaces of a box."""
+"""Occlusion: failures of stereo matchers, and the fit of the choice between the surfaces of a
+box.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,29 @@ import numpy as np
 from scipy.optimize import minimize
 
 from benchmarks.harness import Figures, option, workload
-from benchmarks.inputs.occlusion_pairs import CoveredObjects, OcclusionPair, is_scored, sequences, unrelated_pairs
+from benchmarks.inputs.occlusion_pairs import (
+    CoveredObjects,
+    OcclusionPair,
+    is_scored,
+    sequences,
+    unrelated_pairs,
+)
 from track_range.evaluation.stereo_evaluation import expected_disparities
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, Objects, figures_with_intervals
+from track_range.stereo.evaluation.disparity_errors import (
+    FAILURE,
+    MatcherColumn,
+    Objects,
+    figures_with_intervals,
+)
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs
-from track_range.stereo.matching.patch_matcher import KnownBoxes, PatchMatcher, PatchMatcherSettings, SurfaceSearch
+from track_range.stereo.matching.patch_matcher import (
+    KnownBoxes,
+    PatchMatcher,
+    PatchMatcherSettings,
+    SurfaceSearch,
+)
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surface_choice import OtherBoxes
 
@@ -30,30 +48,43 @@ KINDS = ("none", "pole", "sign", "fence", "bush", "road user", "scenery")
 COVERED = ((-1.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75))
 """Intervals of the covered share, without the lower and with the upper end; the first one is 0."""
 
-PARTS: dict[str, Callable[[range], Iterator[OcclusionPair]]] = {"unrelated": unrelated_pairs, "sequences": sequences}
+PARTS: dict[str, Callable[[range], Iterator[OcclusionPair]]] = {
+    "unrelated": unrelated_pairs,
+    "sequences": sequences,
+}
 """Function of each part that renders its pairs."""
 
 
 @workload(
-    option("--first-seed", "--seed", default=100, help="first random seed; 0-19 are for development"),
+    option(
+        "--first-seed", "--seed", default=100, help="first random seed; 0-19 are for development"
+    ),
     option("--seeds", default=20, help="number of drives"),
     option("--matchers", default=MATCHERS, choices=MATCHER_NAMES, help="compared matchers"),
     option("--parts", default=tuple(PARTS), choices=PARTS, help="parts to measure"),
 )
 def occlusion(options: Namespace) -> Figures:
-    """Errors of stereo matchers for road users behind poles, signs, fences, bushes and nearer vehicles."""
+    """Errors of stereo matchers for road users behind poles, signs, fences, bushes and nearer
+    vehicles.
+    """
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     measured = {name: _Measured(PARTS[name](seeds), options.matchers) for name in options.parts}
-    figures = {name: _figures([part]) for name, part in measured.items()} if len(measured) > 1 else {}
+    figures = (
+        {name: _figures([part]) for name, part in measured.items()} if len(measured) > 1 else {}
+    )
     figures["all"] = _figures(list(measured.values()))
     return {"failure_ratios": _ratios(figures["all"]["all"]), **figures}
 
 
 def _ratios(by_matcher: Mapping[str, dict[str, Any]]) -> dict[str, float]:
-    """Failures of each matcher relative to those of the reference, if it was measured and has failures."""
+    """Failures of each matcher relative to those of the reference, if it was measured and has
+    failures.
+    """
     reference = by_matcher.get(REFERENCE, {}).get("failures_pct")
     return {
-        name: row["failures_pct"] / reference for name, row in by_matcher.items() if reference and name != REFERENCE
+        name: row["failures_pct"] / reference
+        for name, row in by_matcher.items()
+        if reference and name != REFERENCE
     }
 
 
@@ -73,10 +104,13 @@ class _Measured:
         rows = np.concatenate(scored)
         objects, seeds, names = zip(*parts, strict=True)
         self.objects: Objects = replace(results.objects.select(rows), group=np.concatenate(seeds))
-        self.columns: dict[str, MatcherColumn] = {name: column.select(rows) for name, column in results.columns.items()}
+        self.columns: dict[str, MatcherColumn] = {
+            name: column.select(rows) for name, column in results.columns.items()
+        }
         self.class_name = np.concatenate(names)
         self.kind, self.covered, self.is_modal = (
-            np.concatenate([getattr(part, name) for part in objects]) for name in ("kind", "covered_inner", "is_modal")
+            np.concatenate([getattr(part, name) for part in objects])
+            for name in ("kind", "covered_inner", "is_modal")
         )
 
     def groups(self) -> dict[str, BoolArray]:
@@ -85,20 +119,33 @@ class _Measured:
         for low, high in COVERED:
             name = "covered 0 %" if high == 0 else f"covered {100 * low:.0f}-{100 * high:.0f} %"
             groups[name] = (self.covered > low) & (self.covered <= high)
-        groups |= {f"class {name}": self.class_name == name for name in ("car", "truck", "person", "bicycle")}
-        return groups | {"box of visible part": self.is_modal, "box of whole object": ~self.is_modal}
+        groups |= {
+            f"class {name}": self.class_name == name
+            for name in ("car", "truck", "person", "bicycle")
+        }
+        return groups | {
+            "box of visible part": self.is_modal,
+            "box of whole object": ~self.is_modal,
+        }
 
 
 def _figures(parts: Sequence[_Measured]) -> dict[str, dict[str, dict[str, Any]]]:
     figures: dict[str, dict[str, dict[str, Any]]] = {}
     for group in parts[0].groups():
         rows = [part.groups()[group] for part in parts]
-        objects = _joined_objects([part.objects.select(chosen) for part, chosen in zip(parts, rows, strict=True)])
+        objects = _joined_objects(
+            [part.objects.select(chosen) for part, chosen in zip(parts, rows, strict=True)]
+        )
         figures[group] = {}
         for name in parts[0].columns:
-            columns = [part.columns[name].select(chosen) for part, chosen in zip(parts, rows, strict=True)]
+            columns = [
+                part.columns[name].select(chosen) for part, chosen in zip(parts, rows, strict=True)
+            ]
             column = MatcherColumn(
-                *(np.concatenate([getattr(c, key) for c in columns]) for key in MatcherColumn.__slots__)
+                *(
+                    np.concatenate([getattr(c, key) for c in columns])
+                    for key in MatcherColumn.__slots__
+                )
             )
             figures[group][name] = figures_with_intervals(column, objects)
     return figures
@@ -116,15 +163,19 @@ def _joined_objects(parts: Sequence[Objects]) -> Objects:
 WAYS = ("size", "track and size", "track", "full range")  # in which the surfaces are searched
 
 TRACK_LOG_SIGMA, OCCLUDER_FRACTION = 0.03, 0.07
-"""Standard deviation of the log disparity of tracks, and the fraction of occluded objects with that of the occluder."""
+"""Standard deviation of the log disparity of tracks, and the fraction of occluded objects with that
+of the occluder."""
 
-AS_GOOD = 0.03  # largest difference between the relative errors of a surface and of the best one if both are right
+# largest difference between the relative errors of a surface and of the best one if both are right
+AS_GOOD = 0.03
 PENALTY = 2.0  # weight of the squared coefficients of the standardised features
 
 
 @dataclass(frozen=True, slots=True)
 class _Examples:
-    """S surfaces of N objects: features (S, N, F), relative errors (S, N), and the seed of each object (N,)."""
+    """S surfaces of N objects: features (S, N, F), relative errors (S, N), and the seed of each
+    object (N,).
+    """
 
     features: FloatArray
     error: FloatArray
@@ -141,7 +192,9 @@ class _Examples:
 
 @workload(option("--seeds", default=20, help="number of drives, from seed 0"))
 def surface_choice(options: Namespace) -> Figures:
-    """Fit of the probabilities of a box's surfaces (`stereo.matching.surface_choice.THETA`), with cross-validation."""
+    """Fit of the probabilities of a box's surfaces (`stereo.matching.surface_choice.THETA`), with
+    cross-validation.
+    """
     parts: dict[str, list[_Examples]] = {way: [] for way in WAYS}
     names: list[str] = []
     rng = np.random.default_rng(0)
@@ -150,13 +203,17 @@ def surface_choice(options: Namespace) -> Figures:
             names = list(search.phi)
             parts[way].append(_examples(search, image, rows))
     examples = {way: _joined(part) for way, part in parts.items()}
-    halves = [_fit([part.select(part.seed % 2 != half) for part in examples.values()]) for half in (0, 1)]
+    halves = [
+        _fit([part.select(part.seed % 2 != half) for part in examples.values()]) for half in (0, 1)
+    ]
     failures = {way: _failures(part, halves) for way, part in examples.items()}
     theta = dict(zip(names, np.round(_fit(list(examples.values())), 2).tolist(), strict=True))
     return {"theta": theta, "failures": failures}
 
 
-def _searches(image: OcclusionPair, rng: np.random.Generator) -> Iterator[tuple[str, SurfaceSearch, IntArray]]:
+def _searches(
+    image: OcclusionPair, rng: np.random.Generator
+) -> Iterator[tuple[str, SurfaceSearch, IntArray]]:
     pair, objects = image.pair, image.objects
     settings = PatchMatcherSettings.for_rig(pair.rig)
     matcher, by_size, n = PatchMatcher(settings), expected_disparities(pair), len(pair.true_px)
@@ -164,11 +221,18 @@ def _searches(image: OcclusionPair, rng: np.random.Generator) -> Iterator[tuple[
     boxes = np.clip(pair.xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
     limit_px = np.full(n, float(settings.max_disparity_px))
     is_on_occluder = (rng.random(n) < OCCLUDER_FRACTION) & np.isfinite(objects.occluder_px)
-    track_px = np.where(is_on_occluder, objects.occluder_px, pair.true_px * np.exp(rng.normal(0, TRACK_LOG_SIGMA, n)))
+    track_px = np.where(
+        is_on_occluder,
+        objects.occluder_px,
+        pair.true_px * np.exp(rng.normal(0, TRACK_LOG_SIGMA, n)),
+    )
     no_track, no_size = np.full(n, np.nan), ExpectedDisparity.unknown(n)
     is_large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1) >= settings.min_side_px
     for way, track, size in zip(
-        WAYS, (no_track, track_px, track_px, no_track), (by_size, by_size, no_size, no_size), strict=True
+        WAYS,
+        (no_track, track_px, track_px, no_track),
+        (by_size, by_size, no_size, no_size),
+        strict=True,
     ):
         centre_px = by_size.disparity_px if way == "size" else track
         known = KnownBoxes(boxes, track, size, limit_px, OtherBoxes(boxes, centre_px))
@@ -182,7 +246,13 @@ def _searches(image: OcclusionPair, rng: np.random.Generator) -> Iterator[tuple[
             yield way, matcher.search_full_range(pair.left, pair.right, known.select(rows)), rows
         else:
             reach_px = settings.size_search_px if way == "size" else settings.search_px
-            yield way, matcher.search_near(pair.left, pair.right, known.select(rows), centre_px[rows], reach_px), rows
+            yield (
+                way,
+                matcher.search_near(
+                    pair.left, pair.right, known.select(rows), centre_px[rows], reach_px
+                ),
+                rows,
+            )
 
 
 def _examples(search: SurfaceSearch, image: OcclusionPair, rows: IntArray) -> _Examples:
@@ -232,4 +302,8 @@ def _failures(examples: _Examples, halves: list[FloatArray]) -> Figures:
     chosen = np.where(is_surface, score, -np.inf).argmax(axis=0)
     error = examples.error[chosen, np.arange(n)]
     wrong, missing = np.mean(error > FAILURE), np.mean(examples.error.min(axis=0) > FAILURE)
-    return {"objects": n, "chosen_wrong_pct": 100 * float(wrong), "not_found_pct": 100 * float(missing)}
+    return {
+        "objects": n,
+        "chosen_wrong_pct": 100 * float(wrong),
+        "not_found_pct": 100 * float(missing),
+    }

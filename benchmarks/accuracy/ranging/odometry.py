@@ -12,7 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.harness import Figures, median_ms, median_or_none, option, quantile_or_none, workload
+from benchmarks.harness import (
+    Figures,
+    median_ms,
+    median_or_none,
+    option,
+    quantile_or_none,
+    workload,
+)
 from benchmarks.inputs.drives import FPS, REAL_DATA, SimulatedDrive, decoded
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
@@ -40,9 +47,11 @@ KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
 
 @dataclass(frozen=True, slots=True)
 class OdometryDrive:
-    """F frames of a rectified pair with (N, 4) boxes of road users, true speeds (F,) and yaw rates (F,).
+    """F frames of a rectified pair with (N, 4) boxes of road users, true speeds (F,) and yaw rates
+    (F,).
 
-    A yaw rate is the mean since the previous frame; NaN = unknown. `height_m`: of the left camera above the road.
+    A yaw rate is the mean since the previous frame; NaN = unknown. `height_m`: of the left camera
+    above the road.
     """
 
     name: str
@@ -64,12 +73,17 @@ class _ImageOdometry:
         self._estimator = ImageMotionEstimator(camera, flow=flow)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        return EgoMotion(yaw_rad_s=self._estimator.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s)
+        return EgoMotion(
+            yaw_rad_s=self._estimator.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
+        )
 
 
 @workload(
     option(
-        "--scenarios", default=("town", "city", "highway", "night"), choices=SCENARIO_NAMES, help="simulated drives"
+        "--scenarios",
+        default=("town", "city", "highway", "night"),
+        choices=SCENARIO_NAMES,
+        help="simulated drives",
     ),
     option("--seeds", default=(100, 101), help="seeds of the simulated drives"),
     option("--seconds", default=4.0, help="length of the simulated drives"),
@@ -92,11 +106,15 @@ def _simulated(scenario: str, seed: int, seconds: float) -> OdometryDrive:
     boxes = [label_scene(scene, [time_s], camera=rig.left).xyxy_px for time_s in times_s]
     true_mps = np.array([scene.speed_mps(time_s) for time_s in times_s])
     yaw_rad_s = _yaw_rad_s([scene.pose(time_s).camera_from_world for time_s in times_s], 1 / FPS)
-    return OdometryDrive(f"{scenario} {seed}", rig, scene.camera_height_m, drive.frames(), boxes, true_mps, yaw_rad_s)
+    return OdometryDrive(
+        f"{scenario} {seed}", rig, scene.camera_height_m, drive.frames(), boxes, true_mps, yaw_rad_s
+    )
 
 
 def _yaw_rad_s(camera_from_world: Sequence[FloatArray], dt_s: float) -> FloatArray:
-    """(F,) mean yaw rates since the previous frame, positive = to the right, from rotations (3, 3)."""
+    """(F,) mean yaw rates since the previous frame, positive = to the right, from rotations (3,
+    3).
+    """
     steps = [now @ before.T for before, now in pairwise(camera_from_world)]
     return np.array([np.nan, *(-float(cv2.Rodrigues(step)[0][1, 0]) / dt_s for step in steps)])
 
@@ -112,27 +130,39 @@ def _real(data: Path, align: Path | None = None) -> list[OdometryDrive]:
         yaw_rad_s = np.array([-packet[_OXTS_YAW_RATE] for packet in packets])[: len(frames)]
         alignment = None if align is None else load_alignment(align)
         rig = _rig(folder, frames[0].left)
-        drives.append(OdometryDrive("KITTI 0003", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s, alignment))
+        drives.append(
+            OdometryDrive(
+                "KITTI 0003", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s, alignment
+            )
+        )
     folder = data / "kitti_odometry" / "gray51"
     if folder.is_dir():
         poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
         forward_mps = (np.diff(poses[:, :, 3], axis=0) * poses[:-1, :, 2]).sum(axis=1) * 10.0
-        true_mps = np.concatenate([[0.0], (forward_mps[1:] + forward_mps[:-1]) / 2, forward_mps[-1:]])
+        true_mps = np.concatenate(
+            [[0.0], (forward_mps[1:] + forward_mps[:-1]) / 2, forward_mps[-1:]]
+        )
         frames = _frames(folder, np.arange(len(poses)) / 10.0)
         rig = _rig(folder, frames[0].left, is_grey=True)
         yaw_rad_s = _yaw_rad_s(list(poses[:, :, :3].transpose(0, 2, 1)), 0.1)
         yaw_rad_s[:_N_INTERPOLATED] = np.nan
-        drives.append(OdometryDrive("KITTI grey", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s))
+        drives.append(
+            OdometryDrive("KITTI grey", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s)
+        )
     return drives
 
 
 def _rig(folder: Path, image: Image, *, is_grey: bool = False) -> StereoRig:
-    rig, _ = load_rig(folder / "calib.txt", size_px=(image.shape[1], image.shape[0]), is_grey=is_grey)
+    rig, _ = load_rig(
+        folder / "calib.txt", size_px=(image.shape[1], image.shape[0]), is_grey=is_grey
+    )
     return rig
 
 
 def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
-    pairs = zip(times_s.tolist(), decoded(folder / "left.mp4"), decoded(folder / "right.mp4"), strict=False)
+    pairs = zip(
+        times_s.tolist(), decoded(folder / "left.mp4"), decoded(folder / "right.mp4"), strict=False
+    )
     return [Frame(index, time_s, left, right) for index, (time_s, left, right) in enumerate(pairs)]
 
 
@@ -143,7 +173,9 @@ def _figures(drive: OdometryDrive) -> Figures:
         "ground": lambda flow: GroundOdometry(camera, drive.height_m, flow=flow),
         "image": lambda flow: _ImageOdometry(camera, flow),
     }
-    return {f"{drive.name}, {name}": _method_figures(drive, create) for name, create in methods.items()}
+    return {
+        f"{drive.name}, {name}": _method_figures(drive, create) for name, create in methods.items()
+    }
 
 
 def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odometry]) -> Figures:

@@ -1,9 +1,11 @@
-"""Kinds of recordings and calibrations: recognised, values right, and distances against the same drive in plain form.
+"""Kinds of recordings and calibrations: recognised, values right, and distances against the same
+drive in plain form.
 
-The kinds are those of the tests (`RECORDINGS`, `CALIBRATIONS`). A recording is a simulated drive in another form; its
-boxes are those of the ground truth, and the distances of the stereo matcher are compared with those of the drive in
-folders of PNGs with its own rig. A calibration is that of another pair: points at 5 to 60 m are projected with the true
-cameras and triangulated with those that are read.
+The kinds are those of the tests (`RECORDINGS`, `CALIBRATIONS`). A recording is a simulated drive in
+another form; its boxes are those of the ground truth, and the distances of the stereo matcher are
+compared with those of the drive in folders of PNGs with its own rig. A calibration is that of
+another pair: points at 5 to 60 m are projected with the true cameras and triangulated with those
+that are read.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ FARTHEST_M, SMALLEST_PX = 40.0, 12.0  # distance, and height of the boxes that a
 N_LIVE = 6  # frames of live sources
 VALUE, DISTANCE_PCT = 1e-6, 1.0  # largest error of values, and median error of distances
 TIME_MS = 1.0  # largest error of times since the first frame
-SPACE_M = np.stack(np.meshgrid((-3.0, 0.0, 4.0), (-1.0, 0.5), (5.0, 10.0, 20.0, 40.0, 60.0)), axis=-1).reshape(-1, 3)
+SPACE_M = np.stack(
+    np.meshgrid((-3.0, 0.0, 4.0), (-1.0, 0.5), (5.0, 10.0, 20.0, 40.0, 60.0)), axis=-1
+).reshape(-1, 3)
 """(30, 3) points in the frame of the left camera."""
 
 
@@ -49,7 +53,9 @@ SPACE_M = np.stack(np.meshgrid((-3.0, 0.0, 4.0), (-1.0, 0.5), (5.0, 10.0, 20.0, 
     CACHE_OPTION,
 )
 def recordings(options: Namespace) -> Figures:
-    """Whether each kind of recording and calibration is read, with the right values and distances."""
+    """Whether each kind of recording and calibration is read, with the right values and
+    distances.
+    """
     folder = options.cache / f"recordings_{SEED}"
     if not (folder / "rig.yaml").exists():
         rig = kitti_like_rig(width_px=SIZE_PX[0], height_px=SIZE_PX[1])
@@ -57,7 +63,9 @@ def recordings(options: Namespace) -> Figures:
     drive = Plain(folder)
     figures: dict[str, dict[str, Any]] = {"recordings": {}, "calibrations": {}}
     with ExitStack() as servers:
-        streams = [Recording("live stream, side by side", partial(live, servers=servers), rate_hz=0.0)]
+        streams = [
+            Recording("live stream, side by side", partial(live, servers=servers), rate_hz=0.0)
+        ]
         for recording in (*RECORDINGS, *streams):
             if options.only in recording.kind:
                 figures["recordings"][recording.kind] = _attempt(partial(drive.compared, recording))
@@ -65,11 +73,16 @@ def recordings(options: Namespace) -> Figures:
         if options.only in calibration.kind:
             figures["calibrations"][calibration.kind] = _attempt(partial(_read, calibration))
     counts = {name: [row["right"] for row in rows.values()] for name, rows in figures.items()}
-    return {**figures, "right": {name: f"{sum(right)} of {len(right)}" for name, right in counts.items()}}
+    return {
+        **figures,
+        "right": {name: f"{sum(right)} of {len(right)}" for name, right in counts.items()},
+    }
 
 
 def _attempt(measure: Callable[[Path], Figures]) -> Figures:
-    """Figures of a kind in a new folder, or the sentence with which it is refused; "right" = all within the limits."""
+    """Figures of a kind in a new folder, or the sentence with which it is refused; "right" = all
+    within the limits.
+    """
     start_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -77,7 +90,10 @@ def _attempt(measure: Callable[[Path], Figures]) -> Figures:
         except tr.UserError as error:
             row = {"right": False, "said": str(error).replace(folder, "").strip("/")[:200]}
         except (TypeError, OSError, RuntimeError, ValueError) as error:
-            row = {"right": False, "said": f"{type(error).__name__}: {error}".replace(folder, "")[:200]}
+            row = {
+                "right": False,
+                "said": f"{type(error).__name__}: {error}".replace(folder, "")[:200],
+            }
     return {**row, "s": round(time.monotonic() - start_s, 1)}
 
 
@@ -93,7 +109,9 @@ class Plain:
         self.rig_path = folder / "rig.yaml"
         self.pair = Pair(decoded(folder / "left.mp4"), decoded(folder / "right.mp4"))
         self._thumbnails = [_thumbnail(image) for image in self.pair.left]
-        rows = [line.split() for line in (folder / "truth.txt").read_text(encoding="utf-8").splitlines()]
+        rows = [
+            line.split() for line in (folder / "truth.txt").read_text(encoding="utf-8").splitlines()
+        ]
         self._boxes = [self._boxes_of(rows, frame) for frame in range(len(self.pair.left))]
         with tempfile.TemporaryDirectory() as plain:
             _, self._distances_m = self._read(RECORDINGS[0], Path(plain))
@@ -108,12 +126,18 @@ class Plain:
         ]  # fmt: skip
         xyxy_px = np.array([row[6:10] for row in kept], np.float64).reshape(-1, 4)
         n, ids = len(kept), np.array([row[1] for row in kept], np.int64) + 1
-        return tr.Tracks(ids, xyxy_px, np.full(n, ROAD_CLASSES.index("car")), np.ones(n), np.ones(n, np.bool_))
+        return tr.Tracks(
+            ids, xyxy_px, np.full(n, ROAD_CLASSES.index("car")), np.ones(n), np.ones(n, np.bool_)
+        )
 
     def _read(self, recording: Recording, folder: Path) -> tuple[FloatArray, dict[int, FloatArray]]:
-        """(F, 2) frame of the drive that each frame shows, and its time; distances by frame of the drive."""
+        """(F, 2) frame of the drive that each frame shows, and its time; distances by frame of the
+        drive.
+        """
         names, options = recording.write(folder, self.pair)
-        known = {name for name in options if name in inspect.signature(tr.open_recording).parameters}
+        known = {
+            name for name in options if name in inspect.signature(tr.open_recording).parameters
+        }
         if missing := options.keys() - known:
             raise TypeError(f"open_recording has no {', '.join(sorted(missing))}")
         opened = tr.open_recording(*names, rig=self.rig_path, align="off", **options)
@@ -130,7 +154,9 @@ class Plain:
         return np.array(seen), distances_m
 
     def compared(self, recording: Recording, folder: Path) -> Figures:
-        """Frames, errors of times and of distances of a recording against the drive in plain form."""
+        """Frames, errors of times and of distances of a recording against the drive in plain
+        form.
+        """
         seen, distances_m = self._read(recording, folder)
         numbers, times_s = seen.T
         relative = np.concatenate([distances_m[n] / self._distances_m[n] - 1 for n in distances_m])
@@ -143,10 +169,16 @@ class Plain:
         }
         is_right = median_pct <= DISTANCE_PCT
         if recording.rate_hz:
-            n_expected = (3 if "3 frames" in recording.kind else len(self.pair.left)) - recording.n_lost
+            n_expected = (
+                3 if "3 frames" in recording.kind else len(self.pair.left)
+            ) - recording.n_lost
             errors_s = times_s - times_s[0] - (numbers - numbers[0]) / recording.rate_hz
             error_ms = 1e3 * float(np.abs(errors_s).max())
-            is_right &= bool((np.diff(numbers) > 0).all()) and len(seen) >= n_expected and error_ms <= TIME_MS
+            is_right &= (
+                bool((np.diff(numbers) > 0).all())
+                and len(seen) >= n_expected
+                and error_ms <= TIME_MS
+            )
             row["time_error_ms"] = error_ms
         return {"right": is_right, **row}
 
@@ -163,7 +195,9 @@ def _read(calibration: Calibration, folder: Path) -> Figures:
 
 
 def _triangulated_z_m(rig: StereoRig, true: StereoRig) -> FloatArray:
-    """(N,) z by `rig` of the points of `SPACE_M`, whose pixels are those of the true rig: R s a + T = t b."""
+    """(N,) z by `rig` of the points of `SPACE_M`, whose pixels are those of the true rig: R s a + T
+    = t b.
+    """
 
     def rays(read: PinholeCamera, camera: PinholeCamera, points_m: FloatArray) -> FloatArray:
         return read.recorded_rays(camera.recorded_px(points_m))
@@ -173,6 +207,7 @@ def _triangulated_z_m(rig: StereoRig, true: StereoRig) -> FloatArray:
     b = rays(rig.right, true.right, (homogeneous @ true.right_from_left.T)[:, :3])
     rotated, t = a @ rig.right_from_left[:3, :3].T, rig.right_from_left[:3, 3]
     lengths = [
-        np.linalg.lstsq(np.column_stack((one, -two)), -t, rcond=None)[0][0] for one, two in zip(rotated, b, strict=True)
+        np.linalg.lstsq(np.column_stack((one, -two)), -t, rcond=None)[0][0]
+        for one, two in zip(rotated, b, strict=True)
     ]
     return np.asarray(np.array(lengths) * a[:, 2])

@@ -1,7 +1,8 @@
 """Alignment of pairs from drives, and rig files with errors on drives with a known rig.
 
-Points of a drive are tracked once; for a rig file with an error, only their rectification changes. Points of simulated
-drives can be stored in a folder, so that a second benchmark does not render them.
+Points of a drive are tracked once; for a rig file with an error, only their rectification changes.
+Points of simulated drives can be stored in a folder, so that a second benchmark does not render
+them.
 """
 
 from __future__ import annotations
@@ -38,9 +39,11 @@ from track_range.stereo.geometry.rig import StereoRig
 SCENARIOS = ("town", "highway", "city", "cut-in")
 
 FIRST_SEED, N_DRIVES, DRIVE_S = 600, 50, 9.7
-"""Seed of the first simulated drive (no test and no other benchmark uses these seeds), their number and length."""
+"""Seed of the first simulated drive (no test and no other benchmark uses these seeds), their number
+and length."""
 
-WINDOW = 32  # default number of frames of a window: two segments of the estimate; a run uses up to three
+# default number of frames of a window: two segments of the estimate; a run uses up to three
+WINDOW = 32
 ANGLES_DEG = (0.02, 0.05, 0.1, 0.2, 0.5)  # sizes of the errors of an angle; the signs alternate
 SCALE = 0.01  # relative error of focal lengths and of the baseline
 
@@ -57,9 +60,17 @@ class Error(NamedTuple):
 
 ANGLES: tuple[Fault, ...] = ("yaw", "pitch", "roll")
 
-ANGLE_ERRORS = [Error(axis, size * (-1) ** number) for number, (axis, size) in enumerate(product(ANGLES, ANGLES_DEG))]
-SCALE_ERRORS = [Error("focal_right", SCALE), Error("focal_right", -SCALE), Error("focal_both", SCALE)]
-ERRORS = (*ANGLE_ERRORS, *SCALE_ERRORS, Error("baseline", -SCALE))  # all errors; each window gets some of them in turn
+ANGLE_ERRORS = [
+    Error(axis, size * (-1) ** number)
+    for number, (axis, size) in enumerate(product(ANGLES, ANGLES_DEG))
+]
+SCALE_ERRORS = [
+    Error("focal_right", SCALE),
+    Error("focal_right", -SCALE),
+    Error("focal_both", SCALE),
+]
+# all errors; each window gets some of them in turn
+ERRORS = (*ANGLE_ERRORS, *SCALE_ERRORS, Error("baseline", -SCALE))
 UNSEEN = ("focal_both", "baseline")  # errors that images cannot show
 
 OFFSETS_PX = (0.0, 0.3, -0.5, 0.8, 0.3, -0.5, 0.0, -0.2)
@@ -69,7 +80,8 @@ SEEDS = tuple(range(240, 252))  # no test uses them
 ALIGNMENT_S = 4.9  # length of a drive: the time that a run uses for the alignment
 
 Fault = Literal["true", "yaw", "pitch", "roll", "focal_right", "focal_both", "baseline"]
-"""Error of a rig file: rotation of the right camera about its centre, or a factor of focal lengths or baseline."""
+"""Error of a rig file: rotation of the right camera about its centre, or a factor of focal lengths
+or baseline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +116,30 @@ def rig_with_error(rig: StereoRig, fault: Fault, size: float) -> StereoRig:
         right_from_left[:3, 3] *= 1 + size
         return replace(rig, right_from_left=right_from_left)
     left, right = (
-        replace(camera, fx_px=camera.fx_px * (1 + size), fy_px=camera.fy_px * (1 + size)) if fault in faults else camera
-        for camera, faults in ((rig.left, ("focal_both",)), (rig.right, ("focal_both", "focal_right")))
+        replace(camera, fx_px=camera.fx_px * (1 + size), fy_px=camera.fy_px * (1 + size))
+        if fault in faults
+        else camera
+        for camera, faults in (
+            (rig.left, ("focal_both",)),
+            (rig.right, ("focal_both", "focal_right")),
+        )
     )
     return StereoRig(left, right, rig.right_from_left)
 
 
-def rectified_points(frames: Iterable[TrackedFrame], rectifier: Rectifier) -> Iterator[TrackedFrame]:
-    """The frames with their points in pixels of the rectified images; points outside of them are omitted."""
+def rectified_points(
+    frames: Iterable[TrackedFrame], rectifier: Rectifier
+) -> Iterator[TrackedFrame]:
+    """The frames with their points in pixels of the rectified images; points outside of them are
+    omitted.
+    """
     camera = rectifier.rig.left
     size = np.array([camera.width_px, camera.height_px])
     for frame in frames:
         left_px, right_px = rectifier.points(frame.points.left_px, frame.points.right_px)
-        is_inside = ((left_px > 0) & (left_px < size) & (right_px > 0) & (right_px < size)).all(axis=1)
+        is_inside = ((left_px > 0) & (left_px < size) & (right_px > 0) & (right_px < size)).all(
+            axis=1
+        )
         points = PairPoints(frame.points.number[is_inside], left_px[is_inside], right_px[is_inside])
         yield frame._replace(points=points)
 
@@ -129,13 +152,17 @@ def tracked(frames: Iterable[Frame]) -> Iterator[TrackedFrame]:
             yield tracks.add(frame.left, whole_image(frame.right), frame.time_s)
 
 
-def simulated_drive(scenario: str, *, seed: int, seconds: float, cache: Path | None) -> TrackedDrive:
+def simulated_drive(
+    scenario: str, *, seed: int, seconds: float, cache: Path | None
+) -> TrackedDrive:
     """A simulated drive, from the folder `cache` if it is there."""
     path = None if cache is None else cache / f"{scenario}-{seed}-{seconds:g}.pickle"
     if path is not None and path.exists():
         frames = pickle.loads(path.read_bytes())  # noqa: S301 - written by the lines below
     else:
-        frames = tuple(tracked(SimulatedDrive.of(scenario, seed=seed, seconds=seconds).iter_frames()))
+        frames = tuple(
+            tracked(SimulatedDrive.of(scenario, seed=seed, seconds=seconds).iter_frames())
+        )
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(pickle.dumps(frames))
@@ -156,7 +183,9 @@ def alignment(options: Namespace) -> Figures:
 
 def _drive(seed: int) -> Figures:
     scenario, offset_px = SCENARIOS[seed % len(SCENARIOS)], OFFSETS_PX[seed % len(OFFSETS_PX)]
-    drive = SimulatedDrive.of(scenario, seed=seed, seconds=ALIGNMENT_S, faults=Faults(disparity_offset_px=offset_px))
+    drive = SimulatedDrive.of(
+        scenario, seed=seed, seconds=ALIGNMENT_S, faults=Faults(disparity_offset_px=offset_px)
+    )
     frames = drive.frames()
     start_s = time.process_time()
     estimate = find_alignment("auto", drive.renderer.rig, (frame for frame in frames)).measured
@@ -196,15 +225,29 @@ def _sigma_figures(rows: Sequence[Figures], error: str, sigma: str) -> Figures:
 
 @workload(
     option("--drives", default=N_DRIVES, metavar="N", help="number of simulated drives"),
-    option("--first-seed", "--seed", default=FIRST_SEED, metavar="N", help="seed of the first drive"),
+    option(
+        "--first-seed", "--seed", default=FIRST_SEED, metavar="N", help="seed of the first drive"
+    ),
     option("--errors", default=3, metavar="N", help="rig files with errors per window"),
-    option("--frames", default=WINDOW, metavar="N", help="frames per window: 16 = one segment of the estimate"),
-    option("--step", type=int, metavar="N", help="frames between starts of windows (default: as many as in a window)"),
+    option(
+        "--frames",
+        default=WINDOW,
+        metavar="N",
+        help="frames per window: 16 = one segment of the estimate",
+    ),
+    option(
+        "--step",
+        type=int,
+        metavar="N",
+        help="frames between starts of windows (default: as many as in a window)",
+    ),
     option("--cache", type=Path, metavar="DIR", help="folder for the tracked points"),
     option("--jobs", default=1, metavar="N", help="number of processes"),
 )
 def rig_health(options: Namespace) -> Figures:
-    """True rig files and rig files with errors, on the same drives: which are noticed, and corrected."""
+    """True rig files and rig files with errors, on the same drives: which are noticed, and
+    corrected.
+    """
     windows = list(_windows(options))
     with ProcessPoolExecutor(options.jobs) as pool:
         found = pool.map(_cases, windows, range(len(windows)), repeat(options.errors))
@@ -234,7 +277,9 @@ def _case(window: TrackedDrive, error: Error) -> Figures:
     measured = drive.estimate()
     windows = drive.windows()
     health = RigHealth(rectifier.rig, measured, measured.if_clear(), windows)
-    before, after = (_errors_pct(window.rig, rectifier, alignment) for alignment in (Alignment(), health.applied))
+    before, after = (
+        _errors_pct(window.rig, rectifier, alignment) for alignment in (Alignment(), health.applied)
+    )
     halves = (windows[0], windows[-1]) if len(windows) > 1 else None
     return {
         "fault": error.fault,
@@ -254,7 +299,9 @@ def _sigmas(first: Any, last: Any) -> float:
 
 
 def _errors_pct(rig: StereoRig, rectifier: Rectifier, alignment: Alignment) -> FloatArray:
-    """(3,) relative errors in per cent at 30 m and `COLUMNS_U`: points of the true rig, measured with the rig file."""
+    """(3,) relative errors in per cent at 30 m and `COLUMNS_U`: points of the true rig, measured
+    with the rig file.
+    """
     camera = rig.left
     x_m = COLUMNS_U * camera.width_px / 2 / camera.fx_px * REFERENCE_M
     points_m = np.column_stack([x_m, np.full(3, ROW_M), np.full(3, REFERENCE_M)])
@@ -271,7 +318,11 @@ def _errors_pct(rig: StereoRig, rectifier: Rectifier, alignment: Alignment) -> F
 def _case_figures(cases: Sequence[Figures]) -> Figures:
     true = [case for case in cases if case["fault"] == "true"]
     wrong = [case for case in cases if case["fault"] != "true"]
-    matters = [case for case in wrong if case["before_pct"] >= 100 * MATTERS and case["fault"] not in UNSEEN]
+    matters = [
+        case
+        for case in wrong
+        if case["before_pct"] >= 100 * MATTERS and case["fault"] not in UNSEEN
+    ]
     unseen = [case for case in wrong if case["fault"] in UNSEEN]
     sigmas = [case["halves_sigmas"] for case in cases if case["halves_sigmas"] is not None]
     by_fault = {}
@@ -293,8 +344,12 @@ def _case_figures(cases: Sequence[Figures]) -> Figures:
             "true rig files, false alarms": fraction(case["is_noticed"] for case in true),
             "true rig files, moved during the drive": fraction(case["has_moved"] for case in true),
             "errors of 1 % or more, noticed": fraction(case["is_noticed"] for case in matters),
-            "errors of 1 % or more, corrected": fraction(case["after_pct"] <= AFTER_PCT for case in matters),
-            "both focal lengths or baseline, noticed": fraction(case["is_noticed"] for case in unseen),
+            "errors of 1 % or more, corrected": fraction(
+                case["after_pct"] <= AFTER_PCT for case in matters
+            ),
+            "both focal lengths or baseline, noticed": fraction(
+                case["is_noticed"] for case in unseen
+            ),
             "halves within 1 sigma": fraction(sigma <= 1 for sigma in sigmas),
             "halves within 2 sigma": fraction(sigma <= 2 for sigma in sigmas),
         },
@@ -308,4 +363,9 @@ def fraction(values: Any) -> dict[str, float | None]:
     if not flags:
         return {"n": 0, "fraction": None, "low": None, "high": None}
     interval = binomtest(sum(flags), len(flags)).proportion_ci(method="wilson")
-    return {"n": len(flags), "fraction": float(np.mean(flags)), "low": interval.low, "high": interval.high}
+    return {
+        "n": len(flags),
+        "fraction": float(np.mean(flags)),
+        "low": interval.low,
+        "high": interval.high,
+    }

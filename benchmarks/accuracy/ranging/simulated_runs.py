@@ -34,7 +34,8 @@ from track_range.stereo.geometry.rig import StereoRig
 SCENARIOS = ("town", "highway", "city", "cut-in")
 FUSION_SEED = 230  # no test uses it
 SECONDS = 8.0
-BLACK_S, NOISE_S = (3.0, 4.0), (5.5, 7.5)  # intervals in s in which the right image is black, and grey noise
+# intervals in s in which the right image is black, and grey noise
+BLACK_S, NOISE_S = (3.0, 4.0), (5.5, 7.5)
 FUSION_METHODS = ("mono", "stereo", "fused", "mono_kf", "stereo_kf", "fused_kf")
 COMPARED = ("mono", "mono_kf", "fused", "fused_kf")  # methods that are compared on the same boxes
 
@@ -51,22 +52,39 @@ OFF_AXIS_DEG = 30.0  # horizontal angle from the axis that divides the objects o
 
 
 @workload(
-    option("--scenarios", default=SCENARIOS, choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
+    option(
+        "--scenarios",
+        default=SCENARIOS,
+        choices=tuple(ALL_SCENARIOS),
+        metavar="NAME",
+        help="scenarios",
+    ),
     option("--seeds", default=(FUSION_SEED,), metavar="N", help="random seeds of the drives"),
-    option("--lanes", default=CLASSICAL, metavar="FILE", help="lane network, off, or the classical lane detection"),
+    option(
+        "--lanes",
+        default=CLASSICAL,
+        metavar="FILE",
+        help="lane network, off, or the classical lane detection",
+    ),
 )
 def fusion(options: Namespace) -> Figures:
-    """Fusion while stereo fails: simulated drives with a right camera that is black, then grey noise, for 1 and 2 s."""
+    """Fusion while stereo fails: simulated drives with a right camera that is black, then grey
+    noise, for 1 and 2 s.
+    """
     by_scenario = {
-        name: joined([_blind_run(name, seed, options.lanes) for seed in options.seeds]) for name in options.scenarios
+        name: joined([_blind_run(name, seed, options.lanes) for seed in options.seeds])
+        for name in options.scenarios
     }
     return {
-        name: _scores(columns) for name, columns in {"all": joined(list(by_scenario.values())), **by_scenario}.items()
+        name: _scores(columns)
+        for name, columns in {"all": joined(list(by_scenario.values())), **by_scenario}.items()
     }
 
 
 def _blind_run(scenario: str, seed: int, lanes: str) -> Columns:
-    return run_columns(scenario, seed, SECONDS, prepare=lambda drive: _blind(drive.right, seed), lanes=lanes)
+    return run_columns(
+        scenario, seed, SECONDS, prepare=lambda drive: _blind(drive.right, seed), lanes=lanes
+    )
 
 
 def _blind(folder: Path, seed: int) -> None:
@@ -87,7 +105,9 @@ def _is_within(time_s: Any, span_s: tuple[float, float]) -> BoolArray:
 
 
 def _scores(columns: Columns) -> Figures:
-    """Scores by method with and without a right image ("blind"), and over the boxes that all of `COMPARED` measured."""
+    """Scores by method with and without a right image ("blind"), and over the boxes that all of
+    `COMPARED` measured.
+    """
     is_blind = _is_within(columns["time_s"], BLACK_S) | _is_within(columns["time_s"], NOISE_S)
     is_true = np.isfinite(columns["scored_truth_m"])
     is_common = np.all([np.isfinite(columns[f"{name}_m"]) for name in COMPARED], axis=0)
@@ -117,14 +137,21 @@ def run_columns(
 ) -> Columns:
     """Columns of the command `run` without dense stereo on a drive with lossless images.
 
-    `shown` is the left camera of the rectified images, `prepare` changes the drive's files; the boxes are the recorded
-    ones unless the settings have a detector. `true_id` is the identity of the object; -1 = none.
+    `shown` is the left camera of the rectified images, `prepare` changes the drive's files; the
+    boxes are the recorded ones unless the settings have a detector. `true_id` is the identity of
+    the object; -1 = none.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         options = DriveOptions(lossless=True)
         drive = write_drive(
-            folder / "drive", scenario=scenario, seed=seed, seconds=seconds, fps=FPS, rig=rig, options=options
+            folder / "drive",
+            scenario=scenario,
+            seed=seed,
+            seconds=seconds,
+            fps=FPS,
+            rig=rig,
+            options=options,
         )
         prepare(drive)
         if "detector" not in settings:
@@ -152,15 +179,25 @@ def joined(runs: Sequence[Columns]) -> Columns:
 
 
 @workload(
-    option("--scenarios", default=SCENARIOS, choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
+    option(
+        "--scenarios",
+        default=SCENARIOS,
+        choices=tuple(ALL_SCENARIOS),
+        metavar="NAME",
+        help="scenarios",
+    ),
     option("--seeds", default=(LENS_SEED,), metavar="N", help="random seeds of the drives"),
     option("--seconds", default=6.0, metavar="S", help="length of a drive"),
     option("--detector", metavar="FILE", help="network for the boxes (default: recorded boxes)"),
 )
 def wide_lenses(options: Namespace) -> Figures:
-    """Distances with a fisheye lens and with a pinhole of the same angular resolution, on the same simulated drives."""
+    """Distances with a fisheye lens and with a pinhole of the same angular resolution, on the same
+    simulated drives.
+    """
     rows = [
-        _common_rows(*_both_runs(scenario, seed, options)) for scenario in options.scenarios for seed in options.seeds
+        _common_rows(*_both_runs(scenario, seed, options))
+        for scenario in options.scenarios
+        for seed in options.seeds
     ]
     columns = [joined([pair[side] for pair in rows]) for side in (0, 1)]
     angle_deg = np.degrees(np.arctan2(np.abs(columns[0]["x_m"]), columns[0]["scored_truth_m"]))
@@ -170,7 +207,9 @@ def wide_lenses(options: Namespace) -> Figures:
         "farther out": angle_deg > OFF_AXIS_DEG,
     }
     return {
-        part: {method: _compared(method, columns, np.flatnonzero(chosen)) for method in LENS_METHODS}
+        part: {
+            method: _compared(method, columns, np.flatnonzero(chosen)) for method in LENS_METHODS
+        }
         for part, chosen in parts.items()
     }
 
@@ -180,7 +219,8 @@ def _both_runs(scenario: str, seed: int, options: Namespace) -> tuple[Columns, C
     pinholes = WideLens.of(wide).pinholes
     boxes = {} if options.detector is None else {"detector": options.detector}
     pinhole, fisheye = (
-        run_columns(scenario, seed, options.seconds, rig=rig, shown=pinholes.left, **boxes) for rig in (pinholes, wide)
+        run_columns(scenario, seed, options.seconds, rig=rig, shown=pinholes.left, **boxes)
+        for rig in (pinholes, wide)
     )
     return pinhole, fisheye
 
@@ -203,19 +243,25 @@ def _keys(columns: Columns) -> tuple[IntArray, IntArray]:
 
 
 def _compared(method: str, columns: Sequence[Columns], rows: IntArray) -> dict[str, Any]:
-    """Scores of a method with pinhole and fisheye over the rows that both measured, and the ratios of the errors."""
+    """Scores of a method with pinhole and fisheye over the rows that both measured, and the ratios
+    of the errors.
+    """
     both = np.all([np.isfinite(part[f"{method}_m"]) for part in columns], axis=0)
     rows = rows[both[rows]]
     true_m = columns[0]["scored_truth_m"][rows]
     scores = {
         name: score_rows(
-            MethodColumn(part[f"{method}_m"][rows], part[f"{method}_sigma_m"][rows]), true_m, np.full(len(rows), True)
+            MethodColumn(part[f"{method}_m"][rows], part[f"{method}_sigma_m"][rows]),
+            true_m,
+            np.full(len(rows), True),
         )
         for name, part in zip(("pinhole", "fisheye"), columns, strict=True)
     }
     keys = [f"{statistic}_relative_error_pct" for statistic in STATISTICS]
     ratios = {
-        statistic: scores["fisheye"][key] / scores["pinhole"][key] if len(rows) and scores["pinhole"][key] else None
+        statistic: scores["fisheye"][key] / scores["pinhole"][key]
+        if len(rows) and scores["pinhole"][key]
+        else None
         for statistic, key in zip(STATISTICS, keys, strict=True)
     }
     return {**scores, "ratios": ratios}

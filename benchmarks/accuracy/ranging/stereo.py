@@ -1,4 +1,6 @@
-"""Stereo matching: time of the patch matcher and of dense matching on one thread, and accuracy on exact truth."""
+"""Stereo matching: time of the patch matcher and of dense matching on one thread, and accuracy on
+exact truth.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ MIN_TRUE_PIXELS = 20  # with a true disparity in a box
 MODES: tuple[Mode, ...] = ("3way", "sgbm", "hh")
 
 SEARCH_PX = 12
-"""Columns to the left and right of a patch that a search around a prior reads, for the rectification of strips."""
+"""Columns to the left and right of a patch that a search around a prior reads, for the
+rectification of strips."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,10 @@ def stereo(options: Namespace) -> Figures:
 def _real(folder: Path, n: int) -> list[SpeedScene]:
     """The n pairs with the most labelled cars."""
     root = folder / "training" if (folder / "training").is_dir() else folder
-    pairs = sorted((read_pair(folder, name) for name in pair_names(folder)), key=lambda pair: -len(pair.true_px))
+    pairs = sorted(
+        (read_pair(folder, name) for name in pair_names(folder)),
+        key=lambda pair: -len(pair.true_px),
+    )
     scenes = []
     for number, pair in enumerate(pairs[:n]):
         steps = cv2.imread(str(root / TRUTH / f"{pair.name}.png"), cv2.IMREAD_UNCHANGED)
@@ -99,7 +105,9 @@ def _rendered(n: int, *, width_px: int, height_px: int) -> list[SpeedScene]:
         renderer = Renderer(scene, rig)
         labels = label_scene(scene, [1.0], camera=rig.left)
         is_visible = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded <= 1)
-        objects = labels.xyxy_px[is_visible & (labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] >= MIN_BOX_HEIGHT_PX)]
+        objects = labels.xyxy_px[
+            is_visible & (labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] >= MIN_BOX_HEIGHT_PX)
+        ]
         disparity_px = rig.left.fx_px * rig.baseline_m / renderer.depth_m(1.0)
         boxes, true_px = _boxes(objects, disparity_px, seed=seed)
         left, right = renderer.render(1.0), renderer.render(1.0, side="right")
@@ -107,8 +115,12 @@ def _rendered(n: int, *, width_px: int, height_px: int) -> list[SpeedScene]:
     return scenes
 
 
-def _boxes(objects: FloatArray, disparity_px: FloatArray, *, seed: int) -> tuple[FloatArray, FloatArray]:
-    """(15, 4) boxes, those of the objects and then the same shifted, with their (15,) median true disparities."""
+def _boxes(
+    objects: FloatArray, disparity_px: FloatArray, *, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """(15, 4) boxes, those of the objects and then the same shifted, with their (15,) median true
+    disparities.
+    """
     rng = np.random.default_rng(seed)
     image_hw = (disparity_px.shape[0], disparity_px.shape[1])
     boxes, true_px = [], []
@@ -117,7 +129,11 @@ def _boxes(objects: FloatArray, disparity_px: FloatArray, *, seed: int) -> tuple
         if number >= len(objects):
             box_px = box_px + np.tile(rng.uniform(-0.1, 0.1, 2) * (box_px[2:] - box_px[:2]), 2)
         patch = next(inner_halves(box_px[None], image_hw, margin_px=3, min_side_px=5))
-        inside = np.zeros(0) if patch is None else disparity_px[patch.top : patch.bottom, patch.left : patch.right]
+        inside = (
+            np.zeros(0)
+            if patch is None
+            else disparity_px[patch.top : patch.bottom, patch.left : patch.right]
+        )
         if np.isfinite(inside).sum() >= MIN_TRUE_PIXELS:
             boxes.append(box_px)
             true_px.append(float(np.nanmedian(inside)))
@@ -143,7 +159,10 @@ def _speed(scenes: list[SpeedScene], n_rounds: int) -> dict[str, Any]:
         name: {f"dense {mode}": dense_ms / ms[name] for mode, dense_ms in dense.items()}
         for name in ("patch, prior", "patch, full range")
     }
-    return {"ms": ms, "ratios": {name: {**row, "smallest": min(row.values())} for name, row in ratios.items()}}
+    return {
+        "ms": ms,
+        "ratios": {name: {**row, "smallest": min(row.values())} for name, row in ratios.items()},
+    }
 
 
 def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
@@ -153,10 +172,17 @@ def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
     dense = {mode: Sgbm(SgbmSettings(n_disparities=N_DISPARITIES, mode=mode)) for mode in MODES}
     return {
         "patch, prior": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, prior_px),
-        "patch, full range": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, no_prior_px),
-        **{f"dense {mode}": partial(sgbm.dense_disparity, scene.left, scene.right) for mode, sgbm in dense.items()},
+        "patch, full range": lambda: patch.match(
+            scene.left, scene.right, scene.xyxy_px, no_prior_px
+        ),
+        **{
+            f"dense {mode}": partial(sgbm.dense_disparity, scene.left, scene.right)
+            for mode, sgbm in dense.items()
+        },
         "rectify right frame": lambda: cv2.remap(scene.right, *maps, cv2.INTER_LINEAR),
-        "rectify right strips": lambda: list(map(RemappedView(scene.right, maps).__getitem__, strips)),
+        "rectify right strips": lambda: list(
+            map(RemappedView(scene.right, maps).__getitem__, strips)
+        ),
     }
 
 
@@ -165,7 +191,9 @@ def _raw_maps(scene: SpeedScene) -> Maps:
     R = cv2.Rodrigues(np.array([0.003, 0.008, 0.002]))[0]
     matrix, size_px = scene.rig.right.matrix, (scene.rig.right.width_px, scene.rig.right.height_px)
     distortion = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
-    whole, fraction = cv2.initUndistortRectifyMap(matrix, distortion, R, matrix, size_px, cv2.CV_16SC2)
+    whole, fraction = cv2.initUndistortRectifyMap(
+        matrix, distortion, R, matrix, size_px, cv2.CV_16SC2
+    )
     return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
 
 
@@ -184,11 +212,15 @@ def _strips(scene: SpeedScene) -> list[tuple[slice, slice]]:
 
 def _simulated(n_drives: int, fps: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
-        measured = measure_pairs(_drives(Path(name), n_drives, fps), MATCHERS, expected=expected_disparities)
+        measured = measure_pairs(
+            _drives(Path(name), n_drives, fps), MATCHERS, expected=expected_disparities
+        )
     objects = measured.objects
     near = (objects.distance_m >= FROM_M) & (objects.distance_m <= TO_M)
     return {
-        matcher: figures(MatcherColumn(column.disparity_px[near], column.sigma_px[near]), objects.true_px[near])
+        matcher: figures(
+            MatcherColumn(column.disparity_px[near], column.sigma_px[near]), objects.true_px[near]
+        )
         for matcher, column in measured.columns.items()
     }
 

@@ -53,7 +53,9 @@ class TimedModel:
 
 @dataclass(slots=True)
 class Row:
-    """A tracker configuration and its tracks so far, of each drive frame by frame; without a model, motion only."""
+    """A tracker configuration and its tracks so far, of each drive frame by frame; without a model,
+    motion only.
+    """
 
     is_camera_motion_compensated: bool = False
     model: TimedModel | None = None
@@ -66,7 +68,9 @@ class Row:
         )
         tracker = DeepSortTracker(settings, appearance_model=self.model)
         frames = enumerate(zip(drive.detected, drive.images, strict=True))
-        self.parts.append([tracker.update(detections, k / FPS, image) for k, (detections, image) in frames])
+        self.parts.append(
+            [tracker.update(detections, k / FPS, image) for k, (detections, image) in frames]
+        )
 
 
 @workload(
@@ -74,13 +78,20 @@ class Row:
     option("--drives", default=6, help="number of simulated drives"),
     option("--seconds", default=12.0, help="length of a simulated drive"),
     option("--steady", default=False, help="simulated camera without pitch and yaw"),
-    option("--reid", type=Path, metavar="FILE", help="re-identification network (default: OSNet x0.25 in --data)"),
+    option(
+        "--reid",
+        type=Path,
+        metavar="FILE",
+        help="re-identification network (default: OSNet x0.25 in --data)",
+    ),
 )
 def appearance(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
     reid = options.reid or options.data / "models" / "osnet_x0_25_msmt17.onnx"
     seeds = range(1, options.drives + 1)
-    drives = (simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds)
+    drives = (
+        simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds
+    )
     return {"drives": _measured(drives, _rows(reid))}
 
 
@@ -95,7 +106,9 @@ def _rows(reid: Path) -> dict[str, Row]:
         "motion, camera, built-in appearance": Row(True, timed(ColourLayout())),
     }
     if reid.is_file():
-        rows["motion, camera, OSNet"] = Row(True, timed(ReidModel(reid, Runtime(device="cpu", n_threads=1))))
+        rows["motion, camera, OSNet"] = Row(
+            True, timed(ReidModel(reid, Runtime(device="cpu", n_threads=1)))
+        )
     return rows
 
 
@@ -103,7 +116,10 @@ def _measured(drives: Iterable[AppearanceDrive], rows: Mapping[str, Row]) -> dic
     """Figures of all rows over all drives, with one drive in memory at a time."""
     truths, camera_ms, n_boxes = [], [], 0
     for drive in drives:
-        print(f"{drive.name}: {len(drive.images)} frames, {len(drive.occlusions)} occlusions", flush=True)
+        print(
+            f"{drive.name}: {len(drive.images)} frames, {len(drive.occlusions)} occlusions",
+            flush=True,
+        )
         truths.append((drive.truth, drive.occlusions))
         camera_ms += _camera_ms(drive)
         n_boxes += sum(len(detections) for detections in drive.detected)
@@ -135,25 +151,39 @@ def _camera_ms(drive: AppearanceDrive) -> list[float]:
     return times_ms
 
 
-def _combined_truth(truths: Sequence[tuple[Any, IntArray]]) -> tuple[TrackedBoxes, IgnoreRegions, IntArray]:
+def _combined_truth(
+    truths: Sequence[tuple[Any, IntArray]],
+) -> tuple[TrackedBoxes, IgnoreRegions, IntArray]:
     """Scored boxes, ignored regions and occlusions (N, 3) of all drives together."""
     offsets = [_DRIVE_OFFSET * i for i in range(len(truths))]
     labels = [drive_labels for drive_labels, _ in truths]
     frame, track_id = (
-        np.concatenate([getattr(part, name) + offset for part, offset in zip(labels, offsets, strict=True)])
+        np.concatenate(
+            [getattr(part, name) + offset for part, offset in zip(labels, offsets, strict=True)]
+        )
         for name in ("frame", "track_id")
     )
     class_id = np.concatenate([class_ids(part) for part in labels])
     xyxy_px = np.concatenate([part.xyxy_px for part in labels])
     is_scored = np.concatenate([part.occluded for part in labels]) < HIDDEN
-    occlusions = np.concatenate([part + offset for (_, part), offset in zip(truths, offsets, strict=True)])
+    occlusions = np.concatenate(
+        [part + offset for (_, part), offset in zip(truths, offsets, strict=True)]
+    )
     boxes = TrackedBoxes(frame, track_id, xyxy_px, class_id)
-    return boxes.select(is_scored), IgnoreRegions(frame[~is_scored], xyxy_px[~is_scored]), occlusions
+    return (
+        boxes.select(is_scored),
+        IgnoreRegions(frame[~is_scored], xyxy_px[~is_scored]),
+        occlusions,
+    )
 
 
 def _combined_results(parts: Sequence[Sequence[Tracks]]) -> tuple[TrackedBoxes, Any]:
     """Tracks of all drives together, and (N,) whether each box was detected."""
-    items = [(_DRIVE_OFFSET * i, k, tracks) for i, frames in enumerate(parts) for k, tracks in enumerate(frames)]
+    items = [
+        (_DRIVE_OFFSET * i, k, tracks)
+        for i, frames in enumerate(parts)
+        for k, tracks in enumerate(frames)
+    ]
     boxes = TrackedBoxes(
         np.concatenate([np.full(len(tracks), offset + k) for offset, k, tracks in items]),
         np.concatenate([tracks.track_id + offset for offset, _, tracks in items]),
@@ -164,7 +194,9 @@ def _combined_results(parts: Sequence[Sequence[Tracks]]) -> tuple[TrackedBoxes, 
 
 
 def _is_kept(truth: TrackedBoxes, results: TrackedBoxes, occlusions: IntArray) -> list[bool]:
-    """Whether the identities before and after each occlusion are the same; False if there is none."""
+    """Whether the identities before and after each occlusion are the same; False if there is
+    none.
+    """
 
     def first_match(track_id: int, frames: Iterable[int]) -> int | None:
         for frame in frames:
@@ -179,5 +211,8 @@ def _is_kept(truth: TrackedBoxes, results: TrackedBoxes, occlusions: IntArray) -
     second, is_kept = round(FPS), []
     for track_id, first, last in occlusions.tolist():
         before = first_match(track_id, range(first - 1, first - 1 - second, -1))
-        is_kept.append(before is not None and before == first_match(track_id, range(last + 1, last + 1 + second)))
+        is_kept.append(
+            before is not None
+            and before == first_match(track_id, range(last + 1, last + 1 + second))
+        )
     return is_kept

@@ -1,8 +1,9 @@
 """Median label prediction (`tracking/history.py`) by median length, form and gates.
 
-jitter = |second difference of a box's edges over three consecutive frames| in px: median of each track minus that
-of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number of such triples
-label  = the paper's median-smoothed box ("after" in its figure); its error is the median |edge - true edge|
+jitter = |second difference of a box's edges over three consecutive frames| in px: median of each
+track minus that of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number
+of such triples label  = the paper's median-smoothed box ("after" in its figure); its error is the
+median |edge - true edge|
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")  # forms of the
 
 @dataclass(frozen=True, slots=True)
 class _Tracked:
-    """N reported boxes of a sequence, ordered by track and frame, with the labels that they match in their frames.
+    """N reported boxes of a sequence, ordered by track and frame, with the labels that they match
+    in their frames.
 
     `truth_xyxy_px` (N, 4) is NaN without a label.
     """
@@ -51,13 +53,18 @@ class _Tracked:
 def history(options: Namespace) -> Figures:
     sequences = {name: sequences_of(f"kitti-{name}", options.data) for name in options.classes}
     return {
-        road_class: {f"{name}, k {k}": _row(class_sequences, k, gates) for name, k, gates in _settings(options.k)}
+        road_class: {
+            f"{name}, k {k}": _row(class_sequences, k, gates)
+            for name, k, gates in _settings(options.k)
+        }
         for road_class, class_sequences in sequences.items()
     }
 
 
 def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
-    free = PredictionGates(min_hit_streak=2, min_hit_streak_visible=2, max_deviation=np.inf, min_margin=0.0)
+    free = PredictionGates(
+        min_hit_streak=2, min_hit_streak_visible=2, max_deviation=np.inf, min_margin=0.0
+    )
     rows = [("nothing", k, PredictionGates(n_kept=k + 1, max_missing_s=0.0)) for k in ks]
     for form in FORMS:
         rows += [(f"{form}, border, age", k, replace(free, form=form, n_kept=k + 1)) for k in ks]
@@ -65,12 +72,17 @@ def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
     return rows
 
 
-def _row(sequences: Sequence[tracking_sets.Sequence], k: int, gates: PredictionGates) -> dict[str, Any]:
+def _row(
+    sequences: Sequence[tracking_sets.Sequence], k: int, gates: PredictionGates
+) -> dict[str, Any]:
     tracked = [_tracked(sequence, gates) for sequence in sequences]
     boxes = [result.boxes for result in tracked]
     counts = [sequence.counts(tracks) for sequence, tracks in zip(sequences, boxes, strict=True)]
     is_even = [int(sequence.name) % 2 == 0 for sequence in sequences]
-    halves = [TrackingCounts.sum_of([c for c, e in zip(counts, is_even, strict=True) if e == half]) for half in (1, 0)]
+    halves = [
+        TrackingCounts.sum_of([c for c, e in zip(counts, is_even, strict=True) if e == half])
+        for half in (1, 0)
+    ]
     scores = TrackingCounts.sum_of(counts).scores()
     labels = [_labels(result, k) for result in tracked]
     truth = np.concatenate([result.truth_xyxy_px for result in tracked])
@@ -83,7 +95,9 @@ def _row(sequences: Sequence[tracking_sets.Sequence], k: int, gates: PredictionG
         "n_predicted": sum(int(np.count_nonzero(~result.observed)) for result in tracked),
         "jitter_px": _jitter_px(tracked, [tracks.xyxy_px for tracks in boxes]),
         "label_jitter_px": _jitter_px(tracked, labels),
-        "error_px": float(np.nanmedian(np.abs(np.concatenate([tracks.xyxy_px for tracks in boxes]) - truth))),
+        "error_px": float(
+            np.nanmedian(np.abs(np.concatenate([tracks.xyxy_px for tracks in boxes]) - truth))
+        ),
         "label_error_px": float(np.nanmedian(np.abs(np.concatenate(labels) - truth))),
     }
 
@@ -93,12 +107,16 @@ def _tracked(sequence: tracking_sets.Sequence, gates: PredictionGates) -> _Track
     order = np.lexsort((boxes.frame, boxes.track_id))
     boxes = boxes.select(order)
     row = _matching_rows(sequence, boxes)
-    return _Tracked(boxes, observed[order], np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
+    return _Tracked(
+        boxes, observed[order], np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan)
+    )
 
 
 def _truth(sequence: tracking_sets.Sequence) -> KittiLabels:
     if not isinstance(sequence.truth, KittiLabels):
-        raise TypeError(f"{sequence.name}: expected KITTI labels, got {type(sequence.truth).__name__}")
+        raise TypeError(
+            f"{sequence.name}: expected KITTI labels, got {type(sequence.truth).__name__}"
+        )
     return sequence.truth
 
 
@@ -108,9 +126,14 @@ def _matching_rows(sequence: tracking_sets.Sequence, boxes: TrackedBoxes) -> Int
     is_class = labels.kitti_type == KITTI_TYPES[sequence.road_class][0]
     matching = np.full(len(boxes), -1)
     for frame in range(sequence.n_frames):
-        rows, label_rows = np.flatnonzero(boxes.frame == frame), np.flatnonzero((labels.frame == frame) & is_class)
+        rows, label_rows = (
+            np.flatnonzero(boxes.frame == frame),
+            np.flatnonzero((labels.frame == frame) & is_class),
+        )
         overlap = iou(boxes.xyxy_px[rows], labels.xyxy_px[label_rows])
-        row, label = min_cost_matching(np.where(overlap >= 0.5, 1.0 - overlap, np.inf), max_cost=1.0)
+        row, label = min_cost_matching(
+            np.where(overlap >= 0.5, 1.0 - overlap, np.inf), max_cost=1.0
+        )
         matching[rows[row]] = label_rows[label]
     return matching
 
@@ -133,12 +156,15 @@ def _jitter_px(tracked: Sequence[_Tracked], boxes: Sequence[FloatArray]) -> floa
     for result, xyxy_px in zip(tracked, boxes, strict=True):
         rows = _triples(result)
         difference, true_difference = (
-            np.abs(np.diff(edges[rows], n=2, axis=1)[:, 0]) for edges in (xyxy_px, result.truth_xyxy_px)
+            np.abs(np.diff(edges[rows], n=2, axis=1)[:, 0])
+            for edges in (xyxy_px, result.truth_xyxy_px)
         )
         track_id = result.boxes.track_id[rows[:, 0]]
         for track in np.unique(track_id):
             is_track = track_id == track
-            excess.append(float(np.median(difference[is_track]) - np.median(true_difference[is_track])))
+            excess.append(
+                float(np.median(difference[is_track]) - np.median(true_difference[is_track]))
+            )
             weight.append(int(np.count_nonzero(is_track)))
     return float(np.average(excess, weights=weight))
 

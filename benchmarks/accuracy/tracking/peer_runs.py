@@ -1,7 +1,9 @@
-"""Virtual environments for trackers of other packages (peers), and runs of `peer_trackers.py` in them.
+"""Virtual environments for trackers of other packages (peers), and runs of `peer_trackers.py` in
+them.
 
-There are three environments, separate from that of track-range: two peers require different releases of the same
-library, and one requires PyTorch (several GB). They are created on demand. This module does not import the peers.
+There are three environments, separate from that of track-range: two peers require different
+releases of the same library, and one requires PyTorch (several GB). They are created on demand.
+This module does not import the peers.
 """
 
 from __future__ import annotations
@@ -34,16 +36,27 @@ _STAMP = "made.stamp"  # file in a complete environment
 
 
 def create_environments(folder: Path) -> dict[str, Path]:
-    """Python interpreters of the environments, created if missing; without those that cannot be created."""
+    """Python interpreters of the environments, created if missing; without those that cannot be
+    created.
+    """
     folders = {name: folder / name for name in REQUIREMENTS}
-    return {name: path / "bin" / "python" for name, path in folders.items() if _is_created(name, path)}
+    return {
+        name: path / "bin" / "python" for name, path in folders.items() if _is_created(name, path)
+    }
 
 
 def _is_created(name: str, folder: Path) -> bool:
     if (folder / _STAMP).is_file():
         return True
     print(f"{folder}: installing {', '.join(REQUIREMENTS[name])} ...", flush=True)
-    install = [str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", *REQUIREMENTS[name]]
+    install = [
+        str(folder / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        *REQUIREMENTS[name],
+    ]
     for command in ([sys.executable, "-m", "venv", "--clear", str(folder)], install):
         try:
             subprocess.run(command, check=True)
@@ -61,13 +74,15 @@ class PeerResult:
     version: str  # version of the peer's package
     # frame (N,), track_id (N,) and xyxy_px (N, 4), by index of the sequence
     tracks: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
-    us: dict[int, Array] = field(default_factory=dict)  # time of each frame in microseconds, by index of the sequence
+    # time of each frame in microseconds, by index of the sequence
+    us: dict[int, Array] = field(default_factory=dict)
 
 
 def run_peers(
     python: Path, names: Iterable[str], sequences: Iterable[Sequence], *, max_s: float = np.inf
 ) -> dict[str, PeerResult]:
-    """Results of peers of one environment, one after another in one process; without peers that fail.
+    """Results of peers of one environment, one after another in one process; without peers that
+    fail.
 
     A sequence is stopped after `max_s` of processor time.
     """
@@ -76,7 +91,13 @@ def run_peers(
         np.savez(inputs, **_inputs(list(sequences), max_s))  # type: ignore[arg-type]
         # -P: modules in the folder of the script could shadow those of a peer.
         command = [str(python), "-P", str(_SCRIPT), str(inputs), folder, *names]
-        run = subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False, stderr=subprocess.PIPE, text=True)
+        run = subprocess.run(
+            command,
+            env={**os.environ, **ONE_THREAD},
+            check=False,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         if run.returncode:
             print(f"{python}: status {run.returncode}. {run.stderr[-300:]}", flush=True)
         files = {name: results / f"{name}.npz" for name in names}
@@ -88,7 +109,9 @@ def _inputs(sequences: list[Sequence], max_s: float) -> dict[str, Array]:
     for i, sequence in enumerate(sequences):
         boxes = sequence.detected.detections
         inputs |= {
-            f"{i}/begin": np.searchsorted(sequence.detected.frame, np.arange(sequence.n_frames + 1)),
+            f"{i}/begin": np.searchsorted(
+                sequence.detected.frame, np.arange(sequence.n_frames + 1)
+            ),
             f"{i}/xyxy_px": boxes.xyxy_px,
             f"{i}/score": boxes.score,
             f"{i}/descriptor": boxes.descriptor,
@@ -105,7 +128,11 @@ def _peer_result(file: Path) -> PeerResult:
         result = PeerResult(str(arrays["version"]))
         for i in (int(key.split("/")[0]) for key in arrays if key.endswith("/us")):
             result.us[i] = arrays[f"{i}/us"]
-            result.tracks[i] = (arrays[f"{i}/frame"], arrays[f"{i}/track_id"], arrays[f"{i}/xyxy_px"])
+            result.tracks[i] = (
+                arrays[f"{i}/frame"],
+                arrays[f"{i}/track_id"],
+                arrays[f"{i}/xyxy_px"],
+            )
         return result
 
 

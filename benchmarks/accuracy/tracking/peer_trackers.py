@@ -1,12 +1,16 @@
-"""Run trackers of other packages on boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` -> OUT_FOLDER/NAME.npz.
+"""Run trackers of other packages on boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` ->
+OUT_FOLDER/NAME.npz.
 
-The script runs with the interpreter of a peer's environment and imports only the standard library, numpy and the peer.
-Trackers have their published defaults, a new instance per sequence, and the frame rate if they have such a parameter.
+The script runs with the interpreter of a peer's environment and imports only the standard library,
+numpy and the peer. Trackers have their published defaults, a new instance per sequence, and the
+frame rate if they have such a parameter.
 
     IN   n; for sequence i: i/begin (frames + 1) first row of each frame, i/xyxy_px (N, 4), i/score (N,),
-         i/descriptor (N, D) embeddings, i/fps, i/size_px (2), i/min_score confidence threshold for trackers with one
-         threshold, i/max_s processor time in s after which the sequence is stopped
-    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time of the tracker's
+         i/descriptor (N, D) embeddings, i/fps, i/size_px (2), i/min_score confidence threshold for
+         trackers with one threshold, i/max_s processor time in s after which the sequence is
+         stopped
+    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time
+    of the tracker's
          update with the conversion of its input, without that of its output; version
 
 abewley/sort is not a package; it is represented by the SORT tracker of `trackers`.
@@ -30,7 +34,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 Update = Callable[[Array, Array, Array], Any]
-"""Function from boxes (N, 4), confidences (N,) and embeddings (N, D) to the output of the tracker."""
+"""Function from boxes (N, 4), confidences (N,) and embeddings (N, D) to the output of the
+tracker."""
 
 Read = Callable[[Any], tuple[Array, Array]]
 """Function from the output of the tracker to identities (M,) and boxes (M, 4)."""
@@ -66,7 +71,11 @@ def _trackers(name: str, stream: Stream) -> tuple[Update, Read]:
 
     def update(xyxy: Array, score: Array, _: Array) -> Any:
         class_id = np.zeros(len(xyxy), int)
-        return tracker.update(supervision.Detections(xyxy.astype(np.float32), None, score.astype(np.float32), class_id))
+        return tracker.update(
+            supervision.Detections(
+                xyxy.astype(np.float32), None, score.astype(np.float32), class_id
+            )
+        )
 
     def read(output: Any) -> tuple[Array, Array]:
         if output.tracker_id is None:
@@ -78,7 +87,9 @@ def _trackers(name: str, stream: Stream) -> tuple[Update, Read]:
 
 
 def _boxmot(name: str, stream: Stream) -> tuple[Update, Read]:
-    """A tracker of boxmot without camera motion compensation, since there are no images, and without its networks."""
+    """A tracker of boxmot without camera motion compensation, since there are no images, and
+    without its networks.
+    """
     boxmot = importlib.import_module("boxmot")
     options_of: dict[str, dict[str, Any]] = {
         "ByteTrack": {"frame_rate": round(stream.fps)},
@@ -96,7 +107,10 @@ def _boxmot(name: str, stream: Stream) -> tuple[Update, Read]:
     if name == "StrongSort":  # it has no option for camera motion
         tracker.cmc, tracker._requires_frame = None, False
     needs_embeddings, random_embeddings = tracker.use_embeddings, _RandomEmbeddings()
-    structures, torch = importlib.import_module("boxmot.structures"), importlib.import_module("torch")
+    structures, torch = (
+        importlib.import_module("boxmot.structures"),
+        importlib.import_module("torch"),
+    )
 
     def update(xyxy: Array, score: Array, embeddings: Array) -> Any:
         if not needs_embeddings:
@@ -104,9 +118,14 @@ def _boxmot(name: str, stream: Stream) -> tuple[Update, Read]:
             return tracker.update(rows.astype(np.float32))
         embeddings = embeddings if embeddings.shape[1] else random_embeddings(len(xyxy))
         boxes = structures.Boxes(torch.from_numpy(xyxy.astype(np.float32)))
-        scores, class_id = torch.from_numpy(score.astype(np.float32)), torch.zeros(len(xyxy), dtype=torch.int64)
+        scores, class_id = (
+            torch.from_numpy(score.astype(np.float32)),
+            torch.zeros(len(xyxy), dtype=torch.int64),
+        )
         tensor = torch.from_numpy(embeddings.astype(np.float32))
-        return tracker.update(structures.Detections(boxes, scores, class_id, "frame", embeddings=tensor))
+        return tracker.update(
+            structures.Detections(boxes, scores, class_id, "frame", embeddings=tensor)
+        )
 
     def read(output: Any) -> tuple[Array, Array]:
         if needs_embeddings:
@@ -121,10 +140,12 @@ _OPTIONAL_EMBEDDINGS = ("BotSort", "OccluBoost", "BoostTrack", "DeepOcSort", "Hy
 
 
 def _norfair(name: str, stream: Stream) -> tuple[Update, Read]:
-    """A tracker of norfair, which has no default distance, with the better two of 13 distances and thresholds.
+    """A tracker of norfair, which has no default distance, with the better two of 13 distances and
+    thresholds.
 
-    Only objects detected in the current frame are reported; predictions of lost objects cost 11 HOTA on KITTI's cars.
-    IoU with any overlap and the detected boxes is best on KITTI; corners within 50 px and the filtered boxes on MOT15.
+    Only objects detected in the current frame are reported; predictions of lost objects cost 11
+    HOTA on KITTI's cars. IoU with any overlap and the detected boxes is best on KITTI; corners
+    within 50 px and the filtered boxes on MOT15.
     """
     norfair = importlib.import_module("norfair")
     threshold = {"iou": 1.0, "mean_euclidean": 50.0}[name]
@@ -134,11 +155,15 @@ def _norfair(name: str, stream: Stream) -> tuple[Update, Read]:
     def update(xyxy: Array, score: Array, _: Array) -> Any:
         frame[0] += 1
         pairs = zip(xyxy.reshape(-1, 2, 2), score, strict=True)
-        return tracker.update([norfair.Detection(box, scores=np.array([s, s]), data=frame[0]) for box, s in pairs])
+        return tracker.update(
+            [norfair.Detection(box, scores=np.array([s, s]), data=frame[0]) for box, s in pairs]
+        )
 
     def read(output: Any) -> tuple[Array, Array]:
         current = [track for track in output if track.last_detection.data == frame[0]]
-        boxes = [track.last_detection.points if name == "iou" else track.estimate for track in current]
+        boxes = [
+            track.last_detection.points if name == "iou" else track.estimate for track in current
+        ]
         return _arrays([track.id for track in current], [box.reshape(4) for box in boxes])
 
     return update, read
@@ -155,8 +180,13 @@ def _deep_sort_realtime(_: str, stream: Stream) -> tuple[Update, Read]:
         return tracker.update_tracks(boxes, embeds=embeds)
 
     def read(output: Any) -> tuple[Array, Array]:
-        current = [track for track in output if track.is_confirmed() and track.time_since_update == 0]
-        return _arrays([int(track.track_id) for track in current], [track.to_ltrb(orig=True) for track in current])
+        current = [
+            track for track in output if track.is_confirmed() and track.time_since_update == 0
+        ]
+        return _arrays(
+            [int(track.track_id) for track in current],
+            [track.to_ltrb(orig=True) for track in current],
+        )
 
     return update, read
 
@@ -167,7 +197,9 @@ def _motpy(_: str, stream: Stream) -> tuple[Update, Read]:
     number: dict[str, int] = {}
 
     def update(xyxy: Array, score: Array, _: Array) -> Any:
-        return tracker.step([motpy.Detection(box=box, score=s) for box, s in zip(xyxy, score.tolist(), strict=True)])
+        return tracker.step(
+            [motpy.Detection(box=box, score=s) for box, s in zip(xyxy, score.tolist(), strict=True)]
+        )
 
     def read(output: Any) -> tuple[Array, Array]:
         ids = [number.setdefault(track.id, len(number) + 1) for track in output]
@@ -183,8 +215,8 @@ def _arrays(track_id: list[int], boxes: list[Array]) -> tuple[Array, Array]:
 class _RandomEmbeddings:
     """Random embeddings, all dissimilar, for trackers that require embeddings.
 
-    Compared with constant embeddings, HOTA of deep-sort-realtime and StrongSort is lower by 1 on KITTI, and higher by 3
-    to 8 on MOT.
+    Compared with constant embeddings, HOTA of deep-sort-realtime and StrongSort is lower by 1 on
+    KITTI, and higher by 3 to 8 on MOT.
     """
 
     def __init__(self) -> None:
@@ -214,7 +246,9 @@ def _rows() -> dict[str, Peer]:
     two_thresholds = ("ByteTrack", "BotSort", "SFSORT", "OccluBoost", "BoostTrack", "HybridSort")
     with_embeddings = (*_OPTIONAL_EMBEDDINGS, "StrongSort")
     for name in ("ByteTrack", "SFSORT", "OcSort", *with_embeddings):
-        rows[f"boxmot-{name.lower()}"] = Peer("boxmot", "boxmot", _boxmot, name, name in two_thresholds)
+        rows[f"boxmot-{name.lower()}"] = Peer(
+            "boxmot", "boxmot", _boxmot, name, name in two_thresholds
+        )
         if name in with_embeddings:
             row = Peer("boxmot", "boxmot", _boxmot, name, name in two_thresholds, True)
             rows[f"boxmot-{name.lower()}+embeddings"] = row
@@ -227,11 +261,17 @@ PEERS: Mapping[str, Peer] = _rows()  # peers by name, in the order of the table
 def tracked(peer: Peer, inputs: Mapping[str, Array], i: int) -> dict[str, Array]:
     """Output arrays of sequence `i`, as described in the docstring of the module."""
     begin, max_s = inputs[f"{i}/begin"], float(inputs[f"{i}/max_s"])
-    embeddings = inputs[f"{i}/descriptor"][:, :] if peer.has_embeddings else np.zeros((begin[-1], 0), np.float32)
+    embeddings = (
+        inputs[f"{i}/descriptor"][:, :]
+        if peer.has_embeddings
+        else np.zeros((begin[-1], 0), np.float32)
+    )
     xyxy_px, score = inputs[f"{i}/xyxy_px"], inputs[f"{i}/score"]
     is_used = score >= (LOW_SCORE if peer.has_two_thresholds else float(inputs[f"{i}/min_score"]))
     size_px = (int(inputs[f"{i}/size_px"][0]), int(inputs[f"{i}/size_px"][1]))
-    update, read = peer.make(peer.name, Stream(float(inputs[f"{i}/fps"]), size_px, peer.has_embeddings))
+    update, read = peer.make(
+        peer.name, Stream(float(inputs[f"{i}/fps"]), size_px, peer.has_embeddings)
+    )
     frames, us = [], []
     sequence_start_s = time.process_time()
     for rows in map(slice, begin[:-1], begin[1:]):
@@ -246,13 +286,17 @@ def tracked(peer: Peer, inputs: Mapping[str, Array], i: int) -> dict[str, Array]
     return {
         f"{i}/frame": np.repeat(np.arange(len(frames)), [len(track_id) for track_id, _ in frames]),
         f"{i}/track_id": np.concatenate([track_id for track_id, _ in frames]),
-        f"{i}/xyxy_px": np.concatenate([np.asarray(xyxy, float).reshape(-1, 4) for _, xyxy in frames]),
+        f"{i}/xyxy_px": np.concatenate(
+            [np.asarray(xyxy, float).reshape(-1, 4) for _, xyxy in frames]
+        ),
         f"{i}/us": np.array(us),
     }
 
 
 def main() -> None:
-    """Run the named peers one after another; the error of one that fails is printed, and it writes no file."""
+    """Run the named peers one after another; the error of one that fails is printed, and it writes
+    no file.
+    """
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
     with np.load(sys.argv[1], allow_pickle=False) as file:

@@ -1,8 +1,10 @@
-"""Accuracy and speed of the tracker and of its peers on the same stored boxes, by the official rules.
+"""Accuracy and speed of the tracker and of its peers on the same stored boxes, by the official
+rules.
 
-Evaluation by the rules of KITTI and MOTChallenge, counts summed over the sequences of a set. Rows with +embeddings use
-the stored embeddings; track-range uses them except for "sort". "offline" is the default of `track-range track`, which
-refines tracks with later frames; all other rows are online.
+Evaluation by the rules of KITTI and MOTChallenge, counts summed over the sequences of a set. Rows
+with +embeddings use the stored embeddings; track-range uses them except for "sort". "offline" is
+the default of `track-range track`, which refines tracks with later frames; all other rows are
+online.
 """
 
 from __future__ import annotations
@@ -19,7 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.tracking.peer_runs import ONE_THREAD, PeerResult, create_environments, names_in, run_peers
+from benchmarks.accuracy.tracking.peer_runs import (
+    ONE_THREAD,
+    PeerResult,
+    create_environments,
+    names_in,
+    run_peers,
+)
 from benchmarks.accuracy.tracking.peer_trackers import PEERS, Array
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs import tracking_sets
@@ -32,7 +40,9 @@ from track_range.tracking.evaluation.scores import TrackingCounts
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A configuration of `track-range track`; one that needs embeddings is the same as another without them."""
+    """A configuration of `track-range track`; one that needs embeddings is the same as another
+    without them.
+    """
 
     settings: DeepSortSettings
     is_online: bool = True
@@ -69,7 +79,11 @@ Scores = dict[str, float]
     option("--every", default=1, help="use every K-th frame only, as of a time lapse"),
     option("--rounds", default=3, help="rounds for the time; 0 = no speed"),
     option("--peers", default=False, help="also run the trackers of other packages"),
-    option("--environments", default=Path(".venv/peers"), help="folder of the peers' virtual environments"),
+    option(
+        "--environments",
+        default=Path(".venv/peers"),
+        help="folder of the peers' virtual environments",
+    ),
 )
 def tracking(options: Namespace) -> Figures:
     os.environ.update(ONE_THREAD)  # for the processes that are started below
@@ -83,7 +97,9 @@ def tracking(options: Namespace) -> Figures:
 def _accuracy(
     set_names: Sequence[str], data: Path, every: int, pythons: Mapping[str, Path]
 ) -> tuple[dict[str, dict[str, Figures]], dict[str, str]]:
-    by_set = {name: [sequence.every(every) for sequence in sequences_of(name, data)] for name in set_names}
+    by_set = {
+        name: [sequence.every(every) for sequence in sequences_of(name, data)] for name in set_names
+    }
     for name in (name for name, of_set in by_set.items() if not of_set):
         print(f"{data}: expected the data set {name}, found none; it is skipped.", flush=True)
     sequences = [sequence for of_set in by_set.values() for sequence in of_set]
@@ -92,20 +108,30 @@ def _accuracy(
     with ProcessPoolExecutor(_JOBS, multiprocessing.get_context("spawn")) as pool:
         for name, sequence in product(VARIANTS, sequences):
             if sequence.has_embeddings or not VARIANTS[name].needs_embeddings:
-                counts.setdefault((sequence.set_name, name), []).append(pool.submit(_variant_counts, name, sequence))
+                counts.setdefault((sequence.set_name, name), []).append(
+                    pool.submit(_variant_counts, name, sequence)
+                )
         for name, result in _peer_results(pythons, sequences):
             versions[PEERS[name].package] = result.version
             for i, tracks in result.tracks.items():
                 sequence = sequences[i]
-                counts.setdefault((sequence.set_name, name), []).append(pool.submit(_counts, sequence, *tracks))
-        rows = {key: _scores([future.result() for future in futures]) for key, futures in counts.items()}
-    return {s: {name: row for (of, name), row in rows.items() if of == s} for s in by_set if by_set[s]}, versions
+                counts.setdefault((sequence.set_name, name), []).append(
+                    pool.submit(_counts, sequence, *tracks)
+                )
+        rows = {
+            key: _scores([future.result() for future in futures]) for key, futures in counts.items()
+        }
+    return {
+        s: {name: row for (of, name), row in rows.items() if of == s} for s in by_set if by_set[s]
+    }, versions
 
 
 def _peer_results(
     pythons: Mapping[str, Path], sequences: Sequence[tracking_sets.Sequence]
 ) -> Iterator[tuple[str, PeerResult]]:
-    """Results of all peers, in the order of the table; one process runs four peers, since its start takes seconds."""
+    """Results of all peers, in the order of the table; one process runs four peers, since its start
+    takes seconds.
+    """
     jobs = [
         (environment, names_in(environment)[i : i + 4])
         for environment in pythons
@@ -122,7 +148,9 @@ def _variant_counts(name: str, sequence: tracking_sets.Sequence) -> TrackingCoun
     return sequence.counts(boxes)
 
 
-def _counts(sequence: tracking_sets.Sequence, frame: Array, track_id: Array, xyxy_px: Array) -> TrackingCounts:
+def _counts(
+    sequence: tracking_sets.Sequence, frame: Array, track_id: Array, xyxy_px: Array
+) -> TrackingCounts:
     """Counts of a peer's tracks; of an identity twice in one frame the first is used."""
     _, first = np.unique(np.stack([frame, track_id]), axis=1, return_index=True)
     return sequence.counts(sequence.boxes(frame[first], track_id[first], xyxy_px[first]))
@@ -130,7 +158,9 @@ def _counts(sequence: tracking_sets.Sequence, frame: Array, track_id: Array, xyx
 
 def _scores(counts: Sequence[TrackingCounts]) -> Figures:
     scores = asdict(TrackingCounts.sum_of(counts).scores())
-    return {name: float(scores[name]) for name in _PER_CENT} | {name: int(scores[name]) for name in _COUNTS}
+    return {name: float(scores[name]) for name in _PER_CENT} | {
+        name: int(scores[name]) for name in _COUNTS
+    }
 
 
 def _margins(rows: Mapping[str, Scores]) -> dict[str, Figures]:
@@ -165,7 +195,11 @@ def _mean_times_us(scenes: Sequence[tracking_sets.Sequence]) -> list[float]:
         for frame in range(sequence.n_frames):
             boxes = sequence.detected.at(frame)
             start_s = time.process_time()
-            tracker.update(Detections.of(boxes.xyxy_px, boxes.score, boxes.class_id), frame / sequence.fps, None)
+            tracker.update(
+                Detections.of(boxes.xyxy_px, boxes.score, boxes.class_id),
+                frame / sequence.fps,
+                None,
+            )
             us.append(1e6 * (time.process_time() - start_s))
         means.append(_mean_us(np.array(us)))
     return means

@@ -1,7 +1,8 @@
-"""Errors of the packaged detector, of stereo and of tracks on rendered drives, and on drives without images.
+"""Errors of the packaged detector, of stereo and of tracks on rendered drives, and on drives
+without images.
 
-Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10 px, which detectors
-enlarge. Tracks and detections are counted with a smaller IoU.
+Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10
+px, which detectors enlarge. Tracks and detections are counted with a smaller IoU.
 """
 
 from __future__ import annotations
@@ -41,18 +42,22 @@ RIG = kitti_like_rig(width_px=WIDTH_PX, height_px=HEIGHT_PX)
 MIN_IOU, MIN_IOU_SMALL, SMALL_PX = 0.4, 0.15, 10.0
 """Smallest IoU of a detected box with the true one; that of objects lower than `SMALL_PX`."""
 
-HEIGHTS_PX = (4, 6, 8, 12, 16, 24, 40, 400)  # limits of the bins of heights, px, of images 620 px wide
+# limits of the bins of heights, px, of images 620 px wide
+HEIGHTS_PX = (4, 6, 8, 12, 16, 24, 40, 400)
 
 TRACK_IOU, TRACK_IOU_SMALL = 0.3, 0.12
-"""Smallest IoU of the box of a track, or of a counted detection, with its object; that of small objects."""
+"""Smallest IoU of the box of a track, or of a counted detection, with its object; that of small
+objects."""
 
 LANE_M = 1.5  # largest lateral offset from the ego path of an object in the lane, m
 
 STEADY_PX = 1.0
-"""Largest standard deviation of a false track's disparities about a straight line that counts as consistent, px."""
+"""Largest standard deviation of a false track's disparities about a straight line that counts as
+consistent, px."""
 
 SCORES = (0.1, 0.2, 0.3, 0.5)  # lower limits
-GAP_FRAMES = 3  # longest gap, in frames, after which a track's change of object is one between neighbours
+# longest gap, in frames, after which a track's change of object is one between neighbours
+GAP_FRAMES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +72,8 @@ class Matched:
     outside_fraction: FloatArray
     score: FloatArray  # (M,) of the detection; NaN = missed
     detected_class_id: IntArray  # (M,) class of the detection; -1 = missed
-    errors: FloatArray  # (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height
+    # (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height
+    errors: FloatArray
     false_boxes: FloatArray  # (K, 7) drive, frame, box, score of boxes without an object
     false_class_id: IntArray  # (K,) their classes
     n_frames: int  # number of frames
@@ -77,8 +83,12 @@ class Matched:
         return np.isfinite(self.score)
 
 
-def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *, drive: int) -> Matched:
-    classes = np.array([ROAD_CLASSES.index(ROAD_CLASS_OF[user.kitti_type.lower()]) for user in scene.road_users])
+def matched_boxes(
+    scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *, drive: int
+) -> Matched:
+    classes = np.array(
+        [ROAD_CLASSES.index(ROAD_CLASS_OF[user.kitti_type.lower()]) for user in scene.road_users]
+    )
     n = len(true.frame)
     score, detected_class, errors = np.full(n, np.nan), np.full(n, -1), np.full((n, 4), np.nan)
     false, false_class = [], []
@@ -95,9 +105,13 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
             if is_used[column] or np.isfinite(score[rows[row]]):
                 continue
             is_used[column] = True
-            score[rows[row]], detected_class[rows[row]] = boxes.score[column], boxes.class_id[column]
+            score[rows[row]], detected_class[rows[row]] = (
+                boxes.score[column],
+                boxes.class_id[column],
+            )
             errors[rows[row]] = _errors(true.xyxy_px[rows[row]], boxes.xyxy_px[column])
-        covered = overlap.max(axis=0, initial=0.0) >= MIN_IOU  # a second box of an object is not a false box
+        # a second box of an object is not a false box
+        covered = overlap.max(axis=0, initial=0.0) >= MIN_IOU
         for column in np.flatnonzero(~is_used & ~covered).tolist():
             false.append([drive, number, *boxes.xyxy_px[column], boxes.score[column]])
             false_class.append(boxes.class_id[column])
@@ -151,15 +165,21 @@ def box_errors(options: Namespace) -> Figures:
     return figures
 
 
-def _drive_errors(options: Namespace, seed: int) -> tuple[tuple[Matched, TrackErrors], tuple[Matched, TrackErrors]]:
+def _drive_errors(
+    options: Namespace, seed: int
+) -> tuple[tuple[Matched, TrackErrors], tuple[Matched, TrackErrors]]:
     scenario = SCENARIOS[seed % 10]
     drive = conflict_drive(options.cache, scenario, seed, width_px=WIDTH_PX)
     times_s = np.arange(len(drive.boxes)) / FPS
     scene = make_scenario(scenario, seed=seed, seconds=drive.seconds)
-    others = [BoxDrive(scene, times_s, RIG, seed=1000 * seed + number) for number in range(options.errors)]
+    others = [
+        BoxDrive(scene, times_s, RIG, seed=1000 * seed + number) for number in range(options.errors)
+    ]
     rendered = matched_boxes(scene, others[0].true, drive.boxes, drive=seed)
     matched = [
-        matched_boxes(scene, other.true, [frame.detections for frame in other], drive=1000 * seed + number)
+        matched_boxes(
+            scene, other.true, [frame.detections for frame in other], drive=1000 * seed + number
+        )
         for number, other in enumerate(others)
     ]
     simulated = simulated_errors(scenario, seed, seconds=drive.seconds, n_errors=options.errors)
@@ -172,17 +192,31 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
     for number, name in ((0, "person"), (2, "vehicle")):
         for low, high in pairwise(HEIGHTS_PX):
             rows = (group == number) & (matched.height_px >= low) & (matched.height_px < high)
-            for label, is_hidden in (("", matched.hidden_fraction <= 0.1), (" hidden", matched.hidden_fraction > 0.1)):
+            for label, is_hidden in (
+                ("", matched.hidden_fraction <= 0.1),
+                (" hidden", matched.hidden_fraction > 0.1),
+            ):
                 part = rows & is_hidden & (matched.outside_fraction < 0.3)
                 if part.sum() >= 30:
-                    figures[f"{name} {low}-{high} px{label}: rate"] = float(matched.is_detected[part].mean())
-            part = rows & matched.is_detected & (matched.hidden_fraction < 0.3) & (matched.outside_fraction < 0.05)
+                    figures[f"{name} {low}-{high} px{label}: rate"] = float(
+                        matched.is_detected[part].mean()
+                    )
+            part = (
+                rows
+                & matched.is_detected
+                & (matched.hidden_fraction < 0.3)
+                & (matched.outside_fraction < 0.05)
+            )
             if part.sum() >= 30:
-                figures[f"{name} {low}-{high} px: median score"] = float(np.median(matched.score[part]))
+                figures[f"{name} {low}-{high} px: median score"] = float(
+                    np.median(matched.score[part])
+                )
                 spread = 1.4826 * np.median(
                     np.abs(matched.errors[part] - np.median(matched.errors[part], axis=0)), axis=0
                 )
-                for label, value in zip(("centre x", "centre y", "log width", "log height"), spread, strict=True):
+                for label, value in zip(
+                    ("centre x", "centre y", "log width", "log height"), spread, strict=True
+                ):
                     figures[f"{name} {low}-{high} px: sigma of {label}"] = float(value)
     runs = _missed_runs(matched)
     figures["runs of misses: mean, frames"] = float(np.mean(runs)) if runs else None
@@ -191,7 +225,11 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
 
 
 def _missed_runs(matched: Matched) -> list[int]:
-    is_clear = (matched.hidden_fraction < 0.3) & (matched.height_px > 12) & (matched.outside_fraction < 0.3)
+    is_clear = (
+        (matched.hidden_fraction < 0.3)
+        & (matched.height_px > 12)
+        & (matched.outside_fraction < 0.3)
+    )
     order = np.lexsort((matched.frame, matched.user))
     runs, length, last = [], 0, -1
     for row in order[is_clear[order]].tolist():
@@ -209,25 +247,33 @@ class TrackErrors:
     """Sums over drives; `+` joins them."""
 
     seconds: float = 0.0  # duration
-    # false_boxes, second_boxes: number of boxes without an object, and of further boxes of an object, by `SCORES`
+    # false_boxes, second_boxes: number of boxes without an object, and of further boxes of an
+    # object, by `SCORES`
     false_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
     second_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
-    # duration in s, fraction with a stereo distance, deviation of disparities in px, offset from the ego path in m,
-    # largest probability of contact, of each track without an object
+    # duration in s, fraction with a stereo distance, deviation of disparities in px, offset from
+    # the ego path in m, largest probability of contact, of each track without an object
     false_tracks: list[list[float]] = field(default_factory=list)
-    # n_tracks, n_mixed: number of tracks of objects; of those with several objects, three frames or more of each
+    # n_tracks, n_mixed: number of tracks of objects; of those with several objects, three frames or
+    # more of each
     n_tracks: int = 0
     n_mixed: int = 0
-    n_neighbours: int = 0  # n_neighbours, n_later: number of changes of a track's object, without a gap and after one
+    # n_neighbours, n_later: number of changes of a track's object, without a gap and after one
+    n_neighbours: int = 0
     n_later: int = 0
     n_switches: int = 0  # number of changes of an object's track
-    n_rows: int = 0  # n_rows, n_second: number of objects' boxes with a track; with another one at the same time
+    # n_rows, n_second: number of objects' boxes with a track; with another one at the same time
+    n_rows: int = 0
     n_second: int = 0
     # distance of the first tracked box of each person and vehicle
     starts_m: dict[str, list[float]] = field(default_factory=lambda: {"person": [], "vehicle": []})
 
     def __add__(self, other: TrackErrors) -> TrackErrors:
-        values = {name: getattr(self, name) + getattr(other, name) for name in self.__slots__ if name != "starts_m"}
+        values = {
+            name: getattr(self, name) + getattr(other, name)
+            for name in self.__slots__
+            if name != "starts_m"
+        }
         starts_m = {name: self.starts_m[name] + other.starts_m[name] for name in self.starts_m}
         return TrackErrors(**values, starts_m=starts_m)
 
@@ -256,7 +302,10 @@ class TrackErrors:
             "tracks that change after a gap, per h": self.n_later / hours,
             "identity switches per object-hour": self.n_switches / max(self.n_rows, 1) * FPS * 3600,
             "objects with two tracks, %": 100 * self.n_second / max(self.n_rows, 1),
-            **{f"first track of a {name}, median m": median_or_none(values) for name, values in self.starts_m.items()},
+            **{
+                f"first track of a {name}, median m": median_or_none(values)
+                for name, values in self.starts_m.items()
+            },
         }
 
 
@@ -268,7 +317,10 @@ def rendered_errors(drive: ConflictDrive, scene: Scene) -> TrackErrors:
 
 def simulated_errors(scenario: str, seed: int, *, seconds: float, n_errors: int) -> TrackErrors:
     """Errors on drives without images in the same scene."""
-    scene, times_s = make_scenario(scenario, seed=seed, seconds=seconds), np.arange(round(seconds * FPS)) / FPS
+    scene, times_s = (
+        make_scenario(scenario, seed=seed, seconds=seconds),
+        np.arange(round(seconds * FPS)) / FPS,
+    )
     errors = TrackErrors()
     for number in range(n_errors):
         drive = BoxDrive(scene, times_s, RIG, seed=1000 * seed + number)
@@ -281,17 +333,23 @@ def _track_errors(
     scene: Scene, true: TrueBoxes, results: Iterable[FrameResult], boxes: Sequence[Detections]
 ) -> TrackErrors:
     errors = TrackErrors(seconds=len(boxes) / FPS)
-    is_person = np.array([user.kitti_type in ("Pedestrian", "Cyclist", "Motorcycle") for user in scene.road_users])
+    is_person = np.array(
+        [user.kitti_type in ("Pedestrian", "Cyclist", "Motorcycle") for user in scene.road_users]
+    )
     by_track: dict[int, list[tuple[float, ...]]] = {}
     track_of: dict[int, int] = {}
     for result in results:
         rows = np.flatnonzero(true.frame == result.index)
         detections, tracks = boxes[result.index], result.tracks
         min_iou = np.where(true.height_px[rows] < SMALL_PX, TRACK_IOU_SMALL, TRACK_IOU)
-        _count_boxes(errors, matched_users(true, rows, detections.xyxy_px, min_iou)[0], detections.score)
+        _count_boxes(
+            errors, matched_users(true, rows, detections.xyxy_px, min_iou)[0], detections.score
+        )
         stereo_m, warnings = result.ranges["stereo"].distance_m, result.warnings
         nan = np.full(len(tracks), np.nan)
-        probability, offset_m = (warnings.probability, warnings.path_offset_m) if warnings else (nan, nan)
+        probability, offset_m = (
+            (warnings.probability, warnings.path_offset_m) if warnings else (nan, nan)
+        )
         users, overlap = matched_users(true, rows, tracks.xyxy_px, min_iou)
         seen: set[int] = set()
         for row in np.argsort(-overlap, kind="stable").tolist():
@@ -339,7 +397,9 @@ def _count_track(errors: TrackErrors, track: FloatArray) -> None:
                 (frame[-1] - frame[0] + 1) / FPS,
                 has_stereo.mean(),
                 _deviation_px(frame[has_stereo], stereo_m[has_stereo]),
-                float(np.median(offset_m[np.isfinite(offset_m)])) if np.isfinite(offset_m).any() else np.inf,
+                float(np.median(offset_m[np.isfinite(offset_m)]))
+                if np.isfinite(offset_m).any()
+                else np.inf,
                 float(np.max(probability, initial=0.0, where=np.isfinite(probability))),
             ]
         )
@@ -356,7 +416,9 @@ def _count_track(errors: TrackErrors, track: FloatArray) -> None:
 
 
 def _deviation_px(frame: FloatArray, distance_m: FloatArray) -> float:
-    """Robust standard deviation of disparities about a straight line over time, px; infinite for less than 4."""
+    """Robust standard deviation of disparities about a straight line over time, px; infinite for
+    less than 4.
+    """
     if len(frame) < 4:
         return np.inf
     disparity_px = RIG.left.fx_px * RIG.baseline_m / distance_m

@@ -1,7 +1,7 @@
 """Collision warnings on rendered drives, on real ones, and on drives without images.
 
-Drives without images have alarms, lead times, closing speeds and probabilities of contact, with the errors of
-`benchmarks/boxes`.
+Drives without images have alarms, lead times, closing speeds and probabilities of contact, with the
+errors of `benchmarks/boxes`.
 """
 
 from __future__ import annotations
@@ -46,11 +46,20 @@ WIDTH_PX, HEIGHT_PX = 620, 188  # size of the images, px: that of the fit
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""
 
-HARMLESS_HOURS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway")
+HARMLESS_HOURS = (
+    "curve-parked",
+    "oncoming",
+    "overhead-sign",
+    "following",
+    "queue",
+    "city",
+    "highway",
+)
 """Scenarios of harmless driving."""
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.97)
-"""Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the default difference."""
+"""Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the
+default difference."""
 
 N_ERRORS = 10  # drives with different errors in each scene
 SAME_ALARM_S = 3.0  # longest time between two alarms on one object that count as one
@@ -59,8 +68,12 @@ CLOSING_FRAMES = 5  # from one measurement of the errors of closing speeds to th
 _BINS = np.concatenate([[0, 0.01, 0.03], np.linspace(0.1, 1, 10)])
 
 
-def rendered_figures(cache: Path, scenario: str, seed: int, *, is_stereo: bool, width_px: int) -> Figures:
-    """Contacts with the lead of the first warning, false alarms, and errors of closing speeds of one drive."""
+def rendered_figures(
+    cache: Path, scenario: str, seed: int, *, is_stereo: bool, width_px: int
+) -> Figures:
+    """Contacts with the lead of the first warning, false alarms, and errors of closing speeds of
+    one drive.
+    """
     drive = conflict_drive(cache, scenario, seed, width_px=width_px)
     scene = make_scenario(scenario, seed=seed, seconds=drive.seconds)
     calibration, _ = load_calibration(drive.files.rig)
@@ -78,12 +91,19 @@ def rendered_figures(cache: Path, scenario: str, seed: int, *, is_stereo: bool, 
                 user_of.setdefault(int(result.tracks.track_id[row]), Counter())[user] += 1
                 truth = speeds.get((result.index, scene.road_users[user].track_id))
                 if truth is not None and np.isfinite(result.closing_mps[row]):
-                    class_id, height_m = int(result.tracks.class_id[row]), scene.road_users[user].size_hwl_m[0]
+                    class_id, height_m = (
+                        int(result.tracks.class_id[row]),
+                        scene.road_users[user].size_hwl_m[0],
+                    )
                     error = float(result.closing_mps[row]) - truth[1]
-                    closing.append((class_id, truth[0], error, float(result.closing_sigma_mps[row]), height_m))
+                    closing.append(
+                        (class_id, truth[0], error, float(result.closing_sigma_mps[row]), height_m)
+                    )
         events = run.events
     objects = [_object(event, user_of, scene) for event in events]
-    scores = contact_scores(events, objects, read_contacts(drive.files.contacts), hours=drive.seconds / 3600)
+    scores = contact_scores(
+        events, objects, read_contacts(drive.files.contacts), hours=drive.seconds / 3600
+    )
     end_s = min((row["contact_s"] for row in scores["contacts"]), default=np.inf)
     return {
         "scenario": scenario,
@@ -97,7 +117,11 @@ def rendered_figures(cache: Path, scenario: str, seed: int, *, is_stereo: bool, 
 def real_warnings(**source: Any) -> list[Event]:
     """The warnings of a run with default options on a real recording."""
     left, *right = source.pop("videos")
-    with Run.stereo(left, right[0], sgbm=False, **source) if right else Run.mono(left, **source) as run:
+    with (
+        Run.stereo(left, right[0], sgbm=False, **source)
+        if right
+        else Run.mono(left, **source) as run
+    ):
         for _ in run:
             pass
         return [event for event in run.events if is_warning(event)]
@@ -105,18 +129,31 @@ def real_warnings(**source: Any) -> list[Event]:
 
 def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
     files, boxes = drive.files, StoredDetector(drive.boxes)
-    options: RunKeywords = {"detector": boxes, "ego_speed": files.ego_speed, "rig": files.rig, "sgbm": False}
-    return Run.stereo(files.left, files.right, **options) if is_stereo else Run.mono(files.left, **options)
+    options: RunKeywords = {
+        "detector": boxes,
+        "ego_speed": files.ego_speed,
+        "rig": files.rig,
+        "sgbm": False,
+    }
+    return (
+        Run.stereo(files.left, files.right, **options)
+        if is_stereo
+        else Run.mono(files.left, **options)
+    )
 
 
 def matched_users(
     true: TrueBoxes, rows: IntArray, xyxy_px: FloatArray, min_iou: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """(K,) object of each box, -1 = none, and its IoU relative to the smallest one of a match with the rows (R,)."""
+    """(K,) object of each box, -1 = none, and its IoU relative to the smallest one of a match with
+    the rows (R,).
+    """
     if not len(rows) or not len(xyxy_px):
         return np.full(len(xyxy_px), -1), np.zeros(len(xyxy_px))
     overlap = iou(xyxy_px, true.xyxy_px[rows]) / min_iou
-    return np.where(overlap.max(axis=1) >= 1, true.user[rows[overlap.argmax(axis=1)]], -1), overlap.max(axis=1)
+    return np.where(
+        overlap.max(axis=1) >= 1, true.user[rows[overlap.argmax(axis=1)]], -1
+    ), overlap.max(axis=1)
 
 
 def _object(event: Event, user_of: dict[int, Counter[int]], scene: Any) -> int | None:
@@ -129,14 +166,19 @@ def _closing_speeds(path: Path) -> dict[tuple[int, int], tuple[float, float]]:
     """Distance and closing speed of truth.csv by frame and id."""
     with path.open(encoding="utf-8", newline="") as file:
         return {
-            (int(row["frame"]), int(row["id"])): (float(row["distance_m"]), float(row["closing_mps"]))
+            (int(row["frame"]), int(row["id"])): (
+                float(row["distance_m"]),
+                float(row["closing_mps"]),
+            )
             for row in csv.DictReader(file)
         }
 
 
 @dataclass(frozen=True, slots=True)
 class SceneDrives:
-    """Drives with different errors in the scene of a scenario and seed, and the frames and tracks of each."""
+    """Drives with different errors in the scene of a scenario and seed, and the frames and tracks
+    of each.
+    """
 
     scenario: str
     seed: int
@@ -146,7 +188,8 @@ class SceneDrives:
     contact_s: dict[int, float]  # time of the contact by id of the road user
     is_real: bool  # whether the contacts happen, without braking or with it
     end_s: float  # time of the first contact, or of the last frame; later frames do not count
-    object_id: IntArray  # (N + 1,) id of each road user; the last one, -1, is that of false boxes (row -1)
+    # (N + 1,) id of each road user; the last one, -1, is that of false boxes (row -1)
+    object_id: IntArray
     closing_mps: FloatArray  # (N, T) true closing speeds
 
     @property
@@ -164,12 +207,17 @@ def scene_drives(scenario: str, seed: int, n_errors: int) -> SceneDrives:
     times_s = np.arange(round(seconds * FPS)) / FPS
     rig = kitti_like_rig(width_px=WIDTH_PX, height_px=HEIGHT_PX)
     first = BoxDrive(scene, times_s, rig, seed=1000 * seed)
-    others = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number, like=first) for number in range(1, n_errors)]
+    others = [
+        BoxDrive(scene, times_s, rig, seed=1000 * seed + number, like=first)
+        for number in range(1, n_errors)
+    ]
     drives = [first, *others]
     end_s = min(contact_s.values(), default=seconds) if is_real else seconds
     object_id = np.array([user.track_id for user in scene.road_users] + [-1])
     tracks, closing_mps = [tracked(drive) for drive in drives], closing_rates_mps(scene, times_s)
-    return SceneDrives(scenario, seed, scene, drives, tracks, contact_s, is_real, end_s, object_id, closing_mps)
+    return SceneDrives(
+        scenario, seed, scene, drives, tracks, contact_s, is_real, end_s, object_id, closing_mps
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +227,15 @@ class SceneFigures:
     scenario: str  # scenario, seed: the scene
     seed: int
     hours: float  # duration of its drives
-    # (A, 5) drive, threshold index, road user (-1 = a false box), time, lead to its contact (NaN = none)
+    # (A, 5) drive, threshold index, road user (-1 = a false box), time, lead to its contact (NaN =
+    # none)
     alarms: FloatArray
     n_contacts: int  # number of contacts in all drives
-    # (C, 5) class, distance, error of the closing speed, its standard deviation, height of the object
+    # (C, 5) class, distance, error of the closing speed, its standard deviation, height of the
+    # object
     closing: FloatArray
-    probability: FloatArray  # (B, 3) by bin: number, sum of probabilities, number of contacts within the horizon
+    # (B, 3) by bin: number, sum of probabilities, number of contacts within the horizon
+    probability: FloatArray
 
     @classmethod
     def of_json(cls, values: Mapping[str, Any]) -> SceneFigures:
@@ -197,7 +248,9 @@ class SceneFigures:
 
 
 class WarningCurve(CollisionWarning):
-    """Collision warnings with several thresholds, then, as returned, with the default settings: `warnings`."""
+    """Collision warnings with several thresholds, then, as returned, with the default settings:
+    `warnings`.
+    """
 
     def __init__(self, thresholds: Sequence[float]) -> None:
         super().__init__()
@@ -206,7 +259,9 @@ class WarningCurve(CollisionWarning):
         self._all = []
         for threshold in thresholds:
             person, off = max(threshold - lower, 0.05), min(default.off_probability, threshold / 2)
-            settings = replace(default, on_probability=threshold, person_probability=person, off_probability=off)
+            settings = replace(
+                default, on_probability=threshold, person_probability=person, off_probability=off
+            )
             self._all.append(CollisionWarning(settings))
         self._all.append(CollisionWarning())
         self.warnings: list[Warnings] = []
@@ -216,7 +271,9 @@ class WarningCurve(CollisionWarning):
         return self.warnings[-1]
 
 
-def drive_figures(scene: SceneDrives, *, methods: str = "fused", thresholds: Sequence[float] = ()) -> SceneFigures:
+def drive_figures(
+    scene: SceneDrives, *, methods: str = "fused", thresholds: Sequence[float] = ()
+) -> SceneFigures:
     """Figures of the drives of a scene with one set of ranging methods (a key of `METHODS`)."""
     curve = WarningCurve(thresholds)
     alarms: list[tuple[float, ...]] = []
@@ -233,20 +290,35 @@ def drive_figures(scene: SceneDrives, *, methods: str = "fused", thresholds: Seq
             for started in sorted(now - was_active[number]):
                 row = int(np.flatnonzero(track_id == started)[0])
                 lead_s = scene.contact_s.get(int(objects[row]), math.nan) - result.time_s
-                alarms.append((started // IDS_PER_DRIVE, number, float(objects[row]), result.time_s, lead_s))
+                alarms.append(
+                    (started // IDS_PER_DRIVE, number, float(objects[row]), result.time_s, lead_s)
+                )
             was_active[number] = now
         if result.index % CLOSING_FRAMES == 0:
             closing.append(_closing_errors(scene, result, step.user, step.true_m))
         if scene.is_real and result.warnings is not None:
-            _add_probabilities(probability, result.warnings, objects, scene.contact_s, result.time_s)
-    merged, n_contacts = _merged(np.array(alarms, np.float64).reshape(-1, 5)), len(scene.drives) * len(scene.contact_s)
+            _add_probabilities(
+                probability, result.warnings, objects, scene.contact_s, result.time_s
+            )
+    merged, n_contacts = (
+        _merged(np.array(alarms, np.float64).reshape(-1, 5)),
+        len(scene.drives) * len(scene.contact_s),
+    )
     errors = np.concatenate(closing)
-    return SceneFigures(scene.scenario, scene.seed, scene.hours, merged, n_contacts, errors, probability)
+    return SceneFigures(
+        scene.scenario, scene.seed, scene.hours, merged, n_contacts, errors, probability
+    )
 
 
-def _closing_errors(scene: SceneDrives, result: FrameResult, user: IntArray, true_m: FloatArray) -> FloatArray:
-    """(C, 5) class, distance, error of the closing speed, its standard deviation, height, of road users at 5-45 m."""
-    rows = np.flatnonzero((user >= 0) & np.isfinite(result.closing_mps) & (true_m > 5) & (true_m < 45))
+def _closing_errors(
+    scene: SceneDrives, result: FrameResult, user: IntArray, true_m: FloatArray
+) -> FloatArray:
+    """(C, 5) class, distance, error of the closing speed, its standard deviation, height, of road
+    users at 5-45 m.
+    """
+    rows = np.flatnonzero(
+        (user >= 0) & np.isfinite(result.closing_mps) & (true_m > 5) & (true_m < 45)
+    )
     columns = np.stack(
         [
             result.tracks.class_id[rows],
@@ -261,7 +333,11 @@ def _closing_errors(scene: SceneDrives, result: FrameResult, user: IntArray, tru
 
 
 def _add_probabilities(
-    counts: FloatArray, warnings: Warnings, objects: IntArray, contact_s: dict[int, float], time_s: float
+    counts: FloatArray,
+    warnings: Warnings,
+    objects: IntArray,
+    contact_s: dict[int, float],
+    time_s: float,
 ) -> None:
     horizon_s = WarningSettings().horizon_s
     rows = np.flatnonzero(np.isfinite(warnings.probability) & (objects >= 0))
@@ -275,7 +351,9 @@ def _add_probabilities(
 
 
 def _merged(alarms: FloatArray) -> FloatArray:
-    """The alarms without those that follow one on the same road user in the same drive within `SAME_ALARM_S`."""
+    """The alarms without those that follow one on the same road user in the same drive within
+    `SAME_ALARM_S`.
+    """
     last_s: dict[tuple[float, ...], float] = {}
     rows = []
     for row in alarms[np.argsort(alarms[:, 3], kind="stable")]:
@@ -287,7 +365,9 @@ def _merged(alarms: FloatArray) -> FloatArray:
 
 
 def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> Figures:
-    """Hits, lead times and false alarms per hour at one threshold (index; -1 = default settings)."""
+    """Hits, lead times and false alarms per hour at one threshold (index; -1 = default
+    settings).
+    """
     n_thresholds = int(max((scene.alarms[:, 1].max(initial=0) for scene in scenes), default=0))
     index = n_thresholds if threshold < 0 else threshold
     leads: list[float] = []
@@ -318,7 +398,9 @@ def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> Figure
 
 
 def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float = 40.0) -> Figures:
-    """Median absolute error and bias of the closing speed by class; tall vehicles are trucks and buses over 2.5 m."""
+    """Median absolute error and bias of the closing speed by class; tall vehicles are trucks and
+    buses over 2.5 m.
+    """
     rows = rows[(rows[:, 1] >= nearest_m) & (rows[:, 1] <= farthest_m)]
     groups = {name: rows[rows[:, 0] == number] for number, name in enumerate(ROAD_CLASSES[:6])}
     groups["tall vehicles"] = rows[rows[:, 4] > 2.5]
@@ -335,10 +417,11 @@ def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float
 
 
 def reliability(counts: FloatArray) -> Figures:
-    """Reliability diagram: number of tracks and frames, mean probability and fraction of contacts by bin.
+    """Reliability diagram: number of tracks and frames, mean probability and fraction of contacts
+    by bin.
 
-    `error` is the mean absolute difference over all tracks and frames; those below and above a probability of 0.1
-    follow separately, since nearly all are far below it.
+    `error` is the mean absolute difference over all tracks and frames; those below and above a
+    probability of 0.1 follow separately, since nearly all are far below it.
     """
     counts = counts[counts[:, 0] >= 20]
     n, total, hits = counts.T

@@ -1,4 +1,6 @@
-"""Collision warnings: lead times, false alarms, closing speeds and probabilities, on simulated and real drives."""
+"""Collision warnings: lead times, false alarms, closing speeds and probabilities, on simulated and
+real drives.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +32,15 @@ from benchmarks.harness import Figures, StoredResults, option, workload
 from benchmarks.inputs.drives import CACHE_OPTION, COLLISIONS, HARMLESS, REAL_DATA
 
 PARTS = ("rendered", "hours", "curve", "real")
-SEEDS = tuple(range(100, 107))  # seeds of the rendered drives; thresholds are tuned on seeds below 100
-LEAD_S = 2.1  # smallest lead of a hit, s: time to react and to brake to a standstill from 50 km/h, as in ISO 15623
+# seeds of the rendered drives; thresholds are tuned on seeds below 100
+SEEDS = tuple(range(100, 107))
+# smallest lead of a hit, s: time to react and to brake to a standstill from 50 km/h, as in ISO
+# 15623
+LEAD_S = 2.1
 
 DASHCAM_FOCAL_PX = 1150.0
-"""Focal length of the dashcam clips, px: assumed, for an angle of view of about 58 degrees at 1280 px."""
+"""Focal length of the dashcam clips, px: assumed, for an angle of view of about 58 degrees at 1280
+px."""
 
 N_COLLISION_SEEDS = 8  # scenes of each collision scenario without images
 
@@ -47,7 +53,8 @@ TITLES = {"mono": "one camera", "stereo": "two cameras, stereo only", "fused": "
 """Name of each method for users."""
 
 _GREY = "#7a7f87"  # text and axes: readable on light and dark pages
-COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")  # columns of a point of the curve
+# columns of a point of the curve
+COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")
 
 
 @workload(
@@ -56,12 +63,30 @@ COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")  # c
     option("--seeds", default=SEEDS, metavar="N", help="seeds of rendered drives"),
     option("--width", default=1240, metavar="PX", help="width of rendered images"),
     option("--hours", default=10.0, metavar="H", help="hours of harmless driving"),
-    option("--first-seed", "--seed", default=100, metavar="N", help="first seed of drives without images"),
-    option("--errors", default=N_ERRORS, metavar="N", help="drives with different errors per scene"),
+    option(
+        "--first-seed",
+        "--seed",
+        default=100,
+        metavar="N",
+        help="first seed of drives without images",
+    ),
+    option(
+        "--errors", default=N_ERRORS, metavar="N", help="drives with different errors per scene"
+    ),
     option("--jobs", default=1, metavar="N", help="number of processes"),
     option("--figure", type=Path, metavar="FILE", help="SVG file for the curve"),
-    option("--reliability-figure", type=Path, metavar="FILE", help="SVG file for the reliability diagram"),
-    option("--parts", type=Path, metavar="FILE", help="file of cases, from which an interrupted benchmark continues"),
+    option(
+        "--reliability-figure",
+        type=Path,
+        metavar="FILE",
+        help="SVG file for the reliability diagram",
+    ),
+    option(
+        "--parts",
+        type=Path,
+        metavar="FILE",
+        help="file of cases, from which an interrupted benchmark continues",
+    ),
 )
 def warnings(options: Namespace) -> Figures:
     options.stored = StoredResults(options.parts)
@@ -74,17 +99,28 @@ def _rendered(options: Namespace) -> Figures:
     for mode in ("stereo", "mono"):
         measured = partial(_rendered_drive, options.cache, mode == "stereo", options.width)
         cases = [(name, seed) for name in (*COLLISIONS, *HARMLESS) for seed in options.seeds]
-        drives = list(options.stored.mapped(f"rendered {mode} {options.width}", measured, cases, options.jobs))
+        drives = list(
+            options.stored.mapped(f"rendered {mode} {options.width}", measured, cases, options.jobs)
+        )
         figures[mode] = {}
         for name in (*COLLISIONS, *HARMLESS):
             rows = [drive for drive in drives if drive["scenario"] == name]
-            leads = [[row["lead_s"] for row in drive["contacts"] if row["lead_s"] is not None] for drive in rows]
+            leads = [
+                [row["lead_s"] for row in drive["contacts"] if row["lead_s"] is not None]
+                for drive in rows
+            ]
             figures[mode][name] = {
                 "drives": len(rows),
-                "hits": sum(any(lead_s >= LEAD_S for lead_s in lead) for lead in leads) if name in COLLISIONS else None,
+                "hits": sum(any(lead_s >= LEAD_S for lead_s in lead) for lead in leads)
+                if name in COLLISIONS
+                else None,
                 "false_alarms": sum(len(drive["false_warnings"]) for drive in rows),
                 "leads_s": [row["lead_s"] for drive in rows for row in drive["contacts"]],
-                "false_warnings": [{"seed": drive["seed"], **row} for drive in rows for row in drive["false_warnings"]],
+                "false_warnings": [
+                    {"seed": drive["seed"], **row}
+                    for drive in rows
+                    for row in drive["false_warnings"]
+                ],
             }
         closing = [np.array(drive["closing"], np.float64).reshape(-1, 5) for drive in drives]
         figures[f"closing speed at 10-40 m, {mode}"] = closing_figures(np.concatenate(closing))
@@ -96,14 +132,19 @@ def _rendered_drive(cache: Path, is_stereo: bool, width_px: int, case: tuple[str
 
 
 def _hours(options: Namespace) -> Figures:
-    n_scenes = int(np.ceil(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)))
+    n_scenes = int(
+        np.ceil(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS))
+    )
     cases = [(name, options.first_seed + k) for k in range(n_scenes) for name in HARMLESS_HOURS]
     scenes = _scenes(options, cases, ("fused", "mono"), ())
     return {methods: alarm_figures(scenes[methods]) for methods in scenes}
 
 
 def _scenes(
-    options: Namespace, cases: Sequence[tuple[str, int]], methods: Sequence[str], thresholds: Sequence[float]
+    options: Namespace,
+    cases: Sequence[tuple[str, int]],
+    methods: Sequence[str],
+    thresholds: Sequence[float],
 ) -> dict[str, list[SceneFigures]]:
     label = f"{'+'.join(methods)} x{options.errors} {','.join(map(str, thresholds))}"
     measured = partial(_box_drives, methods, options.errors, thresholds)
@@ -112,14 +153,21 @@ def _scenes(
 
 
 def _curve(options: Namespace) -> Figures:
-    cases = [(name, options.first_seed + k) for k in range(N_COLLISION_SEEDS) for name in BOX_COLLISIONS]
-    n_harmless = max(round(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)), 1)
+    cases = [
+        (name, options.first_seed + k) for k in range(N_COLLISION_SEEDS) for name in BOX_COLLISIONS
+    ]
+    n_harmless = max(
+        round(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)), 1
+    )
     cases += [(name, options.first_seed + k) for k in range(n_harmless) for name in HARMLESS_HOURS]
     by_method = _scenes(options, cases, tuple(METHODS), THRESHOLDS)
     figures: Figures = {}
     for methods, scenes in by_method.items():
         figures[methods] = {
-            "points": [{"threshold": limit, **_point(scenes, number)} for number, limit in enumerate(THRESHOLDS)],
+            "points": [
+                {"threshold": limit, **_point(scenes, number)}
+                for number, limit in enumerate(THRESHOLDS)
+            ],
             "default": _point(scenes, len(THRESHOLDS)),
             "closing": closing_figures(np.concatenate([scene.closing for scene in scenes])),
             "reliability": reliability(np.sum([scene.probability for scene in scenes], axis=0)),
@@ -134,17 +182,28 @@ def _curve(options: Namespace) -> Figures:
 def _point(scenes: Sequence[SceneFigures], number: int) -> Figures:
     """Lead times on collisions, and false alarms of harmless drives, of one threshold."""
     hits = alarm_figures([scene for scene in scenes if scene.scenario in BOX_COLLISIONS], number)
-    false = alarm_figures([scene for scene in scenes if scene.scenario not in BOX_COLLISIONS], number)
+    false = alarm_figures(
+        [scene for scene in scenes if scene.scenario not in BOX_COLLISIONS], number
+    )
     return {
-        **{name: hits[name] for name in ("contacts", "median_lead_s", "lead_10_pct_s", "fraction_with_2_1_s")},
+        **{
+            name: hits[name]
+            for name in ("contacts", "median_lead_s", "lead_10_pct_s", "fraction_with_2_1_s")
+        },
         **{name: false[name] for name in ("hours", "false_alarms", "false_alarms_per_hour")},
     }
 
 
-def _box_drives(methods: Sequence[str], n_errors: int, thresholds: Sequence[float], case: tuple[str, int]) -> Figures:
-    """Figures of the drives of one scene by method; the drives and their tracks are computed once."""
+def _box_drives(
+    methods: Sequence[str], n_errors: int, thresholds: Sequence[float], case: tuple[str, int]
+) -> Figures:
+    """Figures of the drives of one scene by method; the drives and their tracks are computed
+    once.
+    """
     scene = scene_drives(*case, n_errors)
-    return {name: asdict(drive_figures(scene, methods=name, thresholds=thresholds)) for name in methods}
+    return {
+        name: asdict(drive_figures(scene, methods=name, thresholds=thresholds)) for name in methods
+    }
 
 
 def _real(options: Namespace) -> Figures:
@@ -152,7 +211,9 @@ def _real(options: Namespace) -> Figures:
     for name in ("0003", "0005"):
         folder = REAL_DATA / "kitti_stereo" / name
         if folder.is_dir():
-            figures[f"KITTI {name}"] = real_warnings(videos=(folder / "left.mp4", folder / "right.mp4"))
+            figures[f"KITTI {name}"] = real_warnings(
+                videos=(folder / "left.mp4", folder / "right.mp4")
+            )
     for path in sorted((REAL_DATA / "dashcam").glob("*.mp4")):
         figures[path.stem] = real_warnings(videos=(path,), focal_px=DASHCAM_FOCAL_PX)
     return {
@@ -162,12 +223,19 @@ def _real(options: Namespace) -> Figures:
 
 
 def curve_points(figures: Figures) -> dict[str, list[list[float]]]:
-    """[false alarms per hour, median lead in s, fraction warned in time] by method, at rising thresholds."""
-    return {methods: [[row[name] for name in COLUMNS] for row in part["points"]] for methods, part in figures.items()}
+    """[false alarms per hour, median lead in s, fraction warned in time] by method, at rising
+    thresholds.
+    """
+    return {
+        methods: [[row[name] for name in COLUMNS] for row in part["points"]]
+        for methods, part in figures.items()
+    }
 
 
 def draw_curve(figures: Figures, path: Path, *, lead_s: float) -> None:
-    """Draw lead times and the fraction warned in time against false alarms per hour, a point for each threshold."""
+    """Draw lead times and the fraction warned in time against false alarms per hour, a point for
+    each threshold.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 3.9), layout="constrained")
@@ -188,15 +256,27 @@ def draw_curve(figures: Figures, path: Path, *, lead_s: float) -> None:
     left.set_ylim(0, max(left.get_ylim()[1], 1.2 * lead_s))
     left.axhline(lead_s, color=_GREY, linestyle=":", lw=1)
     left.set_title("Median lead before the contact, s", loc="left", fontsize=10, color=_GREY)
-    right.set_title(f"Contacts warned at least {lead_s:g} s before, %", loc="left", fontsize=10, color=_GREY)
+    right.set_title(
+        f"Contacts warned at least {lead_s:g} s before, %", loc="left", fontsize=10, color=_GREY
+    )
     right.set_ylim(0, 100)
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, labelcolor=_GREY, fontsize=10)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside upper left",
+        ncols=3,
+        frameon=False,
+        labelcolor=_GREY,
+        fontsize=10,
+    )
     _save(figure, path)
 
 
 def draw_reliability(figures: Figures, path: Path) -> None:
-    """Draw the observed fraction of contacts against the predicted probability, as SVG without background."""
+    """Draw the observed fraction of contacts against the predicted probability, as SVG without
+    background.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
@@ -223,4 +303,6 @@ def _in_grey(axes: Any) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    figure.savefig(path, transparent=True, metadata={"Date": None} if path.suffix == ".svg" else None)
+    figure.savefig(
+        path, transparent=True, metadata={"Date": None} if path.suffix == ".svg" else None
+    )

@@ -1,1 +1,3 @@
-"""Formats of the labels of one video: KITTI, MOTChallenge, CSV, COCO, CVAT for video, and folders of YOLO labels."""
+"""Formats of the labels of one video: KITTI, MOTChallenge, CSV, COCO, CVAT for video, and folders
+of YOLO labels.
+"""

@@ -2,16 +2,18 @@
 
     videos       [{id, name, width, height, fps}]                   as in COCO-VID and TAO; optional when reading
     images       [{id, file_name, width, height, video_id, frame_index}]
-    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, segmentation, iscrowd, track_id, score,
+    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, segmentation, iscrowd,
+    track_id, score,
                    attributes}]
     categories   [{id, name}]
 
-Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the left edge of the image is 0, so
-coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has distance_m, sigma_m and predicted.
-`iscrowd` marks regions of many objects, which are not evaluated. When reading, the identity is `track_id` or
-`instance_id`, also in `attributes` (as CVAT writes it); the frame number is `frame_index`, `frame_id`, or the last
-number in `file_name`. Attributes may be texts, as CVAT writes attributes of the input type text. Boxes with a true
-attribute outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave
+Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the left edge of the image
+is 0, so coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has
+distance_m, sigma_m and predicted. `iscrowd` marks regions of many objects, which are not evaluated.
+When reading, the identity is `track_id` or `instance_id`, also in `attributes` (as CVAT writes it);
+the frame number is `frame_index`, `frame_id`, or the last number in `file_name`. Attributes may be
+texts, as CVAT writes attributes of the input type text. Boxes with a true attribute outside are
+left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave
 et al., "TAO", ECCV 2020, for videos.)
 """
 
@@ -34,12 +36,19 @@ from track_range.detection.formats.box_table import (
     image_name,
 )
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID, MAX_SIDE_PX
+from track_range.detection.formats.limits import (
+    MAX_COORDINATE_PX,
+    MAX_DISTANCE_M,
+    MAX_FRAME,
+    MAX_ID,
+    MAX_SIDE_PX,
+)
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import read_json
 
-MAX_COCO_BYTES = 250_000_000  # about 1.2 million boxes, which take 2.5 GB of memory while they are read
+# about 1.2 million boxes, which take 2.5 GB of memory while they are read
+MAX_COCO_BYTES = 250_000_000
 _DECIMALS, _SCORE_DECIMALS = 3, 4  # of pixels and metres, and of scores, in written files
 _FRAME_KEYS = ("frame_index", "frame_id")
 _IDENTITY_KEYS = ("track_id", "instance_id")
@@ -64,10 +73,11 @@ class CocoBox(NamedTuple):
 
 
 def read_coco(path: Path, video: VideoFacts) -> BoxTable:
-    """The boxes of a COCO data set of one video; boxes without width or height are ignored with a note.
+    """The boxes of a COCO data set of one video; boxes without width or height are ignored with a
+    note.
 
-    LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos, contradictory or
-    unknown ids, annotations without a box, or implausible numbers.
+    LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos,
+    contradictory or unknown ids, annotations without a box, or implausible numbers.
     """
     coco = CocoFile(path)
     frame_of, notes = coco.frames()
@@ -75,7 +85,9 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
     columns: dict[str, Any] = {key: [getattr(box, key) for box in boxes] for key in CocoBox._fields}
     xyxy = np.array(columns.pop("xyxy"), np.float64).reshape(-1, 4)
     if boxes and xyxy.max() <= 1:
-        raise LabelFileError(f"{path}: expected each bbox in pixels, found only fractions of the image size.")
+        raise LabelFileError(
+            f"{path}: expected each bbox in pixels, found only fractions of the image size."
+        )
     facts = video.completed_by(coco.video_facts(frame_of), path)
     notes = (*notes, *table_checks.ignored_note(path, n_empty, "without width or height"))
     table = BoxTable.of(**columns, xyxy_px=xyxy - HALF_PIXEL_PX, video=facts, notes=notes)
@@ -84,11 +96,15 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
 
 
 class CocoFile:
-    """The objects of one file, checked when read, and `images` by id, in its order; methods raise LabelFileError."""
+    """The objects of one file, checked when read, and `images` by id, in its order; methods raise
+    LabelFileError.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._document = read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES)
+        self._document = read_json(
+            path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES
+        )
         self._names: dict[int | str, str] = {}  # by category id
         self._identities: dict[str, int] = {}  # by the names of objects
         self._has_numbers = False  # whether objects have numbers instead
@@ -96,25 +112,29 @@ class CocoFile:
             number, name = self._id(category, "id", where), self._text(category, "name", where)
             if (other := self._names.setdefault(number, name)) != name:
                 raise LabelFileError(
-                    f"{path}, {where}: expected one name for each category id, found {quoted(other)} and "
-                    f"{quoted(name)} for the id {quoted(number)}."
+                    f"{path}, {where}: expected one name for each category id, found "
+                    f"{quoted(other)} and {quoted(name)} for the id {quoted(number)}."
                 )
         self.images: dict[int | str, _Object] = {}
         for where, image in self._section("images"):
             number = self._id(image, "id", where)
             if self.images.setdefault(number, image) is not image:
-                raise LabelFileError(f"{path}, {where}: expected each image id once, found {quoted(number)} twice.")
+                raise LabelFileError(
+                    f"{path}, {where}: expected each image id once, found {quoted(number)} twice."
+                )
 
     def _section(self, key: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """The objects of a list of the file, each with its place for messages."""
         if isinstance(self._document, list):
             raise LabelFileError(
-                f"{self.path}: expected a COCO data set with images, annotations and categories, found a list, such as "
-                "detection results; add the boxes to a data set."
+                f"{self.path}: expected a COCO data set with images, annotations and categories, "
+                "found a list, such as detection results; add the boxes to a data set."
             )
         values = self._document.get(key) if isinstance(self._document, dict) else None
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-            raise LabelFileError(f"{self.path}: expected a COCO data set with a list of {key}, found none.")
+            raise LabelFileError(
+                f"{self.path}: expected a COCO data set with a list of {key}, found none."
+            )
         return ((f"{key}[{index}]", value) for index, value in enumerate(values))
 
     def file_name(self, image: _Object, index: int) -> str:
@@ -124,12 +144,19 @@ class CocoFile:
     def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
         """Frame number by image id, and notes for the user."""
         images = self.images
-        ids = {self._id(image, "video_id", "images") for image in images.values() if image.get("video_id") is not None}
+        ids = {
+            self._id(image, "video_id", "images")
+            for image in images.values()
+            if image.get("video_id") is not None
+        }
         if len(ids) > 1:
             raise LabelFileError(
-                f"{self.path}: expected the images of one video, found {len(ids)} videos; split the file."
+                f"{self.path}: expected the images of one video, found {len(ids)} videos; split "
+                "the file."
             )
-        key = next((key for key in _FRAME_KEYS if any(key in image for image in images.values())), None)
+        key = next(
+            (key for key in _FRAME_KEYS if any(key in image for image in images.values())), None
+        )
         if key is None:
             names = [self.file_name(image, index) for index, image in enumerate(images.values())]
             frames, source = table_checks.frames_of_names(names, self.path)
@@ -140,27 +167,40 @@ class CocoFile:
             ]
         frame_of = dict(zip(images, frames, strict=True))
         numbers = sorted(frames)
-        notes = list(table_checks.first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
+        notes = list(
+            table_checks.first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers))
+        )
         if numbers and key is None:
             span = f"{numbers[0]} to {numbers[-1]}"
-            notes.insert(0, f"{self.path.name}: frame numbers are the {source} in the names of the images, {span}.")
+            notes.insert(
+                0,
+                f"{self.path.name}: frame numbers are the {source} in the names of the "
+                f"images, {span}.",
+            )
         for frame, after in pairwise(numbers):
             if frame == after:
                 raise LabelFileError(
-                    f"{self.path}: expected one image of one camera for each frame, found two for frame {frame}."
+                    f"{self.path}: expected one image of one camera for each frame, found two for "
+                    f"frame {frame}."
                 )
         return frame_of, tuple(notes)
 
     def video_facts(self, frame_of: Mapping[int | str, int]) -> VideoFacts:
         """Name, number of frames, image size and frame rate of the video."""
         sizes = {
-            tuple(self._integer(image, key, f"images[{index}]", 1, MAX_SIDE_PX) for key in ("width", "height"))
+            tuple(
+                self._integer(image, key, f"images[{index}]", 1, MAX_SIDE_PX)
+                for key in ("width", "height")
+            )
             for index, image in enumerate(self.images.values())
-            if image.get("width") and image.get("height")  # some programs write 0 for an unknown size
+            # some programs write 0 for an unknown size
+            if image.get("width") and image.get("height")
         }
         width, height = next(iter(sizes)) if len(sizes) == 1 else (0, 0)
         videos, info = self._document.get("videos"), self._document.get("info")
-        first = videos[0] if isinstance(videos, list) and videos and isinstance(videos[0], dict) else {}
+        first = (
+            videos[0] if isinstance(videos, list) and videos and isinstance(videos[0], dict) else {}
+        )
         fps = first.get("fps")
         return VideoFacts(
             name=str(first.get("name") or "")[:_MAX_TEXT],
@@ -172,10 +212,15 @@ class CocoFile:
         )
 
     def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
-        """All annotations with width and height, and how many have neither; `frame_of` has the frame by image id."""
+        """All annotations with width and height, and how many have neither; `frame_of` has the
+        frame by image id.
+        """
         boxes, n_empty = [], 0
         for where, item in self._section("annotations"):
-            image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)
+            image, category = (
+                self._id(item, "image_id", where),
+                self._id(item, "category_id", where),
+            )
             if image not in frame_of:
                 raise self._fault(where, "the id of one of the images as image_id", image)
             if category not in self._names:
@@ -188,7 +233,12 @@ class CocoFile:
             both: dict[str, Any] = {**attributes, **item} if isinstance(attributes, dict) else item
             if both.get("outside") is True:
                 continue
-            given = [(source, key) for source in (item, both) for key in _IDENTITY_KEYS if source.get(key) is not None]
+            given = [
+                (source, key)
+                for source in (item, both)
+                for key in _IDENTITY_KEYS
+                if source.get(key) is not None
+            ]
             boxes.append(
                 CocoBox(
                     frame_of[image],
@@ -217,7 +267,9 @@ class CocoFile:
         return value
 
     def _identity(self, item: _Object, key: str, where: str) -> int:
-        """The number of an object; if ids are names, as Waymo's are, the number of the first occurrence of the name."""
+        """The number of an object; if ids are names, as Waymo's are, the number of the first
+        occurrence of the name.
+        """
         name = item[key]
         is_named = isinstance(name, str) and 0 < len(name) <= _MAX_TEXT
         if is_named and not self._has_numbers:
@@ -248,7 +300,11 @@ class CocoFile:
         return math.nan if value is None else self._in_range(value, key, where, low, high)
 
     def _in_range(self, value: object, key: str, where: str, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not low <= value <= high
+        ):
             raise self._fault(where, f"a number from {low:g} to {high:g} as {key}", value)
         return float(value)
 
@@ -256,11 +312,17 @@ class CocoFile:
         bbox: Any = item.get("bbox")
         if bbox is None and item.get("segmentation"):
             shape = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
-            raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {shape}; export boxes.")
+            raise LabelFileError(
+                f"{self.path}, {where}: expected a bbox, found only {shape}; export boxes."
+            )
         is_box = isinstance(bbox, list) and len(bbox) == 4
-        is_box = is_box and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in bbox)
+        is_box = is_box and not any(
+            isinstance(v, bool) or not isinstance(v, int | float) for v in bbox
+        )
         if not is_box or max(map(abs, bbox)) > MAX_COORDINATE_PX or min(bbox[2:]) < 0:
-            raise self._fault(where, f"a bbox of four numbers x, y, w, h up to {MAX_COORDINATE_PX:g}", bbox)
+            raise self._fault(
+                where, f"a bbox of four numbers x, y, w, h up to {MAX_COORDINATE_PX:g}", bbox
+            )
         return tuple(map(float, bbox))
 
 
@@ -268,18 +330,38 @@ def write_coco(table: BoxTable, path: Path) -> Written:
     """Write a table as a COCO data set, with all frames of the video as images."""
     video = table.video
     width, height = video.size_px or (None, None)
-    info = {"description": "Road users tracked by track-range", "version": "1", "pixels": video.pixels}
-    facts = _known({"id": 1, "name": video.name or "video", "width": width, "height": height, "fps": video.fps})
+    info = {
+        "description": "Road users tracked by track-range",
+        "version": "1",
+        "pixels": video.pixels,
+    }
+    facts = _known(
+        {"id": 1, "name": video.name or "video", "width": width, "height": height, "fps": video.fps}
+    )
     category_ids = {name: number for number, name in enumerate(table.all_labels, start=1)}
     categories = ({"id": number, "name": name} for name, number in category_ids.items())
     images = (
-        _known({"id": frame + 1, "file_name": image_name(video, frame), "width": width, "height": height})
+        _known(
+            {
+                "id": frame + 1,
+                "file_name": image_name(video, frame),
+                "width": width,
+                "height": height,
+            }
+        )
         | {"video_id": 1, "frame_index": frame}
         for frame in frames_listed(table)
     )
-    lists = {"categories": categories, "images": images, "annotations": _annotations(table, category_ids)}
+    lists = {
+        "categories": categories,
+        "images": images,
+        "annotations": _annotations(table, category_ids),
+    }
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(f'{{\n"info": {_json(info | dict(video.provenance))},\n"licenses": [],\n"videos": [{_json(facts)}]')
+        file.write(
+            f'{{\n"info": {_json(info | dict(video.provenance))},\n"licenses": '
+            f'[],\n"videos": [{_json(facts)}]'
+        )
         for key, items in lists.items():
             file.write(f',\n"{key}": [\n')
             file.writelines(_lines(items))
@@ -293,13 +375,22 @@ def _known(values: _Object) -> dict[str, Any]:
 
 
 def _annotations(table: BoxTable, category_ids: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    edges, is_region, labels = np.round(table.xyxy_px + HALF_PIXEL_PX, _DECIMALS), table.is_region, table.label
+    edges, is_region, labels = (
+        np.round(table.xyxy_px + HALF_PIXEL_PX, _DECIMALS),
+        table.is_region,
+        table.label,
+    )
     for row in range(len(table)):
         x, y, right, bottom = edges[row].tolist()
         width, height = round(right - x, _DECIMALS), round(bottom - y, _DECIMALS)
         track_id, score = int(table.track_id[row]), float(table.score[row])
-        measured = {"distance_m": float(table.distance_m[row]), "sigma_m": float(table.sigma_m[row])}
-        attributes: dict[str, Any] = {key: round(m, _DECIMALS) for key, m in measured.items() if math.isfinite(m)}
+        measured = {
+            "distance_m": float(table.distance_m[row]),
+            "sigma_m": float(table.sigma_m[row]),
+        }
+        attributes: dict[str, Any] = {
+            key: round(m, _DECIMALS) for key, m in measured.items() if math.isfinite(m)
+        }
         yield {
             "id": row + 1,
             "image_id": int(table.frame[row]) + 1,

@@ -2,8 +2,9 @@
 
     frame,id,class,x1,y1,x2,y2,distance_m[,visible_share,closing_mps]
 
-The first line has the names of the columns, in any order; other columns (time_s, lane, ...) are ignored. The
-simulation's truth.csv has this format; measurements of a lidar or radar can be converted to this format.
+The first line has the names of the columns, in any order; other columns (time_s, lane, ...) are
+ignored. The simulation's truth.csv has this format; measurements of a lidar or radar can be
+converted to this format.
 
     frame           frame number from 0, of the left video
     id              integer from 0, one per object
@@ -25,7 +26,12 @@ import numpy.typing as npt
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_of
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
+from track_range.detection.formats.limits import (
+    MAX_COORDINATE_PX,
+    MAX_DISTANCE_M,
+    MAX_FRAME,
+    MAX_ID,
+)
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import first_line, quoted
@@ -60,10 +66,14 @@ class CsvLabels:
 
 
 def is_label_csv(path: Path) -> bool:
-    """Whether a file is CSV: its first line contains commas or `distance_m`, or it is an empty .csv file."""
+    """Whether a file is CSV: its first line contains commas or `distance_m`, or it is an empty .csv
+    file.
+    """
     first = _first_line(path)
     return first is not None and (
-        "," in first or "distance_m" in first.lower() or (not first and path.suffix.lower() == ".csv")
+        "," in first
+        or "distance_m" in first.lower()
+        or (not first and path.suffix.lower() == ".csv")
     )
 
 
@@ -84,10 +94,12 @@ def _first_line(path: Path) -> str | None:
 def read_csv_labels(path: Path) -> CsvLabels:
     """The rows of a CSV label file.
 
-    LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out of range, a box has
-    x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
+    LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out
+    of range, a box has x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
     """
-    expected = f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
+    expected = (
+        f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
+    )
     table = read_csv_table(path, LabelFileError, expected, exact=True)
     if len(table.header) == 1 or not set(REQUIRED) & set(table.header):
         raise LabelFileError(f"{path}: expected {expected}, got a file without these columns.")
@@ -98,7 +110,9 @@ def read_csv_labels(path: Path) -> CsvLabels:
         if name != DONT_CARE and road_class_of(name) is None:
             known = ", ".join(ROAD_CLASSES)
             raise table.fault(
-                row, f"expected one of the classes {known}, or {DONT_CARE} for a region, got {quoted(name)}."
+                row,
+                f"expected one of the classes {known}, or {DONT_CARE} for a region, got "
+                f"{quoted(name)}.",
             )
     is_region = np.array([name == DONT_CARE for name in names], np.bool_)
     numbers = {name: _numbers(table, name, is_region) for name in _PLAUSIBLE}
@@ -110,7 +124,9 @@ def read_csv_labels(path: Path) -> CsvLabels:
     seen: set[tuple[int, int]] = set()
     for row, key in enumerate(zip(frame.tolist(), track_id.tolist(), strict=True)):
         if key in seen and key[1] >= 0:
-            raise table.fault(row, f"expected each id once per frame, got id {key[1]} twice in frame {key[0]}.")
+            raise table.fault(
+                row, f"expected each id once per frame, got id {key[1]} twice in frame {key[0]}."
+            )
         seen.add(key)
     return CsvLabels(
         frame=frame,
@@ -125,7 +141,9 @@ def read_csv_labels(path: Path) -> CsvLabels:
 
 
 def _numbers(table: CsvTable, name: str, is_region: npt.NDArray[np.bool_]) -> FloatArray:
-    """(N,) checked numbers of a column; NaN for empty cells where allowed, and for a missing column."""
+    """(N,) checked numbers of a column; NaN for empty cells where allowed, and for a missing
+    column.
+    """
     values = table.numbers(name)
     low, high, expected = _PLAUSIBLE[name]
     is_valid = (values >= low) & (values <= high)

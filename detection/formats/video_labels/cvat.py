@@ -4,20 +4,23 @@
       <version>1.1</version>
       <meta><task> name, size, start_frame, stop_frame, labels, original_size </task></meta>
       <track id="0" label="car">
-        <box frame="0" keyframe="1" outside="0" occluded="0" xtl="9.5" ytl="20" xbr="50.5" ybr="60" z_order="0">
+        <box frame="0" keyframe="1" outside="0" occluded="0" xtl="9.5" ytl="20" xbr="50.5" ybr="60"
+        z_order="0">
           <attribute name="distance_m">21.4</attribute>
         </box>
 
-Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so coordinates are 0.5 px larger
-than with pixel centres at integers. `outside="1"` ends the visible part of a track, which has no box in that frame.
-Between two boxes of a track, all four edges are interpolated linearly, as in CVAT. The attributes distance_m, sigma_m,
-score and predicted are optional; CVAT keeps attributes that the labels of its task declare. It repeats the attributes
-of a keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare
-are regions that are not evaluated.
+Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so
+coordinates are 0.5 px larger than with pixel centres at integers. `outside="1"` ends the visible
+part of a track, which has no box in that frame. Between two boxes of a track, all four edges are
+interpolated linearly, as in CVAT. The attributes distance_m, sigma_m, score and predicted are
+optional; CVAT keeps attributes that the labels of its task declare. It repeats the attributes of a
+keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the
+label dontcare are regions that are not evaluated.
 
-Written files list every box, and mark as keyframes the boxes from which all others can be interpolated to 1 px or 2 %
-of the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML
-annotation format", version 1.1; the interpolation follows CVAT's `TrackManager`.)
+Written files list every box, and mark as keyframes the boxes from which all others can be
+interpolated to 1 px or 2 % of the box, and to 2 % of the distance, so that a person has fewer boxes
+to correct. (CVAT's documentation, "XML annotation format", version 1.1; the interpolation follows
+CVAT's `TrackManager`.)
 """
 
 import math
@@ -32,9 +35,21 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
+from track_range.detection.formats.box_table import (
+    HALF_PIXEL_PX,
+    BoxTable,
+    VideoFacts,
+    Written,
+    frames_listed,
+)
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID, MAX_SIDE_PX
+from track_range.detection.formats.limits import (
+    MAX_COORDINATE_PX,
+    MAX_DISTANCE_M,
+    MAX_FRAME,
+    MAX_ID,
+    MAX_SIDE_PX,
+)
 from track_range.detection.formats.table_checks import check_identities
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
 from track_range.foundation.arrays import BoolArray, IntArray
@@ -46,15 +61,24 @@ MAX_CVAT_BYTES = 500_000_000  # size limit, bytes: about two million boxes
 MAX_BOXES = 2_000_000  # largest number of boxes, including interpolated ones; they take 300 MB
 _MAX_NAME = 200  # characters of a label or name
 _MAX_META = 10_000  # elements of `meta` that are used
-_SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})  # not boxes: refused
+# not boxes: refused
+_SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
 _FLAGS = {"0": False, "1": True, "false": False, "true": True}
-# Largest differences between a written box and its interpolation: of an edge (the larger of both), of the distance.
+# Largest differences between a written box and its interpolation: of an edge (the larger of both),
+# of the distance.
 _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
-_MAX_STEP = 50  # largest number of boxes from one keyframe to the next, which limits the time to choose them
-_LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}  # of numbers
+# largest number of boxes from one keyframe to the next, which limits the time to choose them
+_MAX_STEP = 50
+# of numbers
+_LIMITS = {
+    "distance_m": (0.0, MAX_DISTANCE_M),
+    "sigma_m": (0.0, MAX_DISTANCE_M),
+    "score": (-1e6, 1e6),
+}
 _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML cannot contain
+# characters that XML cannot contain
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class _Track(NamedTuple):
@@ -77,8 +101,9 @@ _Boxes = npt.NDArray[Any]  # (K,) boxes with the columns of `_BOX`
 def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
     """The boxes of all tracks, including interpolated boxes between two boxes of a track.
 
-    LabelFileError: the file cannot be read, is larger than `MAX_CVAT_BYTES`, is not in this format (such as "CVAT for
-    images"), has a document type or entities, shapes other than upright boxes, or invalid values.
+    LabelFileError: the file cannot be read, is larger than `MAX_CVAT_BYTES`, is not in this format
+    (such as "CVAT for images"), has a document type or entities, shapes other than upright boxes,
+    or invalid values.
     """
     content = _Content(path)
     with open_regular(path, LabelFileError, "CVAT's annotations", max_bytes=MAX_CVAT_BYTES) as file:
@@ -90,7 +115,9 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
     boxes = np.array([tuple(box) for box in content.boxes], _BOX)
     boxes = boxes[np.lexsort((boxes["frame"], boxes["track"]))]
     facts, notes = content.video_facts(), content.notes(boxes)
-    boxes = _interpolated(path, boxes, content.tracks, has_repeated="track_range/pixels" not in content.meta)
+    boxes = _interpolated(
+        path, boxes, content.tracks, has_repeated="track_range/pixels" not in content.meta
+    )
     labels = [content.tracks[track].label for track in boxes["track"].tolist()]
     table = BoxTable.of(
         boxes["frame"],
@@ -133,13 +160,17 @@ class _Content:
             raise self._fault(line, "CVAT's annotations", f"the element {quoted(name)}")
         if depth == 2 and name == "image":
             raise self._fault(
-                line, "CVAT for video 1.1 with tracks", "annotations of images; export the task as 'CVAT for video 1.1'"
+                line,
+                "CVAT for video 1.1 with tracks",
+                "annotations of images; export the task as 'CVAT for video 1.1'",
             )
         if depth == 2 and name == "track":
             self._add_track(attributes, line)
         elif path[1:2] == ["track"] and depth == 3:
             if name in _SHAPES:
-                raise self._fault(line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}")
+                raise self._fault(
+                    line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}"
+                )
             if name == "box":
                 self._add_box(attributes, line)
         elif path[1:3] == ["track", "box"] and name == "attribute":
@@ -153,7 +184,11 @@ class _Content:
             elif name in _LIMITS and text:
                 value, (low, high) = number(text), _LIMITS[name]
                 if not low <= value <= high:
-                    raise self._fault(line, f"a number from {low:g} to {high:g} as {name}, or no text", quoted(text))
+                    raise self._fault(
+                        line,
+                        f"a number from {low:g} to {high:g} as {name}, or no text",
+                        quoted(text),
+                    )
                 self.boxes[-1][_COLUMN[name]] = value
         elif path[1:2] == ["meta"] and len(path) >= 4 and len(self.meta) < _MAX_META:
             self._root = self._root or path[2]
@@ -173,7 +208,9 @@ class _Content:
 
     def _add_box(self, attributes: Mapping[str, str], line: int) -> None:
         if number(attributes.get("rotation", "0")) != 0:
-            raise self._fault(line, "upright boxes", f"the rotation {quoted(attributes['rotation'])}")
+            raise self._fault(
+                line, "upright boxes", f"the rotation {quoted(attributes['rotation'])}"
+            )
         self._check_number(line)
         frame = self._integer(attributes, "frame", MAX_FRAME, line)
         outside = _FLAGS.get(attributes.get("outside", "0").lower())
@@ -184,7 +221,9 @@ class _Content:
             raise self._fault(
                 line,
                 f"a box with outside 0 or 1, xtl < xbr, ytl < ybr and edges up to {MAX_COORDINATE_PX:g}",
-                shortened(" ".join(f"{key}={attributes.get(key)}" for key in ("outside", *_EDGES)), 100),
+                shortened(
+                    " ".join(f"{key}={attributes.get(key)}" for key in ("outside", *_EDGES)), 100
+                ),
             )
         is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), True)
         edges = edges if is_box else [math.nan] * 4
@@ -204,7 +243,9 @@ class _Content:
         )
 
     def notes(self, boxes: _Boxes) -> list[str]:
-        """Notes on tracks without boxes, open ends, and exports of a part of the video; `boxes` are in order."""
+        """Notes on tracks without boxes, open ends, and exports of a part of the video; `boxes` are
+        in order.
+        """
         name, notes = self._path.name, []
         is_end = np.append(np.diff(boxes["track"]) != 0, np.ones(len(boxes[:1]), np.bool_))
         if empty := len(self.tracks) - int(is_end.sum()):
@@ -237,19 +278,27 @@ class _Content:
     def _integer(self, attributes: Mapping[str, str], key: str, high: int, line: int) -> int:
         value = number(attributes.get(key, ""))
         if not 0 <= value <= high or value % 1:
-            raise self._fault(line, f"an integer from 0 to {high} as {key}", quoted(attributes.get(key, "")))
+            raise self._fault(
+                line, f"an integer from 0 to {high} as {key}", quoted(attributes.get(key, ""))
+            )
         return int(value)
 
     def _fault(self, line: int, expected: str, content: str) -> LabelFileError:
         return LabelFileError(f"{self._path}, line {line}: expected {expected}, found {content}.")
 
 
-def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_repeated: bool) -> _Boxes:
-    """The visible boxes of each track in every frame, from the boxes of the file, sorted by track and frame.
+def _interpolated(
+    path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_repeated: bool
+) -> _Boxes:
+    """The visible boxes of each track in every frame, from the boxes of the file, sorted by track
+    and frame.
 
-    If it `has_repeated` attributes, boxes that are not keyframes repeat the attributes of the keyframe before.
+    If it `has_repeated` attributes, boxes that are not keyframes repeat the attributes of the
+    keyframe before.
     """
-    steps = np.append(np.where(np.diff(boxes["track"]) == 0, np.diff(boxes["frame"]), 1), 1)[: len(boxes)]
+    steps = np.append(np.where(np.diff(boxes["track"]) == 0, np.diff(boxes["frame"]), 1), 1)[
+        : len(boxes)
+    ]
     for box in boxes[steps == 0][:1]:
         track = tracks[box["track"]]
         raise LabelFileError(
@@ -258,7 +307,9 @@ def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_re
         )
     counts = np.where(boxes["is_outside"], 0, steps)
     if counts.sum() > MAX_BOXES:  # before memory is used for them
-        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated boxes.")
+        raise LabelFileError(
+            f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated boxes."
+        )
     if has_repeated:
         _interpolate_repeated(boxes)
     before = np.repeat(np.arange(len(boxes)), counts)
@@ -275,7 +326,9 @@ def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_re
 
 
 def _interpolate_repeated(boxes: _Boxes) -> None:
-    """Interpolate distances that repeat the distance of a keyframe, up to the next visible keyframe."""
+    """Interpolate distances that repeat the distance of a keyframe, up to the next visible
+    keyframe.
+    """
     keyframes = np.flatnonzero(boxes["is_keyframe"] | boxes["is_outside"])
     for first, last in pairwise(keyframes.tolist()):
         between, start, end = boxes[first + 1 : last], boxes[first], boxes[last]
@@ -288,14 +341,18 @@ def _interpolate_repeated(boxes: _Boxes) -> None:
 
 
 def write_cvat(table: BoxTable, path: Path) -> Written:
-    """Write a table as CVAT for video 1.1, where each track has one class; regions have the label dontcare."""
+    """Write a table as CVAT for video 1.1, where each track has one class; regions have the label
+    dontcare.
+    """
     frames = np.asarray(frames_listed(table), np.int64)
     table = replace(table, class_name=np.where(table.is_region, DONT_CARE, table.class_name))
     ids, notes = _identities(table)
     order = np.argsort(ids, kind="stable")
     track_ids, starts = np.unique(ids[order], return_index=True)
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write('<?xml version="1.0" encoding="utf-8"?>\n<annotations>\n  <version>1.1</version>\n')
+        file.write(
+            '<?xml version="1.0" encoding="utf-8"?>\n<annotations>\n  <version>1.1</version>\n'
+        )
         file.writelines(_meta_lines(table, frames))
         for track_id, rows in zip(track_ids.tolist(), np.split(order, starts[1:]), strict=False):
             file.writelines(_track_lines(table.select(rows), track_id, frames))
@@ -310,7 +367,11 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     n_new, next_id = int(is_new.sum()), int(ids.max(initial=-1)) + 1
     ids[is_new] = next_id + np.arange(n_new)
     n_boxes = n_new - int(table.is_region.sum())
-    notes = [f"Boxes without an identity are each written as a track of one frame: {n_boxes}."] if n_boxes else []
+    notes = (
+        [f"Boxes without an identity are each written as a track of one frame: {n_boxes}."]
+        if n_boxes
+        else []
+    )
     _, class_number = np.unique(table.class_name, return_inverse=True)
     pairs, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_inverse=True)
     is_other = np.diff(pairs[0], prepend=-1) == 0
@@ -327,7 +388,9 @@ def _meta_lines(table: BoxTable, frames: IntArray) -> Iterator[str]:
     video, size = table.video, int(np.ptp(frames)) + 1 if len(frames) else 0
     first, last = (int(frames[0]), int(frames[-1])) if size else (video.first_frame, 0)
     yield f"  <meta>\n    <task>\n      <name>{_text(video.name or 'track-range')}</name>\n"
-    yield f"      <size>{size}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
+    yield (
+        f"      <size>{size}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
+    )
     yield f"      <start_frame>{first}</start_frame>\n      <stop_frame>{last}</stop_frame>\n"
     yield "      <frame_filter></frame_filter>\n      <labels>\n"
     for name in table.all_labels:
@@ -342,7 +405,9 @@ def _meta_lines(table: BoxTable, frames: IntArray) -> Iterator[str]:
     yield "      </labels>\n"
     if video.size_px is not None:
         width, height = video.size_px
-        yield f"      <original_size>\n        <width>{width}</width>\n        <height>{height}</height>\n"
+        yield (
+            f"      <original_size>\n        <width>{width}</width>\n        <height>{height}</height>\n"
+        )
         yield "      </original_size>\n"
     yield "    </task>\n    <track_range>\n"
     for key, value in {"pixels": video.pixels, **video.provenance}.items():
@@ -350,7 +415,8 @@ def _meta_lines(table: BoxTable, frames: IntArray) -> Iterator[str]:
     yield "    </track_range>\n  </meta>\n"
 
 
-CVAT_ATTRIBUTES = (  # name, input type and default value of the attributes that the labels of a task in CVAT need
+# name, input type and default value of the attributes that the labels of a task in CVAT need
+CVAT_ATTRIBUTES = (
     ("distance_m", "text", ""),
     ("sigma_m", "text", ""),
     ("score", "text", ""),
@@ -366,14 +432,18 @@ def _track_lines(rows: BoxTable, track_id: int, frames: IntArray) -> Iterator[st
     is_last = np.append(np.diff(np.searchsorted(frames, rows.frame)) > 1, True)
     is_keyframe = _keyframes(rows, is_last)
     for row, frame in enumerate(rows.frame.tolist()):
-        corners = " ".join(f'{name}="{edge:.3f}"' for name, edge in zip(_EDGES, edges[row].tolist(), strict=True))
+        corners = " ".join(
+            f'{name}="{edge:.3f}"' for name, edge in zip(_EDGES, edges[row].tolist(), strict=True)
+        )
         is_predicted = not rows.observed[row]
         flags = f'keyframe="{is_keyframe[row]:d}" outside="0" occluded="{is_predicted:d}"'
         yield f'    <box frame="{frame}" {flags} {corners} z_order="0">\n'
         for name, decimals in _DECIMALS.items():
             if math.isfinite(value := getattr(rows, name)[row]):
                 yield f'      <attribute name="{name}">{value:.{decimals}f}</attribute>\n'
-        yield f'      <attribute name="predicted">{"true" if is_predicted else "false"}</attribute>\n    </box>\n'
+        yield (
+            f'      <attribute name="predicted">{"true" if is_predicted else "false"}</attribute>\n    </box>\n'
+        )
         if is_last[row] and frame < frames[-1]:
             flags = 'keyframe="1" outside="1" occluded="0"'
             yield f'    <box frame="{frame + 1}" {flags} {corners} z_order="0"></box>\n'
@@ -381,7 +451,9 @@ def _track_lines(rows: BoxTable, track_id: int, frames: IntArray) -> Iterator[st
 
 
 def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
-    """(N,) whether CVAT needs a box of a track to interpolate the others; boxes before and after a gap are needed."""
+    """(N,) whether CVAT needs a box of a track to interpolate the others; boxes before and after a
+    gap are needed.
+    """
     values = np.column_stack([rows.xyxy_px, rows.distance_m])
     is_keyframe: BoolArray = is_last.copy()
     is_keyframe[1:] |= is_last[:-1] | np.diff(rows.observed) | np.diff(np.isnan(rows.distance_m))
@@ -391,14 +463,18 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
     limit_px = np.maximum(_TOLERANCE_PX, _TOLERANCE_OF_SIZE * size_px)
     limits = np.column_stack([*[limit_px] * 4, _TOLERANCE_OF_DISTANCE * rows.distance_m])
     pending = list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True))
-    while pending:  # Ramer, Douglas and Peucker: the box with the largest difference becomes a keyframe
+    # Ramer, Douglas and Peucker: the box with the largest difference becomes a keyframe
+    while pending:
         first, last = pending.pop()
         if last - first < 2:
             continue
         between = slice(first + 1, last)
-        fraction = (rows.frame[between] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
+        fraction = (rows.frame[between] - rows.frame[first]) / (
+            rows.frame[last] - rows.frame[first]
+        )
         line = values[first] + fraction[:, None] * (values[last] - values[first])
-        error = np.fmax.reduce(np.abs(values[between] - line) / limits[between], axis=1)  # ignores unknown distances
+        # ignores unknown distances
+        error = np.fmax.reduce(np.abs(values[between] - line) / limits[between], axis=1)
         if error.max() > 1:
             middle = first + 1 + int(np.argmax(error))
             is_keyframe[middle] = True

@@ -10,7 +10,11 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.box_table import BoxTable, VideoFacts, Written
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
-from track_range.detection.formats.table_checks import check_identities, ignored_note, omitted_regions_note
+from track_range.detection.formats.table_checks import (
+    check_identities,
+    ignored_note,
+    omitted_regions_note,
+)
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
 from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
@@ -25,13 +29,16 @@ _DISTANCES = ("fused_m", "fused_sigma_m")
 
 
 def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a file of numbers; only some layouts have classes, such as ground truth since MOT16.
+    """The rows of a file of numbers; only some layouts have classes, such as ground truth since
+    MOT16.
 
     Labels that are flagged as not evaluated (score 0) are regions. Errors: see `read_mot`.
     """
     rows = read_mot(path, video.n_frames)
     names, is_region = rows.class_name, rows.is_region
-    is_truth = np.array([name != "" for name in names], np.bool_) & np.isin(rows.score, (0, 1)).all()
+    is_truth = (
+        np.array([name != "" for name in names], np.bool_) & np.isin(rows.score, (0, 1)).all()
+    )
     return BoxTable.of(
         rows.frame,
         np.maximum(rows.track_id, -1),
@@ -47,8 +54,9 @@ def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
 def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
     """The rows of KITTI tracking labels, of a result file, or of a folder of object files.
 
-    The distance is the z of the location where there is no 3-D box, as in result files of track-range; the surface of
-    a 3-D box has another distance (`ranging.evaluation.truth`). Errors: see `read_kitti`.
+    The distance is the z of the location where there is no 3-D box, as in result files of
+    track-range; the surface of a 3-D box has another distance (`ranging.evaluation.truth`). Errors:
+    see `read_kitti`.
     """
     labels = read_kitti(path)
     is_region = labels.kitti_type == "DontCare"
@@ -83,7 +91,9 @@ def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.csv; the distance is the fused distance. LabelFileError if the file is invalid."""
+    """The rows of a run's tracks.csv; the distance is the fused distance. LabelFileError if the
+    file is invalid.
+    """
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(_COLUMNS)}, class")
     table.require((*_COLUMNS, "class"))
     columns = {name: table.finite(name) for name in _COLUMNS}
@@ -92,7 +102,9 @@ def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.parquet; the distance is the fused distance. LabelFileError if the file is invalid."""
+    """The rows of a run's tracks.parquet; the distance is the fused distance. LabelFileError if the
+    file is invalid.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -103,14 +115,20 @@ def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
         names = file.schema_arrow.names
         if missing := [name for name in (*_COLUMNS, "class") if name not in names]:
             raise LabelFileError(
-                f"{path}: expected the tracks.parquet of a run, but columns are missing: {', '.join(missing)}."
+                f"{path}: expected the tracks.parquet of a run, but columns are missing: "
+                f"{', '.join(missing)}."
             )
         known = [name for name in (*_COLUMNS, *_DISTANCES) if name in names]
         table = file.read([*known, "class"])
-        cells = [np.asarray(table.column(name).cast(pa.float64()).to_numpy(), np.float64) for name in known]
+        cells = [
+            np.asarray(table.column(name).cast(pa.float64()).to_numpy(), np.float64)
+            for name in known
+        ]
         classes = [str(name) for name in table.column("class").to_pylist()]
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise LabelFileError(f"{path}: expected the tracks.parquet of a run, found a damaged file.") from error
+        raise LabelFileError(
+            f"{path}: expected the tracks.parquet of a run, found a damaged file."
+        ) from error
     missing_m = dict.fromkeys(_DISTANCES, np.full(len(classes), np.nan))
     return _table_of_rows(path, missing_m | dict(zip(known, cells, strict=True)), classes, video)
 
@@ -124,7 +142,9 @@ def _table_of_rows(
         values = columns[name]
         is_integer = (values >= lowest) & (values <= highest) & (np.rint(values) == values)
         for row in np.flatnonzero(~is_integer)[:1].tolist():
-            raise LabelFileError(f"{path}: expected an integer from {lowest} for {name}, got {quoted(values[row])}.")
+            raise LabelFileError(
+                f"{path}: expected an integer from {lowest} for {name}, got {quoted(values[row])}."
+            )
     columns = {name: values[is_valid] for name, values in columns.items()}
     table = BoxTable.of(
         columns["frame"].astype(np.int64),
@@ -143,10 +163,14 @@ def _table_of_rows(
 
 
 def write_mot_table(table: BoxTable, path: Path) -> Written:
-    """Write a table as MOTChallenge rows, with the score 1 where it is unknown, and without regions."""
+    """Write a table as MOTChallenge rows, with the score 1 where it is unknown, and without
+    regions.
+    """
 
     def lines(rows: BoxTable, frame: int) -> list[str]:
-        return mot_lines(frame, rows.track_id, rows.xyxy_px, np.where(np.isnan(rows.score), 1.0, rows.score))
+        return mot_lines(
+            frame, rows.track_id, rows.xyxy_px, np.where(np.isnan(rows.score), 1.0, rows.score)
+        )
 
     rows = table.select(~table.is_region)
     _write_frames(rows, path, lines)
@@ -156,8 +180,8 @@ def write_mot_table(table: BoxTable, path: Path) -> Written:
 def write_kitti_table(table: BoxTable, path: Path) -> Written:
     """Write a table as rows of KITTI tracking results; regions become DontCare.
 
-    The location is written where it is known. Where only the distance is known, the location has that z and unknown x
-    and y.
+    The location is written where it is known. Where only the distance is known, the location has
+    that z and unknown x and y.
     """
     _write_frames(table, path, kitti_lines)
     return Written(len(table))
@@ -170,13 +194,19 @@ def kitti_lines(rows: BoxTable, frame: int) -> list[str]:
     columns = (rows.track_id.tolist(), rows.class_name.tolist(), rows.is_region.tolist())
     numbers = (rows.xyxy_px.tolist(), location_m.tolist(), rows.score.tolist())
     return [
-        kitti_line(frame, track_id, "DontCare" if region else kitti_type_of(name), box, location, score)
+        kitti_line(
+            frame, track_id, "DontCare" if region else kitti_type_of(name), box, location, score
+        )
         for track_id, name, region, box, location, score in zip(*columns, *numbers, strict=True)
     ]
 
 
-def _write_frames(table: BoxTable, path: Path, lines_of: Callable[[BoxTable, int], list[str]]) -> None:
+def _write_frames(
+    table: BoxTable, path: Path, lines_of: Callable[[BoxTable, int], list[str]]
+) -> None:
     frames, starts = np.unique(table.frame, return_index=True)
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        for frame, rows in zip(frames.tolist(), np.split(np.arange(len(table)), starts[1:]), strict=False):
+        for frame, rows in zip(
+            frames.tolist(), np.split(np.arange(len(table)), starts[1:]), strict=False
+        ):
             file.writelines(lines_of(table.select(rows), frame))

@@ -1,15 +1,18 @@
-"""Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file for each image.
+"""Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file
+for each image.
 
-`LAYOUTS` has a row for each layout: the marks in the first 64 kB, and a function that lists its boxes. Boxes
-have the corner convention, where the left edge of the image is 0, except in Scalabel (BDD100K) and Supervisely, whose
-edges are the first and last pixel. Frames are given by number, or by the last number in the name of the image.
+`LAYOUTS` has a row for each layout: the marks in the first 64 kB, and a function that lists its
+boxes. Boxes have the corner convention, where the left edge of the image is 0, except in Scalabel
+(BDD100K) and Supervisely, whose edges are the first and last pixel. Frames are given by number, or
+by the last number in the name of the image.
 
     BDD100K        https://doc.bdd100k.com/format.html, Scalabel's format: images (det_20) and videos (box_track_20)
     LabelMe        https://github.com/wkentaro/labelme, one file for each image; group_id is the identity
     Label Studio   https://labelstud.io/guide/export, in per cent of the image; JSON, JSON-MIN and video labels
     VIA            https://www.robots.ox.ac.uk/~vgg/software/via, version 1 and 2, JSON, project or CSV
     Supervisely    https://docs.supervisely.com, annotations of images and videos
-    CreateML, CSV  as Roboflow exports them: the centre and size of boxes; columns filename, class, xmin, ...
+    CreateML, CSV  as Roboflow exports them: the centre and size of boxes; columns filename, class,
+    xmin, ...
     supervision    JSONSink and CSVSink, with the frame number among the custom data
     Pascal VOC     Everingham et al., IJCV 2010, as CVAT, LabelImg and Roboflow write it
     UA-DETRAC      Wen et al., CVIU 2020, frames from 1
@@ -39,12 +42,22 @@ _MAX_BYTES = 250_000_000  # of a file
 _MAX_BOXES = 2_000_000  # also of interpolated ones
 _MAX_FILES = 200_000  # of a folder with one for each image
 _START_BYTES = 65_536
-_FOLDERS = ("", "ann", "Annotations", "annotations", "labels")  # in which tools put one file for each image
-_FRAME_NAMES = ("frame", "frame_index", "frame_number", "frame_id", "frame_idx", "frame_no", "frame_num")
+# in which tools put one file for each image
+_FOLDERS = ("", "ann", "Annotations", "annotations", "labels")
+_FRAME_NAMES = (
+    "frame",
+    "frame_index",
+    "frame_number",
+    "frame_id",
+    "frame_idx",
+    "frame_no",
+    "frame_num",
+)
 _LABEL_NAMES = ("class", "label", "type", "name", "category", "object", "class_name")
 _IDENTITY_NAMES = ("track_id", "track", "instance_id", "id")
 _MAX_TEXT = 200  # characters of a label
-_UPLOADED = re.compile(r"^[0-9a-f]{8}-")  # that Label Studio puts before the names of uploaded images
+# that Label Studio puts before the names of uploaded images
+_UPLOADED = re.compile(r"^[0-9a-f]{8}-")
 
 _Object = Mapping[str, Any]
 
@@ -62,7 +75,9 @@ class _Box(NamedTuple):
 
 
 def _corners(points: Any, border: float = 0.0) -> list[float]:
-    """Edges of the box around points; `border` is 1 if the last pixel is stated instead of the edge behind it."""
+    """Edges of the box around points; `border` is 1 if the last pixel is stated instead of the edge
+    behind it.
+    """
     columns = np.array(points, np.float64).reshape(-1, 2)
     return [*columns.min(axis=0).tolist(), *(columns.max(axis=0) + border).tolist()]
 
@@ -74,16 +89,24 @@ def _sized(box: _Object, scale: tuple[float, float] = (1.0, 1.0)) -> list[float]
 
 
 def _bdd100k(content: Any) -> Iterator[_Box]:
-    for index, item in enumerate(content.get("frames", [content]) if isinstance(content, dict) else content):
-        frame = next((item[key] for key in ("frameIndex", "frame_index", "index") if key in item), None)
+    for index, item in enumerate(
+        content.get("frames", [content]) if isinstance(content, dict) else content
+    ):
+        frame = next(
+            (item[key] for key in ("frameIndex", "frame_index", "index") if key in item), None
+        )
         image = frame if frame is not None else item.get("name", index)
         for label in item.get("labels") or item.get("objects") or ():
             if box := label.get("box2d"):
-                crowd = (label.get("attributes") or {}).get("crowd", (label.get("attributes") or {}).get("Crowd"))
+                crowd = (label.get("attributes") or {}).get(
+                    "crowd", (label.get("attributes") or {}).get("Crowd")
+                )
                 points = [[box["x1"], box["y1"]], [box["x2"], box["y2"]]]
                 identity = label.get("id") if frame is not None else None
                 score = label.get("score")
-                yield _Box(image, label["category"], _corners(points, 1), identity, score, crowd is True)
+                yield _Box(
+                    image, label["category"], _corners(points, 1), identity, score, crowd is True
+                )
 
 
 def _labelme(content: Any) -> Iterator[_Box]:
@@ -92,7 +115,13 @@ def _labelme(content: Any) -> Iterator[_Box]:
         if shape.get("shape_type", "polygon") in ("rectangle", "polygon", "rotation"):
             edges = _corners(shape["points"])
             yield _Box(
-                content["imagePath"], shape["label"], edges, shape.get("group_id"), shape.get("score"), False, size_px
+                content["imagePath"],
+                shape["label"],
+                edges,
+                shape.get("group_id"),
+                shape.get("score"),
+                False,
+                size_px,
             )
 
 
@@ -100,22 +129,41 @@ def _label_studio(content: Any) -> Iterator[_Box]:
     for task in content if isinstance(content, list) else [content]:
         data = task.get("data", task)
         done = [done for done in task.get("annotations") or () if not done.get("was_cancelled")]
-        results = [{"value": item} for key in ("label", "bbox", "box") for item in task.get(key) or ()]
+        results = [
+            {"value": item} for key in ("label", "bbox", "box") for item in task.get(key) or ()
+        ]
         results = (done or task.get("predictions") or [{"result": results}])[0]["result"]
         for number_of_result, result in enumerate(results):
             value = result["value"]
-            size_px = tuple(result.get(k) or value.get(k) or data.get(k) for k in ("original_width", "original_height"))
+            size_px = tuple(
+                result.get(k) or value.get(k) or data.get(k)
+                for k in ("original_width", "original_height")
+            )
             if "sequence" in value:
                 yield from _interpolated(value, number_of_result, size_px)
             elif labels := value.get("rectanglelabels"):
-                name = next(text for key in ("image", "img", "ocr") if isinstance(text := data.get(key), str))
+                name = next(
+                    text
+                    for key in ("image", "img", "ocr")
+                    if isinstance(text := data.get(key), str)
+                )
                 image = _UPLOADED.sub("", name.partition("?")[0].rpartition("/")[2])
                 scale = (float(size_px[0]) / 100, float(size_px[1]) / 100)
-                yield _Box(image, labels[0], _sized(value, scale), None, result.get("score"), False, size_px)
+                yield _Box(
+                    image,
+                    labels[0],
+                    _sized(value, scale),
+                    None,
+                    result.get("score"),
+                    False,
+                    size_px,
+                )
 
 
 def _interpolated(value: _Object, identity: int, size_px: tuple[Any, Any]) -> Iterator[_Box]:
-    """The boxes of a track in a video, including boxes interpolated between two keyframes; frames count from 1."""
+    """The boxes of a track in a video, including boxes interpolated between two keyframes; frames
+    count from 1.
+    """
     if None in size_px:
         raise LabelFileError("expected original_width and original_height of the video, found none")
     scale = (float(size_px[0]) / 100, float(size_px[1]) / 100)
@@ -129,19 +177,33 @@ def _interpolated(value: _Object, identity: int, size_px: tuple[Any, Any]) -> It
             raise ValueError("frames")
         target = edges if after is None else np.array(_sized(after, scale))
         for frame in range(start, end):
-            between = edges + (target - edges) * (frame - start) / (end - start) * (after is not None)
-            yield _Box(frame - 1, value["labels"][0], between.tolist(), identity, None, False, size_px)
+            between = edges + (target - edges) * (frame - start) / (end - start) * (
+                after is not None
+            )
+            yield _Box(
+                frame - 1, value["labels"][0], between.tolist(), identity, None, False, size_px
+            )
 
 
 def _via_region(image: str, shape: _Object, attributes: _Object) -> Iterator[_Box]:
-    name = next((attributes[key] for key in _LABEL_NAMES if key in attributes), next(iter(attributes.values()), ""))
-    label = next((key for key, chosen in name.items() if chosen), "") if isinstance(name, dict) else str(name)
+    name = next(
+        (attributes[key] for key in _LABEL_NAMES if key in attributes),
+        next(iter(attributes.values()), ""),
+    )
+    label = (
+        next((key for key, chosen in name.items() if chosen), "")
+        if isinstance(name, dict)
+        else str(name)
+    )
     identity = next((attributes[key] for key in _IDENTITY_NAMES if key in attributes), None)
     if shape.get("name") == "rect":
         yield _Box(image, label, _sized(shape), identity)
     elif "all_points_x" in shape:
         yield _Box(
-            image, label, _corners(list(zip(shape["all_points_x"], shape["all_points_y"], strict=True))), identity
+            image,
+            label,
+            _corners(list(zip(shape["all_points_x"], shape["all_points_y"], strict=True))),
+            identity,
         )
 
 
@@ -149,13 +211,17 @@ def _via(content: Any) -> Iterator[_Box]:
     for item in content.get("_via_img_metadata", content).values():
         regions = item["regions"]
         for region in regions.values() if isinstance(regions, dict) else regions:
-            yield from _via_region(item["filename"], region["shape_attributes"], region["region_attributes"])
+            yield from _via_region(
+                item["filename"], region["shape_attributes"], region["region_attributes"]
+            )
 
 
 def _supervisely(content: Any) -> Iterator[_Box]:
     size_px = (content["size"]["width"], content["size"]["height"])
     if "frames" in content:
-        labels = {item.get("key", item.get("id")): item["classTitle"] for item in content["objects"]}
+        labels = {
+            item.get("key", item.get("id")): item["classTitle"] for item in content["objects"]
+        }
         keys = list(labels)
         for frame in content["frames"]:
             for figure in frame["figures"]:
@@ -163,18 +229,34 @@ def _supervisely(content: Any) -> Iterator[_Box]:
                 points = figure["geometry"].get("points")
                 if points:
                     edges = _corners(points["exterior"], 1)
-                    yield _Box(frame["index"], labels[key], edges, keys.index(key), None, False, size_px)
+                    yield _Box(
+                        frame["index"], labels[key], edges, keys.index(key), None, False, size_px
+                    )
     else:
         for item in content["objects"]:
-            if (points := item.get("points")) and item.get("geometryType", "rectangle") in ("rectangle", "polygon"):
-                yield _Box("", item["classTitle"], _corners(points["exterior"], 1), None, None, False, size_px)
+            if (points := item.get("points")) and item.get("geometryType", "rectangle") in (
+                "rectangle",
+                "polygon",
+            ):
+                yield _Box(
+                    "",
+                    item["classTitle"],
+                    _corners(points["exterior"], 1),
+                    None,
+                    None,
+                    False,
+                    size_px,
+                )
 
 
 def _createml(content: Any) -> Iterator[_Box]:
     for item in content:
         for label in item["annotations"]:
-            x, y, width, height = (float(label["coordinates"][key]) for key in ("x", "y", "width", "height"))
-            edges = [x - width / 2, y - height / 2, x + width / 2, y + height / 2]  # x, y are the centre
+            x, y, width, height = (
+                float(label["coordinates"][key]) for key in ("x", "y", "width", "height")
+            )
+            # x, y are the centre
+            edges = [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
             yield _Box(item.get("image", item.get("imagefilename")), label["label"], edges)
 
 
@@ -183,24 +265,30 @@ def _supervision(content: Any) -> Iterator[_Box]:
         key = next((key for key in _FRAME_NAMES if key in row), None)
         if key is None:
             raise LabelFileError(
-                "expected the frame number among the custom data of supervision's sink, found none; write it with "
-                "sink.append(detections, custom_data={'frame_index': index})"
+                "expected the frame number among the custom data of supervision's sink, found "
+                "none; write it with sink.append(detections, custom_data={'frame_index': index})"
             )
         label = row.get("class_name") or COCO_CLASSES[int(float(row["class_id"]))]
         edges = [float(row[name]) for name in ("x_min", "y_min", "x_max", "y_max")]
-        yield _Box(int(float(row[key])), str(label), edges, row.get("tracker_id"), row.get("confidence"))
+        yield _Box(
+            int(float(row[key])), str(label), edges, row.get("tracker_id"), row.get("confidence")
+        )
 
 
 def _filename_rows(content: Any) -> Iterator[_Box]:
     for row in content:
         edges = [float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax")]
-        yield _Box(row["filename"], row["class"], edges, size_px=(row.get("width"), row.get("height")))
+        yield _Box(
+            row["filename"], row["class"], edges, size_px=(row.get("width"), row.get("height"))
+        )
 
 
 def _via_rows(content: Any) -> Iterator[_Box]:
     for row in content:
         cells = {kind: row[f"region_{kind}attributes"] or "{}" for kind in ("shape_", "")}
-        shape, attributes = (parse_json(cells[kind], kind, LabelFileError, "attributes") for kind in cells)
+        shape, attributes = (
+            parse_json(cells[kind], kind, LabelFileError, "attributes") for kind in cells
+        )
         yield from _via_region(row.get("filename") or row["#filename"], shape, attributes)
 
 
@@ -226,7 +314,9 @@ def _voc(content: Any) -> Iterator[_Box]:
     for item in objects:
         edges = [float(item[f"bndbox/{name}"]) for name in ("xmin", "ymin", "xmax", "ymax")]
         identity = item.get("track_id")
-        yield _Box(image, item["name"], edges, identity, size_px=(size.get("width"), size.get("height")))
+        yield _Box(
+            image, item["name"], edges, identity, size_px=(size.get("width"), size.get("height"))
+        )
 
 
 def _detrac(content: Any) -> Iterator[_Box]:
@@ -238,7 +328,9 @@ def _detrac(content: Any) -> Iterator[_Box]:
         elif element.name == "target":
             target = element.attributes["id"]
         elif element.name == "box":
-            left, top, width, height = (float(element.attributes[key]) for key in ("left", "top", "width", "height"))
+            left, top, width, height = (
+                float(element.attributes[key]) for key in ("left", "top", "width", "height")
+            )
             edges = [left, top, left + width, top + height]
             if element.path == "sequence/ignored_region/box":
                 regions.append(edges)
@@ -246,11 +338,17 @@ def _detrac(content: Any) -> Iterator[_Box]:
             yield _Box(frame, element.attributes.get("vehicle_type", "vehicle"), edges, target)
     if len(regions) * len(frames) > _MAX_BOXES:
         raise ValueError("regions")
-    yield from (_Box(number_of, "dontcare", edges, None, None, True) for number_of in frames for edges in regions)
+    yield from (
+        _Box(number_of, "dontcare", edges, None, None, True)
+        for number_of in frames
+        for edges in regions
+    )
 
 
 class Layout(NamedTuple):
-    """A layout: its title, the marks of its files in their first 64 kB, and a function that lists the boxes."""
+    """A layout: its title, the marks of its files in their first 64 kB, and a function that lists
+    the boxes.
+    """
 
     title: str
     mark: str  # regular expression
@@ -263,12 +361,20 @@ LAYOUTS: Mapping[str, Layout] = {
     "bdd100k": Layout("BDD100K", r'^\s*[\[{].*"(box2d|frameIndex|videoName)"\s*:', _bdd100k),
     "labelme": Layout("LabelMe", r'^\s*\{.*"(shape_type|shapes)"\s*:', _labelme, True),
     "labelstudio": Layout(
-        "Label Studio", r'^\s*[\[{].*"(rectanglelabels|videorectangle|original_width)"', _label_studio
+        "Label Studio",
+        r'^\s*[\[{].*"(rectanglelabels|videorectangle|original_width)"',
+        _label_studio,
     ),
     "via": Layout("VIA", r'^\s*\{.*"(shape_attributes|_via_img_metadata)"\s*:', _via),
-    "supervisely": Layout("Supervisely", r'^\s*\{.*"(classTitle|objectKey|objectId)"\s*:', _supervisely, True),
-    "supervision": Layout("supervision", r'^\s*\[\s*\{[^}]{0,2000}"x_min"\s*:|^"?x_min"?,"?y_min', _supervision),
-    "csv_filename": Layout("CSV of Roboflow", r"^[^\n]{0,300}\bfilename\b[^\n]{0,300}\bxmin\b", _filename_rows),
+    "supervisely": Layout(
+        "Supervisely", r'^\s*\{.*"(classTitle|objectKey|objectId)"\s*:', _supervisely, True
+    ),
+    "supervision": Layout(
+        "supervision", r'^\s*\[\s*\{[^}]{0,2000}"x_min"\s*:|^"?x_min"?,"?y_min', _supervision
+    ),
+    "csv_filename": Layout(
+        "CSV of Roboflow", r"^[^\n]{0,300}\bfilename\b[^\n]{0,300}\bxmin\b", _filename_rows
+    ),
     "via_csv": Layout("CSV of VIA", r"^#?filename,[^\n]{0,300}region_shape_attributes", _via_rows),
     "voc": Layout("Pascal VOC", r"^\s*<(\?xml[^>]*>\s*<)?annotation[\s>]", _voc, True),
     "detrac": Layout("UA-DETRAC", r"^\s*<(\?xml[^>]*>\s*<)?sequence[\s>]", _detrac),
@@ -277,11 +383,16 @@ LAYOUTS: Mapping[str, Layout] = {
 
 
 def start_of(path: Path) -> str:
-    """The first 64 kB of a file, or of the first file in a folder with one file for each image; "" if there is none."""
+    """The first 64 kB of a file, or of the first file in a folder with one file for each image; ""
+    if there is none.
+    """
     files = label_files(path) if path.is_dir() else [path]
     if not files:
         return ""
-    with open_regular(files[0], LabelFileError, "labels") as file, readable(files[0], LabelFileError):
+    with (
+        open_regular(files[0], LabelFileError, "labels") as file,
+        readable(files[0], LabelFileError),
+    ):
         return file.read(_START_BYTES).decode("utf-8-sig", errors="replace")
 
 
@@ -291,14 +402,20 @@ def label_files(folder: Path) -> list[Path]:
         with readable(folder, LabelFileError):
             inside = folder / name
             entries = sorted(inside.iterdir()) if inside.is_dir() else []
-        files = [file for file in entries if file.suffix in (".json", ".xml") and file.name != "meta.json"]
+        files = [
+            file
+            for file in entries
+            if file.suffix in (".json", ".xml") and file.name != "meta.json"
+        ]
         if files:
             return files
     return []
 
 
 def read_layout(name: str) -> Callable[[Path, VideoFacts], BoxTable]:
-    """Reader of a layout. It raises LabelFileError if a file cannot be read, is invalid or is too large."""
+    """Reader of a layout. It raises LabelFileError if a file cannot be read, is invalid or is too
+    large.
+    """
     return lambda path, video: _read(path, LAYOUTS[name], video)
 
 
@@ -312,12 +429,18 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
         try:
             for box in layout.boxes(_content(file, layout.title)):
                 # a file has the name of its image; tools may repeat a wrong name in the file
-                image = file.name if (is_folder and isinstance(box.image, str)) or box.image == "" else box.image
+                image = (
+                    file.name
+                    if (is_folder and isinstance(box.image, str)) or box.image == ""
+                    else box.image
+                )
                 if not isinstance(image, int | str) or isinstance(image, bool):
                     raise TypeError(type(image).__name__)
                 boxes.append(box._replace(image=image, label=str(box.label)[:_MAX_TEXT]))
                 if len(boxes) > _MAX_BOXES:
-                    raise LabelFileError(f"{path}: expected at most {_MAX_BOXES} boxes, found more.")
+                    raise LabelFileError(
+                        f"{path}: expected at most {_MAX_BOXES} boxes, found more."
+                    )
         except LabelFileError as error:
             text = str(error)
             raise LabelFileError(text if str(path) in text else f"{file}: {text}.") from error
@@ -340,7 +463,8 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
     edges = np.array([box.edges for box in boxes], np.float64).reshape(-1, 4)
     if not (np.abs(edges) <= MAX_COORDINATE_PX).all():
         raise LabelFileError(
-            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found larger or invalid values."
+            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found "
+            "larger or invalid values."
         )
     is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
     sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
@@ -354,21 +478,31 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
         is_region=np.array([boxes[row].is_region for row in rows], np.bool_),
         score=[_number(boxes[row].score) for row in rows],
         video=video.completed_by(facts, path),
-        notes=(*notes, *table_checks.ignored_note(path, len(boxes) - len(rows), "without width or height")),
+        notes=(
+            *notes,
+            *table_checks.ignored_note(path, len(boxes) - len(rows), "without width or height"),
+        ),
     )
     table_checks.check_identities(table, path)
     return table
 
 
 def _content(file: Path, title: str) -> Any:
-    """The content of a file: plain values of JSON, rows of a CSV by name of the column, or elements of XML."""
-    with open_regular(file, LabelFileError, f"labels of {title}") as opened, readable(file, LabelFileError):
+    """The content of a file: plain values of JSON, rows of a CSV by name of the column, or elements
+    of XML.
+    """
+    with (
+        open_regular(file, LabelFileError, f"labels of {title}") as opened,
+        readable(file, LabelFileError),
+    ):
         first = opened.read(_START_BYTES).decode("utf-8-sig", errors="replace").lstrip()[:1]
     if first in ("{", "["):
         return read_json(file, LabelFileError, f"labels of {title}", max_bytes=_MAX_BYTES)
     if first == "<":
         elements = _Elements()
-        with open_regular(file, LabelFileError, f"labels of {title}", max_bytes=_MAX_BYTES) as opened:
+        with open_regular(
+            file, LabelFileError, f"labels of {title}", max_bytes=_MAX_BYTES
+        ) as opened:
             parse_xml(opened, file, elements, LabelFileError, f"labels of {title}")
         return elements.elements
     table = read_csv_table(file, LabelFileError, f"labels of {title}")
@@ -384,7 +518,9 @@ class _Elements:
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         if len(self.elements) > 10 * _MAX_BOXES:
-            raise LabelFileError(f"expected at most {10 * _MAX_BOXES} elements, found more in line {line}")
+            raise LabelFileError(
+                f"expected at most {10 * _MAX_BOXES} elements, found more in line {line}"
+            )
         element = _Element(path[-1], "/".join(path), dict(attributes), [""])
         self.elements.append(element)
         self._open.append(element)
@@ -393,7 +529,9 @@ class _Elements:
         self._open.pop().text[0] = text.strip()
 
 
-def _frames(path: Path, images: Sequence[int | str], video: VideoFacts) -> tuple[dict[int | str, int], list[str]]:
+def _frames(
+    path: Path, images: Sequence[int | str], video: VideoFacts
+) -> tuple[dict[int | str, int], list[str]]:
     """Frame number by number or name of the images, and notes."""
     is_named = any(isinstance(image, str) for image in images)
     if is_named:
@@ -402,29 +540,46 @@ def _frames(path: Path, images: Sequence[int | str], video: VideoFacts) -> tuple
         numbers, source = [int(image) for image in images], "frame numbers"
     for value in numbers:
         if not 0 <= value <= MAX_FRAME:
-            raise LabelFileError(f"{path}: expected a frame number from 0 to {MAX_FRAME}, found {quoted(value)}.")
+            raise LabelFileError(
+                f"{path}: expected a frame number from 0 to {MAX_FRAME}, found {quoted(value)}."
+            )
     if len(set(numbers)) < len(numbers):
-        raise LabelFileError(f"{path}: expected each frame once, found two images with the same number in their names.")
+        raise LabelFileError(
+            f"{path}: expected each frame once, found two images with the same "
+            "number in their names."
+        )
     frames = np.array(numbers, np.int64)
     first = 0 if video.first_frame else table_checks.first_frame_number(frames, 0, video.n_frames)
     notes = (
-        [f"{path.name}: frame numbers start at 1, since the last frame number is the number of images."]
+        [
+            f"{path.name}: frame numbers start at 1, since the last frame number is the number of "
+            "images."
+        ]
         if first
         else []
     )
     if is_named and not first:
         span = f"{frames.min()} to {frames.max()}"
-        notes.append(f"{path.name}: frame numbers are the {source} in the names of the images, {span}.")
+        notes.append(
+            f"{path.name}: frame numbers are the {source} in the names of the images, {span}."
+        )
         notes += table_checks.first_frame_note(path, int(frames.min()), len(frames))
     return dict(zip(images, (frames - first).tolist(), strict=True)), notes
 
 
 def _identities(values: Sequence[object]) -> list[int]:
-    """Identity of each box: its number, or for a text the number of its first occurrence; -1 = no identity."""
+    """Identity of each box: its number, or for a text the number of its first occurrence; -1 = no
+    identity.
+    """
     numbers = [_number(value) for value in values]
-    if all(value in (None, "") or (0 <= n <= MAX_ID and n % 1 == 0) for value, n in zip(values, numbers, strict=True)):
+    if all(
+        value in (None, "") or (0 <= n <= MAX_ID and n % 1 == 0)
+        for value, n in zip(values, numbers, strict=True)
+    ):
         return [int(n) if n >= 0 else -1 for n in numbers]
-    order = {value: index for index, value in enumerate(dict.fromkeys(str(value) for value in values))}
+    order = {
+        value: index for index, value in enumerate(dict.fromkeys(str(value) for value in values))
+    }
     return [-1 if value in (None, "") else order[str(value)] for value in values]
 
 
@@ -434,5 +589,7 @@ def _number(value: object) -> float:
 
 def _size_px(size: tuple[object, object] | None) -> tuple[int, int] | None:
     sides = [_number(side) for side in size or ()]
-    is_size = len(sides) == 2 and all(math.isfinite(side) and 1 <= side <= MAX_SIDE_PX for side in sides)
+    is_size = len(sides) == 2 and all(
+        math.isfinite(side) and 1 <= side <= MAX_SIDE_PX for side in sides
+    )
     return (int(sides[0]), int(sides[1])) if is_size else None

@@ -1,13 +1,15 @@
-"""Folders of YOLO labels of the frames of one video, as `BoxTable`; their rows are described in `yolo_labels`.
+"""Folders of YOLO labels of the frames of one video, as `BoxTable`; their rows are described in
+`yolo_labels`.
 
     DIR/labels/NAME_000000.txt   `class cx cy w h [score] [id]`, fractions of the image size, corner convention
     DIR/images/NAME_000000.jpg   the frame, optional
     DIR/data.yaml                names of the classes, and `video` with width, height, frames and fps
 
-The last number in a file name is the frame, from 0. Written labels have five columns, which training programs expect;
-frames without boxes have empty files. When reading, the files may also be in DIR itself, and rows may have the score
-and the identity that Ultralytics' `save_txt` appends: six or seven columns, the last one with integers throughout.
-Ultralytics numbers the frames of a video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
+The last number in a file name is the frame, from 0. Written labels have five columns, which
+training programs expect; frames without boxes have empty files. When reading, the files may also be
+in DIR itself, and rows may have the score and the identity that Ultralytics' `save_txt` appends:
+six or seven columns, the last one with integers throughout. Ultralytics numbers the frames of a
+video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
 """
 
 import os
@@ -49,7 +51,8 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import PositiveNumber, validated
 
 DATA_YAML = "data.yaml"
-WRITTEN_MARK = "# Written by track-range export."  # first line of a data.yaml that may be replaced with its folder
+# first line of a data.yaml that may be replaced with its folder
+WRITTEN_MARK = "# Written by track-range export."
 
 _INTEGER = re.compile(r"\d+")
 _N_BOX, _N_COLUMNS = 5, 7  # columns of a box, and of a box with score and identity
@@ -59,7 +62,9 @@ _NOT_LABELS = frozenset({"classes.txt", "train.txt", "val.txt", "test.txt", "rea
 
 
 def is_yolo_folder(path: Path) -> bool:
-    """Whether a folder has YOLO labels: a folder labels, a data.yaml, or files of at least five numbers per line."""
+    """Whether a folder has YOLO labels: a folder labels, a data.yaml, or files of at least five
+    numbers per line.
+    """
     if os.path.isdir(path / "labels") or os.path.isfile(path / DATA_YAML):
         return True
     for file in _label_files(path)[0]:
@@ -69,19 +74,26 @@ def is_yolo_folder(path: Path) -> bool:
             return False
         if cells:
             is_number = np.isfinite(numbers(cells))
-            return bool(is_number.all()) and len(cells) >= _N_BOX and _INTEGER.fullmatch(cells[0]) is not None
+            return (
+                bool(is_number.all())
+                and len(cells) >= _N_BOX
+                and _INTEGER.fullmatch(cells[0]) is not None
+            )
     return False
 
 
 def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
-    """The boxes of a folder of label files; the image size is taken from `video`, data.yaml or the images.
+    """The boxes of a folder of label files; the image size is taken from `video`, data.yaml or the
+    images.
 
-    LabelFileError: the folder cannot be read, has no label files, or two for one frame; a row is invalid, has a
-    polygon, or a class number without a name; or the image size is unknown.
+    LabelFileError: the folder cannot be read, has no label files, or two for one frame; a row is
+    invalid, has a polygon, or a class number without a name; or the image size is unknown.
     """
     files, folder = _label_files(path)
     if not files:
-        raise LabelFileError(f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none.")
+        raise LabelFileError(
+            f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none."
+        )
     frame_of, notes = _frames(path, files, video)
     first_frame = min(frame_of.values())
     names = names_for_folder(folder)
@@ -89,15 +101,15 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         names = ROAD_CLASSES
         notes.insert(
             0,
-            f"{path.name}: there is no data.yaml or classes.txt with class names, so class numbers are read as 0 "
-            f"{ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} {ROAD_CLASSES[-1]}; COCO's class "
-            "numbers differ from 4 onwards.",
+            f"{path.name}: there is no data.yaml or classes.txt with class names, so class numbers "
+            f"are read as 0 {ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} "
+            f"{ROAD_CLASSES[-1]}; COCO's class numbers differ from 4 onwards.",
         )
     facts = _facts(path, folder, video)
     if facts.size_px is None:
         raise LabelFileError(
-            f"{path}: expected the image size, which YOLO labels do not contain, found none; put the images in "
-            f"{path.name}/images, or give the video."
+            f"{path}: expected the image size, which YOLO labels do not contain, found none; put "
+            f"the images in {path.name}/images, or give the video."
         )
     frame, rows, lines = [], [], []
     for file in files:
@@ -119,7 +131,10 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         xyxy_from_cxcywh(table[is_valid, 1:5]) * size_px - HALF_PIXEL_PX,
         score=score[is_valid],
         video=replace(facts, first_frame=first_frame),
-        notes=(*notes, *table_checks.ignored_note(path, int((~is_valid).sum()), "without width or height")),
+        notes=(
+            *notes,
+            *table_checks.ignored_note(path, int((~is_valid).sum()), "without width or height"),
+        ),
     )
     table_checks.check_identities(result, path)
     return result
@@ -129,37 +144,44 @@ def _row(where: str, cells: list[str], n_names: int) -> list[float]:
     """Class, centre, size and up to two more columns of one line, NaN if there are none."""
     if len(cells) > _N_COLUMNS:
         raise LabelFileError(
-            f"{where}: expected a box 'class cx cy w h', found {len(cells)} columns, as in the row of a polygon."
+            f"{where}: expected a box 'class cx cy w h', found {len(cells)} columns, as in the row "
+            "of a polygon."
         )
     values = numbers(cells)
     box = values[1:5]
-    is_box = len(cells) >= _N_BOX and all(abs(value) <= _MAX_FRACTION for value in box) and min(box[2:]) >= 0
+    is_box = (
+        len(cells) >= _N_BOX
+        and all(abs(value) <= _MAX_FRACTION for value in box)
+        and min(box[2:]) >= 0
+    )
     if not is_box or values[0] % 1 or not all(abs(value) <= MAX_ID for value in values):
         raise LabelFileError(
-            f"{where}: expected 'class cx cy w h', an integer and fractions of the image size, found "
-            f"{quoted(' '.join(cells))}."
+            f"{where}: expected 'class cx cy w h', an integer and fractions of the image size, "
+            f"found {quoted(' '.join(cells))}."
         )
     if not 0 <= values[0] < n_names:
         raise LabelFileError(
-            f"{where}: expected a class number from 0 to {n_names - 1}, found {quoted(cells[0])}; check the names in "
-            "data.yaml or classes.txt."
+            f"{where}: expected a class number from 0 to {n_names - 1}, found {quoted(cells[0])}; "
+            "check the names in data.yaml or classes.txt."
         )
     return values + [np.nan] * (_N_COLUMNS - len(cells))
 
 
-def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]]) -> tuple[FloatArray, IntArray]:
+def _score_and_identity(
+    table: FloatArray, lines: Sequence[tuple[str, list[str]]]
+) -> tuple[FloatArray, IntArray]:
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none, of rows (N, 7).
 
-    Identities are in the last column if it has integers throughout, which scores are not. LabelFileError: rows of seven
-    columns do not end with an identity, as for a triangle.
+    Identities are in the last column if it has integers throughout, which scores are not.
+    LabelFileError: rows of seven columns do not end with an identity, as for a triangle.
     """
     n_columns = np.array([len(cells) for _, cells in lines], np.int64)
     is_longer, is_full = n_columns > _N_BOX, n_columns == _N_COLUMNS
     is_integer = all(_INTEGER.fullmatch(cells[-1]) for _, cells in lines if len(cells) > _N_BOX)
     for row in np.flatnonzero(is_full & (not is_integer))[:1]:
         raise LabelFileError(
-            f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, as in the row of a "
-            "polygon, while other rows do not end with an identity."
+            f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, as "
+            "in the row of a polygon, while other rows do not end with an identity."
         )
     last = table[np.arange(len(table)), n_columns - 1]
     has_ids = is_integer and bool((is_longer & ((last > 1) | is_full)).any())
@@ -168,37 +190,48 @@ def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]
 
 
 def _label_files(path: Path) -> tuple[list[Path], Path]:
-    """Label files of a folder, sorted by name, and the folder with the files; no files if it cannot be read."""
+    """Label files of a folder, sorted by name, and the folder with the files; no files if it cannot
+    be read.
+    """
     folder = path / "labels" if os.path.isdir(path / "labels") else path
     pattern = "**/*.txt" if folder != path else "*.txt"
     with readable(path, LabelFileError):
-        files = sorted(file for file in folder.glob(pattern) if file.is_file() and file.name not in _NOT_LABELS)
+        files = sorted(
+            file for file in folder.glob(pattern) if file.is_file() and file.name not in _NOT_LABELS
+        )
     return files, folder
 
 
-def _frames(path: Path, files: Sequence[Path], video: VideoFacts) -> tuple[dict[Path, int], list[str]]:
+def _frames(
+    path: Path, files: Sequence[Path], video: VideoFacts
+) -> tuple[dict[Path, int], list[str]]:
     """Frame number from 0 by file, and notes on the numbers in the names."""
     file_of: dict[int, Path] = {}
     for file in files:
         frame = table_checks.frame_in_name(table_checks.image_stem(file.name))
         if frame is None:
-            raise LabelFileError(f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt.")
+            raise LabelFileError(
+                f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt."
+            )
         if (other := file_of.setdefault(frame, file)) != file:
             raise LabelFileError(
-                f"{path}: expected one file for each frame of one video, found {quoted(str(other.relative_to(path)))} "
-                f"and {quoted(str(file.relative_to(path)))} for frame {frame}."
+                f"{path}: expected one file for each frame of one video, found "
+                f"{quoted(str(other.relative_to(path)))} and {quoted(str(file.relative_to(path)))} "
+                f"for frame {frame}."
             )
     names = [table_checks.image_stem(file.name) for file in files]
     table_checks.check_names(names, path)
     numbers = np.array(list(file_of), np.int64)
     first = 0
     if not video.first_frame:  # the user states how the numbers are meant
-        first = table_checks.first_frame_number(numbers, int(table_checks.is_unpadded(names)), video.n_frames)
+        first = table_checks.first_frame_number(
+            numbers, int(table_checks.is_unpadded(names)), video.n_frames
+        )
     notes = list(table_checks.first_frame_note(path, int(numbers.min()), len(files)))
     if first:
         notes = [
-            f"{path.name}: the numbers in the file names are taken to start at 1, as Ultralytics writes them for a "
-            f"video; the first number is {numbers.min()}."
+            f"{path.name}: the numbers in the file names are taken to start at 1, as Ultralytics "
+            f"writes them for a video; the first number is {numbers.min()}."
         ]
     return {file: frame - first for frame, file in file_of.items()}, notes
 
@@ -215,14 +248,25 @@ class _VideoSection(BaseModel):
 
 def _facts(path: Path, folder: Path, video: VideoFacts) -> VideoFacts:
     """Facts about the video, completed by data.yaml and by the first image next to the labels."""
-    file = next((parent / DATA_YAML for parent in (path, path.parent) if os.path.isfile(parent / DATA_YAML)), None)
+    file = next(
+        (
+            parent / DATA_YAML
+            for parent in (path, path.parent)
+            if os.path.isfile(parent / DATA_YAML)
+        ),
+        None,
+    )
     content = {} if file is None else read_yaml(file, LabelFileError, "a data.yaml")
     section = content.get("video") if isinstance(content, dict) else None
     stated = validated(_VideoSection, section or {}, f"{file}, video", LabelFileError)
-    size_px = None if stated.width is None or stated.height is None else (stated.width, stated.height)
+    size_px = (
+        None if stated.width is None or stated.height is None else (stated.width, stated.height)
+    )
     size_px = video.size_px or size_px or _image_size_px(path, folder)
     is_rectified = stated.pixels == "rectified"
-    facts = VideoFacts(stated.name, stated.frames, size_px=size_px, fps=stated.fps, is_rectified=is_rectified)
+    facts = VideoFacts(
+        stated.name, stated.frames, size_px=size_px, fps=stated.fps, is_rectified=is_rectified
+    )
     return video.completed_by(facts, path)
 
 
@@ -230,30 +274,38 @@ def _image_size_px(path: Path, labels: Path) -> tuple[int, int] | None:
     for folder in (path / "images", labels.parent / "images", labels):
         images = (file for file in folder.rglob("*") if file.suffix.lower() in IMAGE_SUFFIXES)
         if (first := min(images, default=None)) is not None:
-            with open_regular(first, LabelFileError, "an image") as file, readable(first, LabelFileError):
+            with (
+                open_regular(first, LabelFileError, "an image") as file,
+                readable(first, LabelFileError),
+            ):
                 return header_size_px(file)
     return None
 
 
 def write_yolo(table: BoxTable, path: Path) -> Written:
-    """Write a table as folder `path` with labels and data.yaml; LabelFileError if the image size is unknown.
+    """Write a table as folder `path` with labels and data.yaml; LabelFileError if the image size is
+    unknown.
 
     Boxes are clipped to the image. Identities, scores, distances and regions are not written.
     """
     video = table.video
     if video.size_px is None:
         raise LabelFileError(
-            f"{path}: expected a known image size, which YOLO labels need; give the video with --video."
+            f"{path}: expected a known image size, which YOLO labels need; give the video with "
+            "--video."
         )
     size = np.array([*video.size_px, *video.size_px], np.float64)
     edges = np.clip(table.xyxy_px + HALF_PIXEL_PX, 0.0, size) / size
     is_visible = (edges[:, 2:] > edges[:, :2]).all(axis=1)
     is_written = is_visible & ~table.is_region
     written, edges = table.select(is_written), edges[is_written]
-    fractions = np.concatenate([(edges[:, :2] + edges[:, 2:]) / 2, edges[:, 2:] - edges[:, :2]], axis=1).tolist()
+    fractions = np.concatenate(
+        [(edges[:, :2] + edges[:, 2:]) / 2, edges[:, 2:] - edges[:, :2]], axis=1
+    ).tolist()
     names = written.all_labels
     lines = [
-        f"{names.index(label)} {' '.join(f'{fraction:.8f}' for fraction in row)}\n"  # 1e-5 px in 1000
+        # 1e-5 px in 1000
+        f"{names.index(label)} {' '.join(f'{fraction:.8f}' for fraction in row)}\n"
         for label, row in zip(written.label, fractions, strict=True)
     ]
     (path / "labels").mkdir(parents=True)
@@ -262,11 +314,19 @@ def write_yolo(table: BoxTable, path: Path) -> Written:
         file = path / "labels" / Path(image_name(video, frame)).with_suffix(".txt")
         file.write_text("".join(lines[first:last]), encoding="utf-8", newline="\n")
     width, height = video.size_px
-    facts = {"name": video.name, "width": width, "height": height, "frames": video.n_frames, "fps": video.fps}
+    facts = {
+        "name": video.name,
+        "width": width,
+        "height": height,
+        "frames": video.n_frames,
+        "fps": video.fps,
+    }
     section: dict[str, Any] = {key: value for key, value in facts.items() if value}
     section["pixels"] = video.pixels
     document = {"train": "images", "val": "images", "names": names, "video": section}
-    (path / DATA_YAML).write_text(f"{WRITTEN_MARK}\n{yaml_text(document)}", encoding="utf-8", newline="\n")
+    (path / DATA_YAML).write_text(
+        f"{WRITTEN_MARK}\n{yaml_text(document)}", encoding="utf-8", newline="\n"
+    )
     n_outside = int((~is_visible & ~table.is_region).sum())
     notes = (f"Boxes outside the image are not written: {n_outside}.",) if n_outside else ()
     return Written(len(written), (*notes, *table_checks.omitted_regions_note(table)))

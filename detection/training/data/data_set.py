@@ -1,4 +1,6 @@
-"""Sets of labelled images: the protocols that training uses, and a set that caches images in memory."""
+"""Sets of labelled images: the protocols that training uses, and a set that caches images in
+memory.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +14,11 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
-from track_range.detection.formats.image_labels.labelled_images import ImageFileError, LabelledImage, read_image
+from track_range.detection.formats.image_labels.labelled_images import (
+    ImageFileError,
+    LabelledImage,
+    read_image,
+)
 from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
@@ -49,7 +55,8 @@ class TrainingSets:
 
 
 class CachedImages:
-    """Labelled images, cached in memory while there is room; other images are read from disk each time.
+    """Labelled images, cached in memory while there is room; other images are read from disk each
+    time.
 
     `unreadable`: one message for each image that could not be read and was left out.
     """
@@ -65,9 +72,10 @@ class CachedImages:
     ) -> None:
         """Read every image once; ImageFileError if none can be read.
 
-        `road_class_id` (C,) is the road class of each of the network's classes. Images are downscaled to the longer
-        side `max_side_px`; None = no limit. `max_bytes` is the size of the cache; None = half of the free memory.
-        `progress` is called after each image with the number of images read and their total.
+        `road_class_id` (C,) is the road class of each of the network's classes. Images are
+        downscaled to the longer side `max_side_px`; None = no limit. `max_bytes` is the size of the
+        cache; None = half of the free memory. `progress` is called after each image with the number
+        of images read and their total.
         """
         self._road_class_id, self._max_side_px = road_class_id, max_side_px
         self._index_of = np.full(len(ROAD_CLASSES), -1)
@@ -78,7 +86,9 @@ class CachedImages:
         self.unreadable: list[str] = []
         room = _free_bytes() if max_bytes is None else max_bytes
         with ThreadPoolExecutor(_N_READERS) as readers:
-            for done, (item, read) in enumerate(zip(items, readers.map(self._read, items), strict=True), start=1):
+            for done, (item, read) in enumerate(
+                zip(items, readers.map(self._read, items), strict=True), start=1
+            ):
                 progress(done, len(items))
                 if isinstance(read, str):
                     self.unreadable.append(read)
@@ -90,7 +100,9 @@ class CachedImages:
                 self._cache.append(image if fits else None)
                 self._scale.append(scale)
         if not self._items:
-            raise ImageFileError(f"none of the {len(items)} images can be read; the first: {self.unreadable[0]}")
+            raise ImageFileError(
+                f"none of the {len(items)} images can be read; the first: {self.unreadable[0]}"
+            )
 
     def __len__(self) -> int:
         return len(self._items)
@@ -101,7 +113,9 @@ class CachedImages:
         return sum(image is not None for image in self._cache)
 
     def load(self, index: int) -> LabelledPixels:
-        """Image and labels with the network's classes; ImageFileError if it cannot be read again."""
+        """Image and labels with the network's classes; ImageFileError if it cannot be read
+        again.
+        """
         item = self._items[index]
         image = self._image(index)
         truth = item.truth_in(image) if item.is_normalised else item.truth
@@ -112,11 +126,15 @@ class CachedImages:
             np.maximum(self._index_of[truth.class_id[known]], 0),
             truth.is_ignored[known],
             truth.confidence[known],
-            np.broadcast_to(truth.is_complete[self._road_class_id], (2, 2, len(self._road_class_id))),
+            np.broadcast_to(
+                truth.is_complete[self._road_class_id], (2, 2, len(self._road_class_id))
+            ),
         )
 
     def box_sizes_px(self, longer_side_px: int) -> FloatArray:
-        """(N, 2) width and height of all boxes that are not ignored, with each image scaled to `longer_side_px`."""
+        """(N, 2) width and height of all boxes that are not ignored, with each image scaled to
+        `longer_side_px`.
+        """
         sizes = [np.zeros((0, 2))]
         for index in range(len(self)):
             item = self.load(index)
@@ -136,11 +154,15 @@ class CachedImages:
 
     def _scaled(self, image: Image) -> tuple[Image, float]:
         """The image, downscaled to the largest side if necessary, and its scale."""
-        scale = 1.0 if self._max_side_px is None else min(self._max_side_px / max(image.shape[:2]), 1.0)
+        scale = (
+            1.0 if self._max_side_px is None else min(self._max_side_px / max(image.shape[:2]), 1.0)
+        )
         if scale == 1.0:
             return image, scale
         height, width = (max(round(side * scale), 1) for side in image.shape[:2])
-        return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8), scale
+        return np.asarray(
+            cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8
+        ), scale
 
     def _read(self, item: LabelledImage) -> tuple[Image, float] | str:
         try:
@@ -153,9 +175,15 @@ def _free_bytes() -> int:
     """Size of the cache, from the free memory of Linux and the limit of the container."""
     known = []
     with suppress(OSError, ValueError, IndexError):
-        line = next(line for line in Path("/proc/meminfo").read_text().splitlines() if line.startswith("MemAvailable"))
+        line = next(
+            line
+            for line in Path("/proc/meminfo").read_text().splitlines()
+            if line.startswith("MemAvailable")
+        )
         known.append(1024 * int(line.split()[1]))
     with suppress(OSError, ValueError):  # "max" = no limit
-        limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
+        limit, used = (
+            int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current")
+        )
         known.append(max(limit - used, 0))
     return int(min(known) * _MEMORY_FRACTION) if known else _UNKNOWN_MEMORY_BYTES

@@ -1,14 +1,15 @@
-"""Probability that a fused box is an object of a class, from the scores of the detectors (logistic regression).
+"""Probability that a fused box is an object of a class, from the scores of the detectors (logistic
+regression).
 
     p_c = sigma(a_c + sum over detectors d of w_cd logit(s_dc)),    w_cd >= 0,    s_dc limited to [0.01, 0.99]
 
-The coefficients maximise the likelihood of the matches y in {0, 1} of fused boxes with labels, in the images in which
-class c is completely labelled, with a small ridge penalty:
+The coefficients maximise the likelihood of the matches y in {0, 1} of fused boxes with labels, in
+the images in which class c is completely labelled, with a small ridge penalty:
 
     minimise over a, w: sum over boxes of (log(1 + exp(z)) - y z) + lambda (a^2 + |w|^2),    z = a + w logit(s)
 
-which is Platt scaling with one slope per detector (Platt, "Probabilistic outputs for support vector machines", 1999).
-The weight of a detector that does not know the class is 0.
+which is Platt scaling with one slope per detector (Platt, "Probabilistic outputs for support vector
+machines", 1999). The weight of a detector that does not know the class is 0.
 """
 
 from collections.abc import Sequence
@@ -26,10 +27,13 @@ from track_range.detection.training.ensemble.fusion import FusedBoxes
 from track_range.detection.training.ensemble.views import MIN_SCORE
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-MIN_POSITIVES = 20  # matches to fit a class; others have the mean coefficients of those that are fitted
+# matches to fit a class; others have the mean coefficients of those that are fitted
+MIN_POSITIVES = 20
 N_BINS = 5  # of probability, in which the calibration is verified
-_LOWEST, _HIGHEST = 0.01, 0.99  # scores with finite log-odds; a detector without a box has the lowest one
-_RIDGE = 1e-3  # lambda of the ridge penalty: the fit has a solution also where scores separate the matches
+# scores with finite log-odds; a detector without a box has the lowest one
+_LOWEST, _HIGHEST = 0.01, 0.99
+# lambda of the ridge penalty: the fit has a solution also where scores separate the matches
+_RIDGE = 1e-3
 _FIRST_WEIGHT = 0.4
 
 _MATCH_IOU = 0.5  # of a fused box with the label of the same object
@@ -52,7 +56,9 @@ class EnsembleCalibration:
     n_positives: IntArray  # (8,) matches from which a class was fitted; 0 = mean of the others
 
     def probability(self, score: FloatArray) -> FloatArray:
-        """(K, 8) probability by class of boxes with the scores (K, D, 8); 0 for classes that were not detected."""
+        """(K, 8) probability by class of boxes with the scores (K, D, 8); 0 for classes that were
+        not detected.
+        """
         x = logit(np.clip(score, _LOWEST, _HIGHEST))
         z = self.intercept + np.einsum("kdc,cd->kc", x, self.weight)
         return np.where(_is_detected(score), expit(z), 0.0)
@@ -61,7 +67,8 @@ class EnsembleCalibration:
 def samples(
     images: Sequence[tuple[FusedBoxes, ImageTruth]], *, n_detectors: int, is_labelled: BoolArray
 ) -> list[Samples]:
-    """The samples of each road class, from fused boxes and labels of each image as fractions of its size.
+    """The samples of each road class, from fused boxes and labels of each image as fractions of its
+    size.
 
     `is_labelled` (8,) are the classes that the labels have; other classes have no samples.
     """
@@ -71,7 +78,9 @@ def samples(
         for fused, truth in images:
             if truth.is_complete[class_id] and is_labelled[class_id]:
                 used = _is_detected(fused.score)[:, class_id]
-                parts.append((fused.score[used, :, class_id], matches(fused, truth, class_id)[used]))
+                parts.append(
+                    (fused.score[used, :, class_id], matches(fused, truth, class_id)[used])
+                )
         listed.append(Samples(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     return listed
 
@@ -79,10 +88,10 @@ def samples(
 def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
     """(K,) whether a fused box matches a label of a class.
 
-    In order of decreasing best score, a box matches the label with which its IoU is largest, if that is at least 0.5
-    and no better box matches this label. A box whose label is taken does not match another one, as it does in
-    `evaluation.matching` (COCO): of two boxes of one object, the worse one should be a negative sample, even in a
-    crowd.
+    In order of decreasing best score, a box matches the label with which its IoU is largest, if
+    that is at least 0.5 and no better box matches this label. A box whose label is taken does not
+    match another one, as it does in `evaluation.matching` (COCO): of two boxes of one object, the
+    worse one should be a negative sample, even in a crowd.
     """
     is_match = np.zeros(len(fused.xyxy), np.bool_)
     labels = truth.xyxy_px[(truth.class_id == class_id) & ~truth.is_ignored]
@@ -100,9 +109,9 @@ def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
 def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> EnsembleCalibration | None:
     """Coefficients fitted to the samples of each road class; None if no class has enough matches.
 
-    A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the other classes; the weights of
-    detectors that do not know the class are distributed over the other detectors. `is_known` (D, 8) are the classes
-    that each detector knows.
+    A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the other classes;
+    the weights of detectors that do not know the class are distributed over the other detectors.
+    `is_known` (D, 8) are the classes that each detector knows.
     """
     n_positives = np.array([np.count_nonzero(boxes.is_match) for boxes in by_class])
     is_fitted = (n_positives >= MIN_POSITIVES) & is_known.any(axis=0)
@@ -111,18 +120,24 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Ensembl
     intercept, weight = np.zeros(len(by_class)), np.zeros((len(by_class), len(is_known)))
     for class_id, boxes in enumerate(by_class):
         if is_fitted[class_id]:
-            intercept[class_id], weight[class_id] = _logistic_regression(boxes, is_known[:, class_id])
+            intercept[class_id], weight[class_id] = _logistic_regression(
+                boxes, is_known[:, class_id]
+            )
     mean_weight = weight[is_fitted].mean(axis=0)
     known_weight = np.where(is_known, mean_weight[:, None], 0.0)
     total = known_weight.sum(axis=0)
-    shared = known_weight * np.divide(mean_weight.sum(), total, out=np.zeros_like(total), where=total > 0)
+    shared = known_weight * np.divide(
+        mean_weight.sum(), total, out=np.zeros_like(total), where=total > 0
+    )
     weight[~is_fitted] = shared.T[~is_fitted]
     intercept[~is_fitted] = intercept[is_fitted].mean()
     return EnsembleCalibration(intercept, weight, np.where(is_fitted, n_positives, 0))
 
 
 def reliability(calibration: EnsembleCalibration, boxes: Samples, class_id: int) -> Reliability:
-    """Probabilities and matches of one class in `N_BINS` bins, from samples that were not used in the fit."""
+    """Probabilities and matches of one class in `N_BINS` bins, from samples that were not used in
+    the fit.
+    """
     score = np.zeros((len(boxes.score), boxes.score.shape[1], len(ROAD_CLASSES)))
     score[:, :, class_id] = boxes.score
     p = calibration.probability(score)[:, class_id]

@@ -10,12 +10,14 @@ The probabilities are fitted on the training images and verified on the validati
 
 Pseudo-labels of one image: the fused boxes that supplement its labels, with their probabilities.
 
-A class that is not completely labelled in the image gets the boxes of at least a minimum probability. A completely
-labelled class gets boxes of high probability that overlap no label, which training ignores: they are probably objects
-without a label, or objects of a kind that the data set does not count.
+A class that is not completely labelled in the image gets the boxes of at least a minimum
+probability. A completely labelled class gets boxes of high probability that overlap no label, which
+training ignores: they are probably objects without a label, or objects of a kind that the data set
+does not count.
 
-Detections of a detector that is not at hand can be combined with the ensemble, as another opinion of equal weight on
-the classes that are not completely labelled. With its score s, or s = 0.12 where it has no box,
+Detections of a detector that is not at hand can be combined with the ensemble, as another opinion
+of equal weight on the classes that are not completely labelled. With its score s, or s = 0.12 where
+it has no box,
 
     q = sigma((logit(p) + logit(s)) / 2), and at least 0.6 s where it has a box;    0.75 s where the ensemble has none
 """
@@ -50,10 +52,13 @@ from track_range.foundation.files.input_files import shortened
 
 MIN_IGNORED_PROBABILITY = 0.6  # minimum probability of a box of a completely labelled class
 _SAME_OBJECT_IOU = 0.5  # IoU above which two boxes show the same object
-_MISSING_SCORE = 0.12  # of the other detector without a box, about half of the lowest that is stored, 0.25
-_LOWEST, _HIGHEST = 0.02, 0.98  # limits of the probabilities that are combined, so that log-odds are finite
+# of the other detector without a box, about half of the lowest that is stored, 0.25
+_MISSING_SCORE = 0.12
+# limits of the probabilities that are combined, so that log-odds are finite
+_LOWEST, _HIGHEST = 0.02, 0.98
 _LEAST_FRACTION = 0.6  # fraction of the other detector's score that its boxes have at least
-_ALONE_FRACTION = 0.75  # of the score of a box that only the other detector has, though the ensemble knows the class
+# of the score of a box that only the other detector has, though the ensemble knows the class
+_ALONE_FRACTION = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +76,20 @@ class PseudoLabels:
             check_shape(name, getattr(self, name), (len(self.class_id),))
 
     def as_text(self, names: Sequence[str]) -> str:
-        """Lines `class cx cy w h probability` with the class numbers of `names`, without classes that have no name."""
+        """Lines `class cx cy w h probability` with the class numbers of `names`, without classes
+        that have no name.
+        """
         road = map_to_road_classes(names).tolist()
-        centre, size = (self.xyxy[:, :2] + self.xyxy[:, 2:]) / 2, self.xyxy[:, 2:] - self.xyxy[:, :2]
-        rows = zip(self.class_id.tolist(), np.hstack([centre, size]).tolist(), self.probability.tolist(), strict=True)
+        centre, size = (
+            (self.xyxy[:, :2] + self.xyxy[:, 2:]) / 2,
+            self.xyxy[:, 2:] - self.xyxy[:, :2],
+        )
+        rows = zip(
+            self.class_id.tolist(),
+            np.hstack([centre, size]).tolist(),
+            self.probability.tolist(),
+            strict=True,
+        )
         return "".join(
             f"{road.index(class_id)} {' '.join(f'{value:.6f}' for value in box)} {p:.3f}\n"
             for class_id, box, p in rows
@@ -93,12 +108,17 @@ def pseudo_labels(
 ) -> PseudoLabels:
     """The pseudo-labels of one image; none of them overlaps a label by an IoU of more than 0.5.
 
-    `xyxy` (K, 4) are fused boxes, as fractions of the image size, with probabilities by class (K, 8). `is_known` (8,)
-    are classes that a detector of the ensemble knows; boxes of other classes are not used. `other` are detections of a
-    detector that is not at hand; `min_probability` is for classes that are not completely labelled.
+    `xyxy` (K, 4) are fused boxes, as fractions of the image size, with probabilities by class (K,
+    8). `is_known` (8,) are classes that a detector of the ensemble knows; boxes of other classes
+    are not used. `other` are detections of a detector that is not at hand; `min_probability` is for
+    classes that are not completely labelled.
     """
     is_open = is_known & ~truth.is_complete
-    q = probability if other is None else np.where(is_open, _combined(xyxy, probability, other), probability)
+    q = (
+        probability
+        if other is None
+        else np.where(is_open, _combined(xyxy, probability, other), probability)
+    )
     minimum = np.where(truth.is_complete, MIN_IGNORED_PROBABILITY, min_probability)
     box, classes = np.nonzero((q >= minimum) & (q > 0) & is_known)
     boxes, p = xyxy[box], q[box, classes]
@@ -109,15 +129,20 @@ def pseudo_labels(
         alone &= p_alone >= min_probability
         added = (other.xyxy, other.class_id, p_alone)
         boxes, classes, p = (
-            np.concatenate([old, new[alone]]) for old, new in zip((boxes, classes, p), added, strict=True)
+            np.concatenate([old, new[alone]])
+            for old, new in zip((boxes, classes, p), added, strict=True)
         )
     boxes = np.clip(boxes, 0.0, 1.0)
     is_new = iou(boxes, truth.xyxy_px).max(axis=1, initial=0.0) <= _SAME_OBJECT_IOU
-    return PseudoLabels(boxes[is_new], classes[is_new], p[is_new], truth.is_complete[classes[is_new]])
+    return PseudoLabels(
+        boxes[is_new], classes[is_new], p[is_new], truth.is_complete[classes[is_new]]
+    )
 
 
 def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> FloatArray:
-    """(K, 8) mean log-odds of the fused boxes and of another detector's boxes; 0 where neither has the class."""
+    """(K, 8) mean log-odds of the fused boxes and of another detector's boxes; 0 where neither has
+    the class.
+    """
     other_score = np.zeros((len(xyxy), len(ROAD_CLASSES)))
     box, detection = np.nonzero(iou(xyxy, other.xyxy) > _SAME_OBJECT_IOU)
     np.maximum.at(other_score, (box, other.class_id[detection]), other.score[detection])
@@ -129,7 +154,8 @@ def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> F
     return np.where(is_seen | (probability > 0), q, 0.0)
 
 
-DETECTIONS = "detections"  # folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished
+# folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished
+DETECTIONS = "detections"
 COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 
 
@@ -137,28 +163,37 @@ COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 class PseudoLabelFigures:
     """Pseudo-labels of a data set in figures."""
 
-    known_class_id: IntArray  # named road classes that at least one detector knows, in increasing order
-    n_labels: IntArray  # (8, 3) of at least each of `COUNTED_PROBABILITIES`, in images that lack labels of the class
-    n_ignored: IntArray  # (8,) number of boxes to ignore, in images in which the class is completely labelled
+    # named road classes that at least one detector knows, in increasing order
+    known_class_id: IntArray
+    # (8, 3) of at least each of `COUNTED_PROBABILITIES`, in images that lack labels of the class
+    n_labels: IntArray
+    # (8,) number of boxes to ignore, in images in which the class is completely labelled
+    n_ignored: IntArray
     calibration: EnsembleCalibration  # the fitted coefficients
-    validation: dict[int, Reliability]  # by road class that is labelled, the calibration on the validation images
+    # by road class that is labelled, the calibration on the validation images
+    validation: dict[int, Reliability]
 
 
 def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:
-    """(D, 8) named road classes that each detector knows; LabelFileError for no class, or too few labels for a fit."""
+    """(D, 8) named road classes that each detector knows; LabelFileError for no class, or too few
+    labels for a fit.
+    """
     usable = np.array([member.is_known & data.is_named for member in members])
     if not usable.any():
         raise LabelFileError(
-            f"{data.path}: expected class names that the detectors have, found {shortened(', '.join(data.names))}; "
-            "choose other detectors."
+            f"{data.path}: expected class names that the detectors have, found "
+            f"{shortened(', '.join(data.names))}; choose other detectors."
         )
     is_usable = usable.any(axis=0)
-    labelled = [item.truth.class_id[(item.truth.is_complete & is_usable)[item.truth.class_id]] for item in data.train]
+    labelled = [
+        item.truth.class_id[(item.truth.is_complete & is_usable)[item.truth.class_id]]
+        for item in data.train
+    ]
     n_labels = np.bincount(np.concatenate(labelled), minlength=1)
     if n_labels.max() < MIN_POSITIVES:
         raise LabelFileError(
-            f"{data.path}: expected at least {MIN_POSITIVES} labels of a class that is completely labelled, to fit "
-            f"probabilities; found {n_labels.max()}."
+            f"{data.path}: expected at least {MIN_POSITIVES} labels of a class that is completely "
+            f"labelled, to fit probabilities; found {n_labels.max()}."
         )
     return usable
 
@@ -172,12 +207,14 @@ def label_training_images(
     min_probability: float = 0.1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> PseudoLabelFigures:
-    """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
+    """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w
+    h probability`.
 
-    The boxes of all images except `unreadable` images must be stored (`views.store_missing`). `min_probability` applies
-    to pseudo-labels of classes that are not completely labelled; `progress` is called after each image. Raises
-    LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class. Raises
-    TrainingError: the boxes of an image are not stored, or a file cannot be written.
+    The boxes of all images except `unreadable` images must be stored (`views.store_missing`).
+    `min_probability` applies to pseudo-labels of classes that are not completely labelled;
+    `progress` is called after each image. Raises LabelFileError: too few fused boxes match labels
+    to fit probabilities, or the detectors know no class. Raises TrainingError: the boxes of an
+    image are not stored, or a file cannot be written.
     """
     usable = usable_classes(data, members)
     is_known: BoolArray = np.asarray(usable.any(axis=0))
@@ -193,9 +230,9 @@ def label_training_images(
     if calibration is None:
         most = max(int(np.count_nonzero(boxes.is_match)) for boxes in fitted)
         raise LabelFileError(
-            f"{data.path}: to fit probabilities, the detectors must find at least {MIN_POSITIVES} labels of a "
-            f"completely labelled class, but found {most}; use other detectors or labels with --resume, or delete the "
-            "--out folder."
+            f"{data.path}: to fit probabilities, the detectors must find at least {MIN_POSITIVES} "
+            f"labels of a completely labelled class, but found {most}; use other detectors or "
+            "labels with --resume, or delete the --out folder."
         )
     verified = samples(pairs[len(train) :], n_detectors=len(members), is_labelled=data.is_named)
     validation = {
@@ -219,5 +256,11 @@ def label_training_images(
             write_text(file, labels.as_text(data.names), is_flushed=False)
         np.add.at(n_ignored, labels.class_id[labels.is_ignored], 1)
         for i, minimum in enumerate(COUNTED_PROBABILITIES):
-            np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)
-    return PseudoLabelFigures(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
+            np.add.at(
+                n_labels[:, i],
+                labels.class_id[~labels.is_ignored & (labels.probability >= minimum)],
+                1,
+            )
+    return PseudoLabelFigures(
+        np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation
+    )

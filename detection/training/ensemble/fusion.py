@@ -1,15 +1,18 @@
 """Fusion of the boxes of several detectors (weighted boxes fusion).
 
-The boxes of all detectors and views are visited in order of decreasing score s. A box without a cluster starts a new
-one, which takes all free boxes of easily confused classes whose IoU with this box exceeds 0.55. A cluster C becomes
+The boxes of all detectors and views are visited in order of decreasing score s. A box without a
+cluster starts a new one, which takes all free boxes of easily confused classes whose IoU with this
+box exceeds 0.55. A cluster C becomes
 
-    box = (sum over i in C of s_i^2 b_i) / (sum over i in C of s_i^2)
-    s_dc = min(1, 1/2 sum over i in C of s_i), for the boxes i of detector d and class c in both views
+    box = (sum over i in C of s_i^2 b_i) / (sum over i in C of s_i^2) s_dc = min(1, 1/2 sum over i
+    in C of s_i), for the boxes i of detector d and class c in both views
 
-which is the mean score over the views, as non-maximum suppression leaves hardly more than one such box per view.
+which is the mean score over the views, as non-maximum suppression leaves hardly more than one such
+box per view.
 
-(Solovyev, Wang, Gabruseva, "Weighted boxes fusion", Image and Vision Computing 2021, with squared weights, clusters
-around their best box, and one score per detector and class, which `calibration` combines, instead of a mean score.)
+(Solovyev, Wang, Gabruseva, "Weighted boxes fusion", Image and Vision Computing 2021, with squared
+weights, clusters around their best box, and one score per detector and class, which `calibration`
+combines, instead of a mean score.)
 """
 
 from collections.abc import Sequence
@@ -39,12 +42,19 @@ class FusedBoxes:
 
 
 def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
-    """The fused boxes of one image, in order of their best score, from the boxes of each detector."""
-    s, b, c = (np.concatenate([getattr(detected, key) for detected in boxes]) for key in ("score", "xyxy", "class_id"))
+    """The fused boxes of one image, in order of their best score, from the boxes of each
+    detector.
+    """
+    s, b, c = (
+        np.concatenate([getattr(detected, key) for detected in boxes])
+        for key in ("score", "xyxy", "class_id")
+    )
     d = np.repeat(np.arange(len(boxes)), [len(detected.score) for detected in boxes])
     order = np.argsort(-s, kind="stable")
     s, b, c, d = s[order], b[order], c[order], d[order]
-    is_same_object = (iou(b, b) > SAME_OBJECT_IOU) & (SAME_OBJECT_GROUP[c][:, None] == SAME_OBJECT_GROUP[c])
+    is_same_object = (iou(b, b) > SAME_OBJECT_IOU) & (
+        SAME_OBJECT_GROUP[c][:, None] == SAME_OBJECT_GROUP[c]
+    )
     cluster = _clusters(is_same_object, n_seeds=int(np.count_nonzero(s >= MIN_CLUSTER_SCORE)))
     n_clusters = int(cluster.max(initial=-1)) + 1
     used = cluster >= 0
@@ -59,7 +69,9 @@ def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
 
 
 def _clusters(is_same_object: BoolArray, *, n_seeds: int) -> IntArray:
-    """(N,) cluster of each box, in order of decreasing score, -1 = none; only the first `n_seeds` start clusters."""
+    """(N,) cluster of each box, in order of decreasing score, -1 = none; only the first `n_seeds`
+    start clusters.
+    """
     cluster: IntArray = np.full(len(is_same_object), -1, np.int64)
     n_clusters = 0
     for seed in range(n_seeds):

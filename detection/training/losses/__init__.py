@@ -1,1 +1,3 @@
-"""The detection loss: assignment of objects to anchors, and losses of boxes, objectness and classes."""
+"""The detection loss: assignment of objects to anchors, and losses of boxes, objectness and
+classes.
+"""

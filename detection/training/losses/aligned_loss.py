@@ -7,26 +7,28 @@
     bins    sum over positive cells of w (-(k + 1 - d) log P(k) - (d - k) log P(k + 1)), mean over the four sides,
             d = distance in cells, k = floor(d)
 
-w is the target of `assign_aligned` times the confidence of the object: 1 for labels, the probability of being right
-for pseudo-labels. Each sum is divided by the sum of w over the cells with a box, at least 1. A class that is not
-completely labelled contributes only a fraction to cells that are not its positives, since an unlabelled object may be
-there; cells inside an ignored box contribute nothing.
+w is the target of `assign_aligned` times the confidence of the object: 1 for labels, the
+probability of being right for pseudo-labels. Each sum is divided by the sum of w over the cells
+with a box, at least 1. A class that is not completely labelled contributes only a fraction to cells
+that are not its positives, since an unlabelled object may be there; cells inside an ignored box
+contribute nothing.
 
-(Weights: Jocher et al., "YOLOv8"; bins: Li et al., "Generalized Focal Loss", 2020, equation 6, "distribution focal
-loss".)
+(Weights: Jocher et al., "YOLOv8"; bins: Li et al., "Generalized Focal Loss", 2020, equation 6,
+"distribution focal loss".)
 
 Task-aligned assignment of objects to the cells of an anchor-free network.
 
     a = s u^6        s: score of the object's class, u: IoU of the predicted box and the object, for every cell
 
-The 10 cells with the largest a among those whose centre is inside the object's box are its positives; a cell of several
-objects gets the box of the object with the largest u. Around objects smaller than the finest cells, centres within one
-such cell count as inside. The target of a positive's class score is
+The 10 cells with the largest a among those whose centre is inside the object's box are its
+positives; a cell of several objects gets the box of the object with the largest u. Around objects
+smaller than the finest cells, centres within one such cell count as inside. The target of a
+positive's class score is
 
     t = (a / largest a of the object) (largest u of the object)
 
-so that scores rank boxes by their overlap as well. (Feng et al., "TOOD: Task-aligned One-stage Object Detection", ICCV
-2021, equations 4 to 6 with alpha = 1, beta = 6.)
+so that scores rank boxes by their overlap as well. (Feng et al., "TOOD: Task-aligned One-stage
+Object Detection", ICCV 2021, equations 4 to 6 with alpha = 1, beta = 6.)
 """
 
 from dataclasses import dataclass
@@ -38,7 +40,12 @@ from torch.nn.functional import binary_cross_entropy_with_logits as cross_entrop
 from track_range.detection.training.losses.assignment import LabelledObjects, Rows
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou
 from track_range.detection.training.losses.detection_loss import Batch, Losses
-from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, split_outputs
+from track_range.detection.training.networks.road_net import (
+    N_BINS,
+    RoadNet,
+    boxes_of,
+    split_outputs,
+)
 
 _N_POSITIVES = 10  # cells of an object
 _BETA = 6.0  # exponent of the IoU in the alignment a
@@ -53,17 +60,22 @@ class AlignedCells(Rows):
     cell: Tensor  # (P,) int64 index among the N cells of all levels
     object_index: Tensor  # (P,) int64 index of the object
     target: Tensor  # (P,) target of the score of the object's class, 0..1
-    has_box: Tensor  # (P,) the target of the cell's box is this object's; false for all but one object of a cell
+    # (P,) the target of the cell's box is this object's; false for all but one object of a cell
+    has_box: Tensor
 
 
 @torch.no_grad()
 def assign_aligned(
-    objects: LabelledObjects, scores: Tensor, cxcywh_px: Tensor, centre_px: Tensor, stride_px: Tensor
+    objects: LabelledObjects,
+    scores: Tensor,
+    cxcywh_px: Tensor,
+    centre_px: Tensor,
+    stride_px: Tensor,
 ) -> AlignedCells:
     """The positive cells of T objects.
 
-    `scores` (B, N, C) are in 0..1, `cxcywh_px` (B, N, 4) predicted boxes, `centre_px` (N, 2) and `stride_px` (N,)
-    centres and sides of the cells.
+    `scores` (B, N, C) are in 0..1, `cxcywh_px` (B, N, 4) predicted boxes, `centre_px` (N, 2) and
+    `stride_px` (N,) centres and sides of the cells.
     """
     reach_px = (objects.cxcywh[:, None, 2:] / 2).clamp(min=float(stride_px.min()))
     is_inside = ((centre_px - objects.cxcywh[:, None, :2]).abs() < reach_px).all(-1)  # (T, N)
@@ -72,7 +84,9 @@ def assign_aligned(
     overlap = is_inside.float()
     overlap[object_index, cell] = pair_iou(cxcywh_px[image, cell], objects.cxcywh[object_index])
     alignment = is_inside.float() - 1  # -1 outside, so that these cells come last
-    alignment[object_index, cell] = scores[image, cell, class_index] * overlap[object_index, cell] ** _BETA
+    alignment[object_index, cell] = (
+        scores[image, cell, class_index] * overlap[object_index, cell] ** _BETA
+    )
 
     best, best_cell = alignment.topk(min(_N_POSITIVES, len(centre_px)), dim=1)  # (T, 10)
     best_overlap = overlap.gather(1, best_cell)
@@ -85,7 +99,9 @@ def assign_aligned(
 
 
 def _is_largest(value: Tensor, key: Tensor) -> Tensor:
-    """(P,) whether a value (P,) is the largest one with the same key (P,); among equal values, only the last one is."""
+    """(P,) whether a value (P,) is the largest one with the same key (P,); among equal values, only
+    the last one is.
+    """
     place = torch.argsort(torch.argsort(value, stable=True))  # of each value in the sorted order
     largest = torch.full((int(key.max()) + 1 if len(key) else 0,), -1, device=key.device)
     return place == largest.scatter_reduce(0, key, place, "amax")[key]
@@ -105,7 +121,9 @@ class AlignedLoss:
     def __call__(self, raw: list[Tensor], batch: Batch) -> Losses:
         """The losses of the network's outputs `raw` for a batch."""
         outputs = torch.cat([output.flatten(1, 2) for output in raw], 1).float()
-        centre_px, stride_px = self._network.cells_px([(o.shape[1], o.shape[2]) for o in raw], device=outputs.device)
+        centre_px, stride_px = self._network.cells_px(
+            [(o.shape[1], o.shape[2]) for o in raw], device=outputs.device
+        )
         labels = batch.objects.select(~batch.objects.is_ignored)
         with torch.no_grad():
             logits, distances = split_outputs(outputs)
@@ -116,18 +134,28 @@ class AlignedLoss:
 
         target = torch.zeros_like(logits)
         n_cells, n_classes = logits.shape[1:]
-        column = labels.class_index[cells.object_index] + n_classes * (cells.cell + n_cells * cells.image)
+        column = labels.class_index[cells.object_index] + n_classes * (
+            cells.cell + n_cells * cells.image
+        )
         target.view(-1).scatter_reduce_(0, column, weight, "amax")
         entropy = cross_entropy(outputs[..., : logits.shape[-1]], target, reduction="none")
         class_score = (entropy * _class_weight(batch, centre_px, target)).sum()
 
         cells, weight = cells.select(cells.has_box), weight[cells.has_box]
-        truth, centre_px, stride_px = labels.cxcywh[cells.object_index], centre_px[cells.cell], stride_px[cells.cell]
+        truth, centre_px, stride_px = (
+            labels.cxcywh[cells.object_index],
+            centre_px[cells.cell],
+            stride_px[cells.cell],
+        )
         predicted = outputs[cells.image, cells.cell]
         overlap = self._overlap(boxes_of(split_outputs(predicted)[1], centre_px, stride_px), truth)
         box = ((1 - overlap) * weight).sum()
         bins = (_bins_loss(predicted[:, -4 * N_BINS :], truth, centre_px, stride_px) * weight).sum()
-        return {"box": _BOX * box / total, "bins": _BINS * bins / total, "class": _CLASS * class_score / total}
+        return {
+            "box": _BOX * box / total,
+            "bins": _BINS * bins / total,
+            "class": _CLASS * class_score / total,
+        }
 
 
 def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
@@ -138,7 +166,9 @@ def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
     weight = torch.where(complete | (target > 0), 1.0, _INCOMPLETE)
     ignored = batch.objects.select(batch.objects.is_ignored)
     if len(ignored.image):
-        is_inside = ((centre_px - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2).all(-1)
+        is_inside = (
+            (centre_px - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2
+        ).all(-1)
         n_inside = torch.zeros(target.shape[:2], device=target.device)
         n_inside.index_add_(0, ignored.image, is_inside.float())
         weight = torch.where((n_inside > 0)[..., None] & (target == 0), 0.0, weight)
@@ -146,7 +176,9 @@ def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
 
 
 def _bins_loss(bins: Tensor, truth_cxcywh: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
-    """(P,) distribution focal loss, mean over the sides, of P cells with the logits `bins` (P, 4 * bins)."""
+    """(P,) distribution focal loss, mean over the sides, of P cells with the logits `bins` (P, 4 *
+    bins).
+    """
     half = truth_cxcywh[:, 2:] / 2
     from_centre_px = truth_cxcywh[:, :2] - centre_px
     distance = torch.cat([half - from_centre_px, half + from_centre_px], 1) / stride_px[:, None]

@@ -1,11 +1,12 @@
-"""IoU, and similarities of boxes for box losses 1 - CIoU and 1 - EIoU: IoU with penalties for distance and shape.
+"""IoU, and similarities of boxes for box losses 1 - CIoU and 1 - EIoU: IoU with penalties for
+distance and shape.
 
     CIoU = IoU - d^2 / c^2 - alpha v    v = 4 / pi^2 (atan(w'/h') - atan(w/h))^2    alpha = v / (1 - IoU + v)
     EIoU = IoU - d^2 / c^2 - (w - w')^2 / C_w^2 - (h - h')^2 / C_h^2
 
-d is the distance between the centres, C_w and C_h are the sides of the smallest enclosing box, c is its diagonal. alpha
-is constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for CIoU; Zhang et al., "Focal and Efficient
-IOU Loss", Neurocomputing 2022, for EIoU.)
+d is the distance between the centres, C_w and C_h are the sides of the smallest enclosing box, c is
+its diagonal. alpha is constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for
+CIoU; Zhang et al., "Focal and Efficient IOU Loss", Neurocomputing 2022, for EIoU.)
 """
 
 import math

@@ -1,21 +1,24 @@
-"""DetectionLoss: the loss of a network's raw heads from labels and, optionally, the outputs of a teacher.
+"""DetectionLoss: the loss of a network's raw heads from labels and, optionally, the outputs of a
+teacher.
 
-    loss = batch * (3 / heads) * sum over heads of (0.05 box + g_h (size / 640)^2 objectness + 0.5 (C / 80) class)
+    loss = batch * (3 / heads) * sum over heads of (0.05 box + g_h (size / 640)^2 objectness + 0.5
+    (C / 80) class)
 
     box         mean over the positive cells of 1 - CIoU or 1 - EIoU
-    objectness  mean over all cells of the binary cross-entropy; the target is the box's CIoU or EIoU, 0 for background
+    objectness  mean over all cells of the binary cross-entropy; the target is the box's CIoU or
+    EIoU, 0 for background
     class       mean over the positive cells and classes of the binary cross-entropy
     g_h         4, 1, 0.4 for strides 8, 16, 32 (YOLOv5 v6, hyp.scratch-low.yaml and its balance)
 
-Cells inside an ignored box do not contribute to the objectness. With a teacher, the teacher's objectness is the target
-of every cell that is not assigned to a label, and its confident cells are additional positives, weighted by that
-objectness. Their targets are the teacher's box and class scores, or the box and class of a label that overlaps the
-teacher's box. If the labels of the class are complete and no label overlaps, the teacher's detection is a false
-positive and is not used.
+Cells inside an ignored box do not contribute to the objectness. With a teacher, the teacher's
+objectness is the target of every cell that is not assigned to a label, and its confident cells are
+additional positives, weighted by that objectness. Their targets are the teacher's box and class
+scores, or the box and class of a label that overlaps the teacher's box. If the labels of the class
+are complete and no label overlaps, the teacher's detection is a false positive and is not used.
 
-Objects that have neither a label nor a pseudo-label nor a detection of the teacher are background for the objectness,
-which all classes share. A class that is not labelled in an image is therefore learnt only as well as the pseudo-labels
-or the teacher detect it.
+Objects that have neither a label nor a pseudo-label nor a detection of the teacher are background
+for the objectness, which all classes share. A class that is not labelled in an image is therefore
+learnt only as well as the pseudo-labels or the teacher detect it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +34,8 @@ from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import TeacherOutputs
 
 _BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5  # as in YOLOv5
-_BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}  # g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5
+# g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5
+_BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}
 _SAME_OBJECT_IOU = 0.5  # smallest IoU of a teacher's box and a label of the same object
 
 
@@ -55,15 +59,19 @@ class Batch:
     images: Tensor  # (B, 3, H, W) uint8 RGB
     objects: LabelledObjects
     complete: Completeness
-    teacher: list[TeacherOutputs] | None = None  # outputs of the teacher for each head; None = no teacher
+    # outputs of the teacher for each head; None = no teacher
+    teacher: list[TeacherOutputs] | None = None
 
 
-Losses = Mapping[str, Tensor]  # weighted parts per image by name; their sum times the batch size is minimised
+# weighted parts per image by name; their sum times the batch size is minimised
+Losses = Mapping[str, Tensor]
 
 
 @dataclass(frozen=True, slots=True)
 class _Positives(Rows):
-    """P positive cells of one head, from labels and teacher, by their (P,) int64 indices, and their targets."""
+    """P positive cells of one head, from labels and teacher, by their (P,) int64 indices, and their
+    targets.
+    """
 
     image: Tensor
     anchor: Tensor
@@ -72,7 +80,8 @@ class _Positives(Rows):
     cxcywh: Tensor  # (P, 4) target boxes
     class_score: Tensor  # (P, C) target class scores
     weight: Tensor  # (P,) weight in the loss
-    is_label: Tensor  # (P,) the target is a label, so that the target of the objectness is the overlap of the boxes
+    # (P,) the target is a label, so that the target of the objectness is the overlap of the boxes
+    is_label: Tensor
 
 
 class DetectionLoss:
@@ -90,7 +99,9 @@ class DetectionLoss:
             self._of_head(head, predictions.float(), labels, batch, outputs)
             for head, (predictions, outputs) in enumerate(zip(raw, teacher, strict=True))
         ]
-        box, objectness, class_score = (torch.stack(column).sum() for column in zip(*parts, strict=True))
+        box, objectness, class_score = (
+            torch.stack(column).sum() for column in zip(*parts, strict=True)
+        )
         height, width = batch.images.shape[2:]
         fraction = 3 / len(raw)
         return {
@@ -100,14 +111,21 @@ class DetectionLoss:
         }
 
     def _of_head(
-        self, head: int, raw: Tensor, labels: LabelledObjects, batch: Batch, teacher: TeacherOutputs | None
+        self,
+        head: int,
+        raw: Tensor,
+        labels: LabelledObjects,
+        batch: Batch,
+        teacher: TeacherOutputs | None,
     ) -> tuple[Tensor, Tensor, Tensor]:
         network = self._network
         stride_px = network.strides_px[head]
         cells = assign(labels, network, head, (raw.shape[2], raw.shape[3]))
         scores = one_hot(labels.class_index[cells.object_index], network.n_classes).float()
         ones = torch.ones(len(cells.object_index), device=raw.device)
-        positives = _Positives(*cells.where, labels.cxcywh[cells.object_index], scores, ones, ones.bool())
+        positives = _Positives(
+            *cells.where, labels.cxcywh[cells.object_index], scores, ones, ones.bool()
+        )
         target = torch.zeros(raw.shape[:4], device=raw.device)
         if teacher is not None:
             teacher = _corrected(teacher, batch.objects, batch.complete)
@@ -120,11 +138,15 @@ class DetectionLoss:
         where = (positives.image, positives.anchor, positives.row, positives.column)
         predictions = raw[where]
         cells_xy = torch.stack([positives.column, positives.row], 1).float()
-        boxes = network.boxes(predictions[:, :4], cells_xy, network.anchors_px[head][positives.anchor], stride_px)
+        boxes = network.boxes(
+            predictions[:, :4], cells_xy, network.anchors_px[head][positives.anchor], stride_px
+        )
         overlap = self._overlap(boxes, positives.cxcywh)
         total = positives.weight.sum().clamp(min=1e-6)
         box = ((1 - overlap) * positives.weight).sum() / total
-        by_class = cross_entropy(predictions[:, 5:], positives.class_score, reduction="none").mean(1)
+        by_class = cross_entropy(predictions[:, 5:], positives.class_score, reduction="none").mean(
+            1
+        )
         class_score = (by_class * positives.weight).sum() / total
 
         of_labels = tuple(index[positives.is_label] for index in where)
@@ -136,8 +158,12 @@ class DetectionLoss:
         return box, _BALANCE[stride_px] * objectness, class_score
 
 
-def _objectness_mask(raw: Tensor, stride_px: int, objects: LabelledObjects, positive: tuple[Tensor, ...]) -> Tensor:
-    """(B, A, rows, columns) weight of the objectness loss: 0 inside ignored boxes except for positive cells, else 1."""
+def _objectness_mask(
+    raw: Tensor, stride_px: int, objects: LabelledObjects, positive: tuple[Tensor, ...]
+) -> Tensor:
+    """(B, A, rows, columns) weight of the objectness loss: 0 inside ignored boxes except for
+    positive cells, else 1.
+    """
     mask = torch.ones(raw.shape[:4], device=raw.device)
     ignored = objects.select(objects.is_ignored)
     half = ignored.cxcywh[:, 2:] / 2
@@ -149,14 +175,24 @@ def _objectness_mask(raw: Tensor, stride_px: int, objects: LabelledObjects, posi
     return mask
 
 
-def _corrected(teacher: TeacherOutputs, objects: LabelledObjects, complete: Completeness) -> TeacherOutputs:
-    """The teacher's outputs with box and class of overlapping labels, and without its false positives."""
+def _corrected(
+    teacher: TeacherOutputs, objects: LabelledObjects, complete: Completeness
+) -> TeacherOutputs:
+    """The teacher's outputs with box and class of overlapping labels, and without its false
+    positives.
+    """
     cells, n_classes = teacher.cells, teacher.class_score.shape[1]
     label, is_labelled = _best_overlap(teacher, objects, ~objects.is_ignored)
     _, is_ignored = _best_overlap(teacher, objects, objects.is_ignored)
     class_index = teacher.class_score.argmax(1)
-    is_false = ~is_labelled & ~is_ignored & complete.at(cells.image, teacher.cxcywh[:, :2], class_index)
-    objectness, boxes, scores = teacher.objectness.clone(), teacher.cxcywh.clone(), teacher.class_score.clone()
+    is_false = (
+        ~is_labelled & ~is_ignored & complete.at(cells.image, teacher.cxcywh[:, :2], class_index)
+    )
+    objectness, boxes, scores = (
+        teacher.objectness.clone(),
+        teacher.cxcywh.clone(),
+        teacher.class_score.clone(),
+    )
     objectness[cells.select(is_false).where] = 0.0
     label = label[is_labelled]
     boxes[is_labelled] = objects.cxcywh[label]
@@ -164,14 +200,21 @@ def _corrected(teacher: TeacherOutputs, objects: LabelledObjects, complete: Comp
     return TeacherOutputs(objectness, cells.select(~is_false), boxes[~is_false], scores[~is_false])
 
 
-def _best_overlap(teacher: TeacherOutputs, objects: LabelledObjects, is_candidate: Tensor) -> tuple[Tensor, Tensor]:
-    """(P,) index of the candidate object that each teacher's box overlaps most, and whether it is the same object."""
+def _best_overlap(
+    teacher: TeacherOutputs, objects: LabelledObjects, is_candidate: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(P,) index of the candidate object that each teacher's box overlaps most, and whether it is
+    the same object.
+    """
     index = torch.zeros_like(teacher.cells.image)
     overlap = torch.zeros(len(index), device=index.device)
-    for image in torch.unique(teacher.cells.image).tolist():  # image by image, to limit the number of pairs
+    # image by image, to limit the number of pairs
+    for image in torch.unique(teacher.cells.image).tolist():
         boxes = (teacher.cells.image == image).nonzero()[:, 0]
         candidates = ((objects.image == image) & is_candidate).nonzero()[:, 0]
         if len(candidates):
-            overlap[boxes], best = pair_iou(teacher.cxcywh[boxes, None], objects.cxcywh[None, candidates]).max(1)
+            overlap[boxes], best = pair_iou(
+                teacher.cxcywh[boxes, None], objects.cxcywh[None, candidates]
+            ).max(1)
             index[boxes] = candidates[best]
     return index, overlap >= _SAME_OBJECT_IOU

@@ -1,4 +1,6 @@
-"""The networks that can be trained, by name, with their default anchors, and anchors for the boxes of a data set."""
+"""The networks that can be trained, by name, with their default anchors, and anchors for the boxes
+of a data set.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,7 +10,10 @@ import numpy as np
 from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.network import DetectionNetwork
 from track_range.detection.training.networks.road_net import RoadNet
-from track_range.detection.training.networks.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX, YoloV4Tiny
+from track_range.detection.training.networks.yolov4_tiny import (
+    DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX,
+    YoloV4Tiny,
+)
 from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, YoloV5
 from track_range.foundation.arrays import FloatArray
 
@@ -19,7 +24,8 @@ class NetworkKind:
 
     family: str  # name for display
     make: Callable[..., DetectionNetwork]  # function that creates the network
-    anchors_px: Anchors = ()  # default anchors of each head in input pixels; empty for a network without anchors
+    # default anchors of each head in input pixels; empty for a network without anchors
+    anchors_px: Anchors = ()
 
     @property
     def n_heads(self) -> int:
@@ -43,7 +49,9 @@ NETWORKS: Mapping[str, NetworkKind] = {
 def make_network(
     name: str, n_classes: int, *, anchors_px: Anchors | None = None, has_cbam: bool = False
 ) -> DetectionNetwork:
-    """A network with random weights; if it has anchors, these are `anchors_px` or its default anchors."""
+    """A network with random weights; if it has anchors, these are `anchors_px` or its default
+    anchors.
+    """
     kind = NETWORKS[name]
     if not kind.anchors_px:
         return kind.make(name, n_classes, has_cbam=has_cbam)
@@ -57,7 +65,9 @@ _N_STARTS = 5  # k-means runs, of which the best is used
 def shape_iou(a_wh: FloatArray, b_wh: FloatArray) -> FloatArray:
     """(N, M) IoU of boxes of sizes (N, 2) and (M, 2) with the same centre."""
     intersection = np.minimum(a_wh[:, None], b_wh[None]).prod(axis=2)
-    return np.asarray(intersection / (a_wh.prod(axis=1)[:, None] + b_wh.prod(axis=1)[None] - intersection))
+    return np.asarray(
+        intersection / (a_wh.prod(axis=1)[:, None] + b_wh.prod(axis=1)[None] - intersection)
+    )
 
 
 def mean_best_iou(sizes_px: FloatArray, anchors_px: FloatArray) -> float:
@@ -66,14 +76,18 @@ def mean_best_iou(sizes_px: FloatArray, anchors_px: FloatArray) -> float:
 
 
 def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generator) -> FloatArray:
-    """(K, 2) anchors sorted by area, for box sizes (N, 2): the best of five runs. ValueError for fewer sizes than K.
+    """(K, 2) anchors sorted by area, for box sizes (N, 2): the best of five runs. ValueError for
+    fewer sizes than K.
 
-    k-means with the distance 1 - IoU (Redmon & Farhadi, "YOLO9000", CVPR 2017); the start is chosen as in k-means++
-    (Arthur & Vassilvitskii, SODA 2007).
+    k-means with the distance 1 - IoU (Redmon & Farhadi, "YOLO9000", CVPR 2017); the start is chosen
+    as in k-means++ (Arthur & Vassilvitskii, SODA 2007).
     """
     n_sizes = len(np.unique(sizes_px, axis=0))
     if n_sizes < n_anchors:
-        raise ValueError(f"expected at least {n_anchors} different box sizes for {n_anchors} anchors, got {n_sizes}.")
+        raise ValueError(
+            f"expected at least {n_anchors} different box sizes for {n_anchors} "
+            f"anchors, got {n_sizes}."
+        )
     results = [_kmeans(sizes_px, n_anchors, rng) for _ in range(_N_STARTS)]
     best = max(results, key=lambda anchors: mean_best_iou(sizes_px, anchors))
     return best[np.argsort(best.prod(axis=1))]
@@ -81,7 +95,9 @@ def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generato
 
 def by_head(anchors_px: FloatArray, n_heads: int) -> Anchors:
     """Anchors (K, 2), sorted by area, divided equally among the heads, finest grid first."""
-    return tuple(tuple((float(w), float(h)) for w, h in head) for head in np.split(anchors_px, n_heads))
+    return tuple(
+        tuple((float(w), float(h)) for w, h in head) for head in np.split(anchors_px, n_heads)
+    )
 
 
 def as_text(anchors: Anchors) -> str:

@@ -3,8 +3,9 @@
     image -> three CSP blocks -> P4 (stride 16), P5 (stride 32) -> heads of stride 16 and 32
     centre = (1.05 sigmoid(xy) - 0.025 + cell) stride      size = exp(wh) anchor
 
-(Bochkovskiy et al., "YOLOv4", 2020; Jiang et al., "Real-time object detection method based on improved YOLOv4-tiny",
-2020, for a description of the network and its CSP blocks; scale_x_y = 1.05 as in AlexeyAB's yolov4-tiny.cfg.)
+(Bochkovskiy et al., "YOLOv4", 2020; Jiang et al., "Real-time object detection method based on
+improved YOLOv4-tiny", 2020, for a description of the network and its CSP blocks; scale_x_y = 1.05
+as in AlexeyAB's yolov4-tiny.cfg.)
 """
 
 import torch
@@ -18,11 +19,14 @@ from track_range.detection.yolo.dense_layouts import YOLOV4_TINY_ANCHORS
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]  # anchors in input pixels, stride 16 first
 _SCALE_X_Y = 1.05  # Darknet's factor on the range of the centre offsets
-_MAX_LOG_SIZE = 6.0  # of a box relative to its anchor (a ratio of 400), to avoid overflow early in training
+# of a box relative to its anchor (a ratio of 400), to avoid overflow early in training
+_MAX_LOG_SIZE = 6.0
 
 
 class CspBlock(nn.Module):
-    """Cross-stage block: two convolutions on half of the channels, concatenation with all channels, 2x2 max pooling."""
+    """Cross-stage block: two convolutions on half of the channels, concatenation with all channels,
+    2x2 max pooling.
+    """
 
     def __init__(self, n_channels: int, *, has_attention: bool) -> None:
         super().__init__()
@@ -35,7 +39,9 @@ class CspBlock(nn.Module):
         self.pool = nn.MaxPool2d(2, 2)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Output (B, 2 * n, H / 2, W / 2) for `x` (B, n, H, W), and features (B, n, H, W) for the neck."""
+        """Output (B, 2 * n, H / 2, W / 2) for `x` (B, n, H, W), and features (B, n, H, W) for the
+        neck.
+        """
         start = self.start(x)
         first = self.first(start[:, start.shape[1] // 2 :])
         joined = self.join(torch.cat([self.second(first), first], 1))
@@ -48,7 +54,9 @@ class YoloV4Tiny(AnchorNetwork):
     strides_px = (16, 32)
     reach_cells = 0.0
 
-    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False) -> None:
+    def __init__(
+        self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False
+    ) -> None:
         super().__init__(name, n_classes, anchors_px=anchors_px, has_cbam=has_cbam)
         self.stem = nn.Sequential(_block(3, 32, size=3, stride=2), _block(32, 64, size=3, stride=2))
         self.stages = nn.ModuleList(CspBlock(n, has_attention=has_cbam) for n in (64, 128, 256))
@@ -78,4 +86,6 @@ class YoloV4Tiny(AnchorNetwork):
 
 
 def _block(n_in: int, n_out: int, *, size: int = 1, stride: int = 1) -> ConvolutionBlock:
-    return ConvolutionBlock(n_in, n_out, size=size, stride=stride, activation=nn.LeakyReLU(0.1, inplace=True))
+    return ConvolutionBlock(
+        n_in, n_out, size=size, stride=stride, activation=nn.LeakyReLU(0.1, inplace=True)
+    )

@@ -3,7 +3,8 @@
     image -> P3 (stride 8), P4 (16), P5 (32) -> neck -> three heads
     centre = (2 sigmoid(xy) - 0.5 + cell) stride      size = (2 sigmoid(wh))^2 anchor
 
-(Jocher et al., "YOLOv5", v6.0, its yolov5n.yaml and yolov5s.yaml for depth and width; CBAM behind the backbone's C3.)
+(Jocher et al., "YOLOv5", v6.0, its yolov5n.yaml and yolov5s.yaml for depth and width; CBAM behind
+the backbone's C3.)
 """
 
 import math
@@ -22,17 +23,22 @@ COCO_ANCHORS_PX: Anchors = (  # YOLOv5's default anchors in input pixels, for CO
 )
 
 
-SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}  # depth and width as multiples of YOLOv5l's
-BODY_PREFIX = "body."  # prefix of the names of the weights of `YoloV5Body` in networks that have one
+# depth and width as multiples of YOLOv5l's
+SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}
+# prefix of the names of the weights of `YoloV5Body` in networks that have one
+BODY_PREFIX = "body."
 
 
 class YoloV5Body(nn.Module):
-    """Backbone and path-aggregation neck; `n_channels` are the channels of the three levels of features."""
+    """Backbone and path-aggregation neck; `n_channels` are the channels of the three levels of
+    features.
+    """
 
     def __init__(self, scale: tuple[float, float], *, has_cbam: bool = False) -> None:
         super().__init__()
         depth, width = scale
-        c1, c2, c3, c4, c5 = (math.ceil(n * width / 8) * 8 for n in (64, 128, 256, 512, 1024))  # multiples of 8
+        # multiples of 8
+        c1, c2, c3, c4, c5 = (math.ceil(n * width / 8) * 8 for n in (64, 128, 256, 512, 1024))
         d1, d2, d3 = (max(round(n * depth), 1) for n in (3, 6, 9))
         self.n_channels = (c3, c4, c5)
         self.to_p3 = nn.Sequential(
@@ -42,9 +48,13 @@ class YoloV5Body(nn.Module):
             ConvolutionBlock(c2, c3, size=3, stride=2),
             C3(c3, c3, d2, has_attention=has_cbam),
         )
-        self.to_p4 = nn.Sequential(ConvolutionBlock(c3, c4, size=3, stride=2), C3(c4, c4, d3, has_attention=has_cbam))
+        self.to_p4 = nn.Sequential(
+            ConvolutionBlock(c3, c4, size=3, stride=2), C3(c4, c4, d3, has_attention=has_cbam)
+        )
         self.to_p5 = nn.Sequential(
-            ConvolutionBlock(c4, c5, size=3, stride=2), C3(c5, c5, d1, has_attention=has_cbam), Sppf(c5, c5)
+            ConvolutionBlock(c4, c5, size=3, stride=2),
+            C3(c5, c5, d1, has_attention=has_cbam),
+            Sppf(c5, c5),
         )
         self.reduce_p5 = ConvolutionBlock(c5, c4)
         self.join_p4 = C3(2 * c4, c4, d1, is_residual=False)
@@ -57,7 +67,9 @@ class YoloV5Body(nn.Module):
         self.up = nn.Upsample(scale_factor=2, mode="nearest")
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Features (B, n, rows, columns) at strides 8, 16 and 32 for images (B, 3, H, W), RGB in 0..1."""
+        """Features (B, n, rows, columns) at strides 8, 16 and 32 for images (B, 3, H, W), RGB in
+        0..1.
+        """
         p3 = self.to_p3(images)
         p4 = self.to_p4(p3)
         top = self.reduce_p5(self.to_p5(p4))
@@ -73,7 +85,9 @@ class YoloV5(AnchorNetwork):
     strides_px = (8, 16, 32)
     reach_cells = 0.5
 
-    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False) -> None:
+    def __init__(
+        self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False
+    ) -> None:
         super().__init__(name, n_classes, anchors_px=anchors_px, has_cbam=has_cbam)
         self.body = YoloV5Body(SCALES[name], has_cbam=has_cbam)
         self.heads = nn.ModuleList(
@@ -83,7 +97,9 @@ class YoloV5(AnchorNetwork):
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """See `AnchorNetwork`."""
-        return self.as_heads([head(features) for head, features in zip(self.heads, self.body(images), strict=True)])
+        return self.as_heads(
+            [head(features) for head, features in zip(self.heads, self.body(images), strict=True)]
+        )
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
         """See `AnchorNetwork`."""
@@ -93,7 +109,9 @@ class YoloV5(AnchorNetwork):
 
 
 def background_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> nn.Conv2d:
-    """A head with the initial biases of YOLOv5: about 8 objects per image of 640 pixels, equal class probabilities."""
+    """A head with the initial biases of YOLOv5: about 8 objects per image of 640 pixels, equal
+    class probabilities.
+    """
     head = nn.Conv2d(n_in, n_anchors * (5 + n_classes), 1)
     with torch.no_grad():
         if head.bias is not None:

@@ -1,11 +1,14 @@
-r"""CameraFit: focal length, camera height, pitch and roll from known metres, by Bayesian non-linear least squares.
+r"""CameraFit: focal length, camera height, pitch and roll from known metres, by Bayesian non-linear
+least squares.
 
     theta = (log f, log H, y0, r, b)     f: focal length in px, H: height of the camera above the road in m,
-                                         y0: row of the horizon below the image centre in px, pitch = atan(y0 / f) down,
-                                         r: slope of the horizon (tangent of the roll), b: log ratio of the sizes of
-                                         this drive's road users to the size model
+                                         y0: row of the horizon below the image centre in px, pitch
+                                         = atan(y0 / f) down, r: slope of the horizon (tangent of
+                                         the roll), b: log ratio of the sizes of this drive's road
+                                         users to the size model
 
-Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w x h px):
+Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w
+x h px):
 
     known distance Z, by size         log D(f) - log Z + b             D(f): distance by the size model, ~ f S / h
     known distance Z, on the road     v - y0 - r u - f H / Z'          Z' = Z - offset of the contact point
@@ -16,10 +19,10 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
     other road users                  v - y0 - r u - H e^-b f / D'     Cauchy loss; D' = D(f) - offset with the last f
     priors                            f (focal_evidence), H, y0, r, b
 
-Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
-unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
-approximation). Standard deviations are computed at the parameters of the previous fit, so that they do not attract the
-fit.
+Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all
+images of flat objects unchanged. Known distances and the prior of f separate the two. The
+covariance is (J'J)^-1 at the solution (Laplace's approximation). Standard deviations are computed
+at the parameters of the previous fit, so that they do not attract the fit.
 """
 
 import math
@@ -31,7 +34,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.fitting.camera.measurements import FocalGuess, HorizonRow, KnownLane, KnownObject, SceneBoxes
+from track_range.ranging.fitting.camera.measurements import (
+    FocalGuess,
+    HorizonRow,
+    KnownLane,
+    KnownObject,
+    SceneBoxes,
+)
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     SIZE_CLASSES,
@@ -43,26 +52,35 @@ from track_range.ranging.size_models.size_model import (
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _Real = TypeVar("_Real", float, FloatArray)
-PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")  # theta, in this order
+# theta, in this order
+PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")
 _LOG_F, _LOG_H, _Y0, _ROLL, _SIZE = range(len(PARAMETERS))
-HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2  # prior of the camera height, and its relative sigma: 1.2 m (cars) to 1.9 m (vans)
+# prior of the camera height, and its relative sigma: 1.2 m (cars) to 1.9 m (vans)
+HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
 PITCH_SIGMA_RAD = 0.07  # prior standard deviation of the pitch of the camera, 4 degrees
 _ROLL_SIGMA = 0.02  # prior standard deviation of the tangent of the roll
-_SIZE_SIGMA = 0.04  # of the log ratio of one street's sizes to those of the size model, of KITTI's drives
+# of the log ratio of one street's sizes to those of the size model, of KITTI's drives
+_SIZE_SIGMA = 0.04
 _PICKED_EDGE_PX = 1.5  # standard deviation of an edge of a box drawn by hand
 _SHAPE_SIGMA = 0.015  # of the ratio of a box to a known height or width: objects are not flat
-_PITCHING_RAD = 0.004  # standard deviation of pitch and slope of the road at one time about those of the drive
+# standard deviation of pitch and slope of the road at one time about those of the drive
+_PITCHING_RAD = 0.004
 _KERB_M = 0.1  # standard deviation of the height of contact points above the road
 _VIEWS_PER_TRACK = 1.5  # number of independent views that the views of one object count as at most
-_CAUCHY = 2.0  # scale of the Cauchy loss of other road users and horizon rows (kerbs taken for lane lines), in sigmas
+# scale of the Cauchy loss of other road users and horizon rows (kerbs taken for lane lines), in
+# sigmas
+_CAUCHY = 2.0
 _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
 """(size classes,) whether objects of the class are on the road."""
 
 _MIN_HEIGHT_PX = 12.0  # height of a box of the scene below which it is not used
-_MAX_DEVIATION = 2.0  # rms of the deviations in sigmas, above which measurements and priors contradict each other
-_MAX_RESIDUAL = 3.5  # the same for one measurement: none of 120 fits to boxes with these errors reached 2.6
+# rms of the deviations in sigmas, above which measurements and priors contradict each other
+_MAX_DEVIATION = 2.0
+# the same for one measurement: none of 120 fits to boxes with these errors reached 2.6
+_MAX_RESIDUAL = 3.5
 _N_REWEIGHTS = 2  # number of fits with updated standard deviations of the scene
-_MAX_SLOPE_RATIO = 2.0  # largest factor between the inverse depth by size and by the fitted road in these sigmas
+# largest factor between the inverse depth by size and by the fitted road in these sigmas
+_MAX_SLOPE_RATIO = 2.0
 _N_GRID = 13  # number of focal lengths at which distances by size are computed, for interpolation
 _GRID_LOG_SPAN = 0.7  # half width of the grid of log f
 
@@ -84,9 +102,11 @@ class CameraFit:
 
     camera: PinholeCamera  # its model, without distortion
     theta: FloatArray  # (5,) parameters
-    covariance: FloatArray  # (5, 5) their covariance; larger if measurements and priors contradict each other
+    # (5, 5) their covariance; larger if measurements and priors contradict each other
+    covariance: FloatArray
     prior_sigma: FloatArray  # (5,) standard deviations of the priors
-    residuals: tuple[Residual, ...] = field(default=())  # residuals of the user's measurements and the horizon rows
+    # residuals of the user's measurements and the horizon rows
+    residuals: tuple[Residual, ...] = field(default=())
     # factor of all sigmas by contradictions (Birge's ratio, or larger by one residual); 1 = none
     contradiction: float = 1.0
     largest_deviation: tuple[str, float] = ("", 0.0)  # measurement or prior, and its sigmas
@@ -108,7 +128,9 @@ class CameraFit:
 
     @property
     def pitch_rad(self) -> float:
-        """Angle of the camera's axis below the horizon: positive = the horizon is above the image centre."""
+        """Angle of the camera's axis below the horizon: positive = the horizon is above the image
+        centre.
+        """
         return -math.atan(self.theta[_Y0] / self.camera.fy_px)
 
     @property
@@ -124,10 +146,14 @@ class CameraFit:
     def correlation(self, one: str, other: str) -> float:
         """Correlation of two parameters by their names in `PARAMETERS`."""
         i, j = PARAMETERS.index(one), PARAMETERS.index(other)
-        return float(self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j]))
+        return float(
+            self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j])
+        )
 
     def gain(self, name: str) -> float:
-        """Ratio of a parameter's standard deviation to its prior's: 1 = the measurements do not determine it."""
+        """Ratio of a parameter's standard deviation to its prior's: 1 = the measurements do not
+        determine it.
+        """
         i = PARAMETERS.index(name)
         return self._sigma(i) / float(self.prior_sigma[i])
 
@@ -154,7 +180,9 @@ class _BySize:
         position = (inside - self.log_f[0]) / (self.log_f[1] - self.log_f[0])
         k = min(int(position), len(self.log_f) - 2)
         fraction = position - k
-        return np.asarray((1 - fraction) * self.log_m[k] + fraction * self.log_m[k + 1] + (log_f - inside))
+        return np.asarray(
+            (1 - fraction) * self.log_m[k] + fraction * self.log_m[k + 1] + (log_f - inside)
+        )
 
 
 def fit_camera(
@@ -171,10 +199,12 @@ def fit_camera(
 ) -> CameraFit:
     """The camera that agrees best with all measurements, for images of `size_px` (width, height).
 
-    `scene` are boxes of other road users, `scene_noise` is the standard deviation of their edges as a fraction of their
-    size, `height` the camera height in m and its standard deviation.
+    `scene` are boxes of other road users, `scene_noise` is the standard deviation of their edges as
+    a fraction of their size, `height` the camera height in m and its standard deviation.
     """
-    terms = _Terms(size_px, focal, sizes, objects, lanes, horizon, scene or SceneBoxes(), scene_noise, height)
+    terms = _Terms(
+        size_px, focal, sizes, objects, lanes, horizon, scene or SceneBoxes(), scene_noise, height
+    )
     fit = least_squares(terms.residuals, terms.prior_mean, x_scale=terms.prior_sigma)
     for _ in range(_N_REWEIGHTS):
         terms.reweight(fit.x)
@@ -186,7 +216,9 @@ def fit_camera(
     largest = max((abs(value) for _, value in deviations[len(PARAMETERS) :]), default=0.0)
     contradiction = max(contradiction, largest * _MAX_DEVIATION / _MAX_RESIDUAL)
     contradiction = contradiction if contradiction > _MAX_DEVIATION else 1.0
-    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
+    covariance: FloatArray = (
+        np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
+    )
     return CameraFit(
         camera=PinholeCamera.of_focal_length(math.exp(fit.x[_LOG_F]), size_px),
         theta=fit.x,
@@ -218,7 +250,13 @@ class _Terms:
         height_m, height_sigma_m = height
         self.prior_mean = np.array([math.log(focal.focal_px), math.log(height_m), 0.0, 0.0, 0.0])
         self.prior_sigma = np.array(
-            [focal.sigma, height_sigma_m / height_m, PITCH_SIGMA_RAD * focal.focal_px, _ROLL_SIGMA, _SIZE_SIGMA]
+            [
+                focal.sigma,
+                height_sigma_m / height_m,
+                PITCH_SIGMA_RAD * focal.focal_px,
+                _ROLL_SIGMA,
+                _SIZE_SIGMA,
+            ]
         )
         grid = math.log(focal.focal_px) + np.linspace(-_GRID_LOG_SPAN, _GRID_LOG_SPAN, _N_GRID)
         boxes = np.array([known.xyxy_px for known in objects]).reshape(-1, 4)
@@ -226,14 +264,20 @@ class _Terms:
         noise = BoxNoise(_PICKED_EDGE_PX, 0.0, 0.0)
         self._known_by_size = _by_size(boxes, classes, grid, size_px, sizes, noise)
         self._offset_m = surface_offset_m(boxes, classes)
-        scene = scene.select(scene.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _STANDS[scene.size_class])
-        by_size = _by_size(scene.xyxy_px, scene.size_class, grid, size_px, sizes, BoxNoise(relative=scene_noise))
+        scene = scene.select(
+            scene.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _STANDS[scene.size_class]
+        )
+        by_size = _by_size(
+            scene.xyxy_px, scene.size_class, grid, size_px, sizes, BoxNoise(relative=scene_noise)
+        )
         rows = np.flatnonzero(np.isfinite(by_size.log_m).all(axis=0))
         self._scene = scene.select(rows)
         self._scene_by_size = _BySize(by_size.log_f, by_size.log_m[:, rows], by_size.sigma[rows])
         self._scene_offset_m = surface_offset_m(self._scene.xyxy_px, self._scene.size_class)
         size_of_boxes_px = self._scene.xyxy_px[:, 2:] - self._scene.xyxy_px[:, :2]
-        self._scene_edge_px = BoxNoise(relative=scene_noise).sigma_px(size_of_boxes_px, self._scene.size_class)[:, 1]
+        self._scene_edge_px = BoxNoise(relative=scene_noise).sigma_px(
+            size_of_boxes_px, self._scene.size_class
+        )[:, 1]
         self._scene_weight = np.sqrt(np.minimum(1.0, _VIEWS_PER_TRACK / self._scene.views))
         self._start_from(self.prior_mean)
         self._scene_sigma_px = self._sigma_of_scene(self._scene_slope)
@@ -247,22 +291,37 @@ class _Terms:
         x1, _, x2, y2 = self._scene.xyxy_px.T
         drop_px = math.exp(theta[_LOG_H] - theta[_SIZE]) * self._scene_slope
         scene = (self._below_horizon(theta, (x1 + x2) / 2, y2) - drop_px) / self._scene_sigma_px
-        return np.concatenate([priors, known[:n_known], _robust(known[n_known:]), self._scene_weight * _robust(scene)])
+        return np.concatenate(
+            [priors, known[:n_known], _robust(known[n_known:]), self._scene_weight * _robust(scene)]
+        )
 
     def deviations(self, theta: FloatArray) -> list[tuple[str, float]]:
         """The priors and the user's measurements with their residuals in standard deviations."""
         priors = (theta - self.prior_mean) / self.prior_sigma
         known = self.table(theta)[: -len(self._horizon) or None]
-        named = [(f"the {name} before the measurements", value) for name, value in zip(PARAMETERS, priors, strict=True)]
-        return [*named, *((f"{residual.name}, {residual.kind}", residual.value / residual.sigma) for residual in known)]
+        named = [
+            (f"the {name} before the measurements", value)
+            for name, value in zip(PARAMETERS, priors, strict=True)
+        ]
+        return [
+            *named,
+            *(
+                (f"{residual.name}, {residual.kind}", residual.value / residual.sigma)
+                for residual in known
+            ),
+        ]
 
     def table(self, theta: FloatArray) -> tuple[Residual, ...]:
         """Residuals of the user's measurements and the horizon rows."""
-        rows = [row for k, known in enumerate(self._objects) for row in self._of_object(theta, k, known)]
+        rows = [
+            row for k, known in enumerate(self._objects) for row in self._of_object(theta, k, known)
+        ]
         rows += [self._of_lane(theta, lane) for lane in self._lanes]
         for row in self._horizon:
             fitted_px = self._centre_px[1] + theta[_Y0]
-            rows.append(Residual(row.source, "row of the horizon", row.y_px - fitted_px, row.sigma_px, "px"))
+            rows.append(
+                Residual(row.source, "row of the horizon", row.y_px - fitted_px, row.sigma_px, "px")
+            )
         return tuple(rows)
 
     def _of_object(self, theta: FloatArray, k: int, known: KnownObject) -> list[Residual]:
@@ -273,29 +332,57 @@ class _Terms:
         is_standing = bool(_STANDS[known.size_class]) and y2 < self._size_px[1] - 1 - BORDER_PX
         rows = []
         if math.isfinite(known.distance_m):
-            log_m, sigma = float(self._known_by_size.at(log_f)[k]), float(self._known_by_size.sigma[k])
-            if math.isfinite(log_m) and not (math.isfinite(known.height_m) or math.isfinite(known.width_m)):
+            log_m, sigma = (
+                float(self._known_by_size.at(log_f)[k]),
+                float(self._known_by_size.sigma[k]),
+            )
+            if math.isfinite(log_m) and not (
+                math.isfinite(known.height_m) or math.isfinite(known.width_m)
+            ):
                 value = log_m - math.log(known.distance_m) + size_ratio
                 sigma = math.hypot(sigma, known.relative_sigma)
                 rows.append(
-                    Residual(known.name, f"size of a {SIZE_CLASSES[known.size_class]}", 100 * value, 100 * sigma, "%")
+                    Residual(
+                        known.name,
+                        f"size of a {SIZE_CLASSES[known.size_class]}",
+                        100 * value,
+                        100 * sigma,
+                        "%",
+                    )
                 )
             if is_standing and known.distance_m > 2 * self._offset_m[k]:
                 slope = math.exp(log_f) / (known.distance_m - float(self._offset_m[k]))
                 value = below_px - math.exp(log_h) * slope
-                rows.append(Residual(known.name, "bottom edge on the road", value, self._row_sigma(slope, known), "px"))
+                rows.append(
+                    Residual(
+                        known.name,
+                        "bottom edge on the road",
+                        value,
+                        self._row_sigma(slope, known),
+                        "px",
+                    )
+                )
         for side_px, side_m, name in ((h, known.height_m, "height"), (w, known.width_m, "width")):
             if not math.isfinite(side_m):
                 continue
-            side_sigma = math.hypot(_SHAPE_SIGMA, known.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / side_px)
+            side_sigma = math.hypot(
+                _SHAPE_SIGMA, known.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / side_px
+            )
             if math.isfinite(known.distance_m):
                 value = math.log(side_px * known.distance_m / (math.exp(log_f) * side_m))
-                rows.append(Residual(known.name, f"known {name}", 100 * value, 100 * side_sigma, "%"))
+                rows.append(
+                    Residual(known.name, f"known {name}", 100 * value, 100 * side_sigma, "%")
+                )
             if is_standing:
                 slope = side_px / side_m
                 value = below_px - math.exp(log_h) * slope
-                sigma = math.hypot(self._row_sigma(slope, known), math.exp(self._fixed[_LOG_H]) * slope * side_sigma)
-                rows.append(Residual(known.name, f"bottom edge, given the {name}", value, sigma, "px"))
+                sigma = math.hypot(
+                    self._row_sigma(slope, known),
+                    math.exp(self._fixed[_LOG_H]) * slope * side_sigma,
+                )
+                rows.append(
+                    Residual(known.name, f"bottom edge, given the {name}", value, sigma, "px")
+                )
         return rows
 
     def _of_lane(self, theta: FloatArray, lane: KnownLane) -> Residual:
@@ -305,14 +392,17 @@ class _Terms:
         value = self._below_horizon(theta, (lane.x1_px + lane.x2_px) / 2, lane.y_px) - drop_px
         fraction = math.hypot(lane.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / w)
         fixed_drop_px = math.exp(self._fixed[_LOG_H]) * slope
-        sigma = math.hypot(_PITCHING_RAD * math.exp(self._fixed[_LOG_F]), _PICKED_EDGE_PX, fixed_drop_px * fraction)
+        sigma = math.hypot(
+            _PITCHING_RAD * math.exp(self._fixed[_LOG_F]), _PICKED_EDGE_PX, fixed_drop_px * fraction
+        )
         return Residual(lane.name, "width of the lane", value, sigma, "px")
 
     def reweight(self, theta: FloatArray) -> None:
-        """Compute the standard deviations of the residuals, and the scene's distances by size, from a first fit.
+        """Compute the standard deviations of the residuals, and the scene's distances by size, from
+        a first fit.
 
-        The standard deviations of the scene follow from the fitted distances: distances by size are noisy, and weights
-        that depend on the noise would prefer boxes that are too small.
+        The standard deviations of the scene follow from the fitted distances: distances by size are
+        noisy, and weights that depend on the noise would prefer boxes that are too small.
         """
         self._start_from(theta)
         x1, _, x2, y2 = self._scene.xyxy_px.T
@@ -325,8 +415,8 @@ class _Terms:
     def _start_from(self, theta: FloatArray) -> None:
         """Fix the quantities that must not depend on the parameters during a fit.
 
-        These are the standard deviations, and f / Z' in px/m of other road users with Z' by size, which would repeat
-        what the shapes of their boxes contribute to the prior of f.
+        These are the standard deviations, and f / Z' in px/m of other road users with Z' by size,
+        which would repeat what the shapes of their boxes contribute to the prior of f.
         """
         self._fixed = theta
         distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F])) - self._scene_offset_m
@@ -336,7 +426,11 @@ class _Terms:
         """(N,) standard deviations in px of the bottom edges of other road users about the road."""
         by_size_px = math.exp(self._fixed[_LOG_H]) * slope * self._scene_by_size.sigma
         pitching_px = _PITCHING_RAD * math.exp(self._fixed[_LOG_F])
-        return np.asarray(np.sqrt(by_size_px**2 + pitching_px**2 + (_KERB_M * slope) ** 2 + self._scene_edge_px**2))
+        return np.asarray(
+            np.sqrt(
+                by_size_px**2 + pitching_px**2 + (_KERB_M * slope) ** 2 + self._scene_edge_px**2
+            )
+        )
 
     def _below_horizon(self, theta: FloatArray, x_px: _Real, y_px: _Real) -> _Real:
         """Rows below the horizon, of columns and rows of the image."""
@@ -351,7 +445,9 @@ class _Terms:
 
 
 def _robust(residual: FloatArray) -> FloatArray:
-    """(N,) values whose squares are the Cauchy loss of the residuals (N,), in standard deviations."""
+    """(N,) values whose squares are the Cauchy loss of the residuals (N,), in standard
+    deviations.
+    """
     return np.asarray(_CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual))
 
 
@@ -363,7 +459,9 @@ def _by_size(
     sizes: SizeModel,
     noise: BoxNoise,
 ) -> _BySize:
-    """Distances of N boxes by size alone, without the ground, at the focal lengths of a grid; NaN without a model."""
+    """Distances of N boxes by size alone, without the ground, at the focal lengths of a grid; NaN
+    without a model.
+    """
     n = len(xyxy_px)
     if not n:
         return _BySize(log_f, np.zeros((len(log_f), 0)), np.zeros(0))
@@ -372,7 +470,9 @@ def _by_size(
     log_m, sigma = np.full((len(log_f), n), np.nan), np.zeros(n)
     for k, value in enumerate(log_f):
         camera = PinholeCamera.of_focal_length(math.exp(value), size_px)
-        boxes = measured_boxes(xyxy_px, size_class, camera=camera, noise=noise, uses_width_bottom=uses)
+        boxes = measured_boxes(
+            xyxy_px, size_class, camera=camera, noise=noise, uses_width_bottom=uses
+        )
         measured = sizes.measure(boxes)
         log_m[k] = np.log(measured.distance_m)
         if k == len(log_f) // 2:

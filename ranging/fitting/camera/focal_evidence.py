@@ -1,21 +1,24 @@
-r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its logarithm.
+r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its
+logarithm.
 
-One image of objects of known size does not give the focal length f: with f and all distances twice as large, the image
-is the same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its
-box that is the side is as wide as the car is long in units of its distance:
+One image of objects of known size does not give the focal length f: with f and all distances twice
+as large, the image is the same, as long as the objects are flat. But a car beside the camera's path
+also shows its side. The part of its box that is the side is as wide as the car is long in units of
+its distance:
 
       |  far end           u (Z + L) = f X           u: column of the inner side at its far end, from the image centre
      /   u                 w / h = (W + |u| L / f) / S
     /____|  near end       W, S, L: width, height and length, w, h: box in px
 
-so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence` is the likelihood
-of a box over sizes, yaws and distances; the curve is
+so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence`
+is the likelihood of a box over sizes, yaws and distances; the curve is
 
-    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h | u / f)
+    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h |
+    u / f)
 
-with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most. Cars that are parked
-askew, and shapes that are not cuboids, affect all boxes of a drive alike: the likelihood is smoothed with
-`_SHAPE_SIGMA`.
+with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most.
+Cars that are parked askew, and shapes that are not cuboids, affect all boxes of a drive alike: the
+likelihood is smoothed with `_SHAPE_SIGMA`.
 """
 
 import math
@@ -31,28 +34,35 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 
-DEFAULT_FIELD_DEG = 75.0  # assumed; most road cameras have 50 (telephones, research vehicles) to 110 degrees
-DEFAULT_FIELD_SIGMA = 0.3  # relative, of the focal length: 50 degrees is a factor of 1.6, 110 one of 0.54
+# assumed; most road cameras have 50 (telephones, research vehicles) to 110 degrees
+DEFAULT_FIELD_DEG = 75.0
+# relative, of the focal length: 50 degrees is a factor of 1.6, 110 one of 0.54
+DEFAULT_FIELD_SIGMA = 0.3
 _FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 97  # number of points of the grid
 _VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
-_SHAPE_SIGMA = 0.12  # of log f that all boxes of a drive share; that of KITTI's labels, see docs/concepts/accuracy.md
-_RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)  # candidates of the noise of box edges / box size
+# of log f that all boxes of a drive share; that of KITTI's labels, see docs/concepts/accuracy.md
+_SHAPE_SIGMA = 0.12
+# candidates of the noise of box edges / box size
+_RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)
 
 _ATTENUATION, _UNATTENUATED = 2.9, 0.02
 """Increase of log f with the estimated noise, and the noise from which it is counted.
 
-Noise hides that wide boxes are beside the path (attenuation of a regression with errors in its variables), which looks
-like a long focal length. Fitted on simulated drives, seeds 0-9, with exact boxes, added noise and detector boxes.
+Noise hides that wide boxes are beside the path (attenuation of a regression with errors in its
+variables), which looks like a long focal length. Fitted on simulated drives, seeds 0-9, with exact
+boxes, added noise and detector boxes.
 """
 
 _ROUNDED = 0.05
-"""Increase of log f from bodies that are narrower at their corners than a cuboid: about half of the mean error on
-KITTI's labels (+0.09) and on rendered drives with the packaged detector, seeds 200-202 (+0.11); exact cuboids have
--0.05."""
+"""Increase of log f from bodies that are narrower at their corners than a cuboid: about half of the
+mean error on KITTI's labels (+0.09) and on rendered drives with the packaged detector, seeds
+200-202 (+0.11); exact cuboids have -0.05."""
 
-_OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4  # of boxes that are hidden or of another class; sigma of their edges
-_SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))  # (size classes,) whether lengths are known well enough
+# of boxes that are hidden or of another class; sigma of their edges
+_OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4
+# (size classes,) whether lengths are known well enough
+_SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))
 _MIN_HEIGHT_PX = 30.0  # height of a box below which its shape is mostly noise
 _FLAT_LOG_SIGMA = 30.0  # standard deviation of the log distance without a prior of the distance
 
@@ -108,9 +118,13 @@ def focal_of_field(field_deg: float, side_px: int) -> float:
 
 
 def focal_posterior(
-    guesses: Sequence[FocalGuess], boxes: SceneBoxes, size_px: tuple[int, int], sizes: CuboidSizes | None
+    guesses: Sequence[FocalGuess],
+    boxes: SceneBoxes,
+    size_px: tuple[int, int],
+    sizes: CuboidSizes | None,
 ) -> FocalPosterior:
-    """Focal length from at least one guess and the shapes of boxes of a video with images of `size_px` (width, height).
+    """Focal length from at least one guess and the shapes of boxes of a video with images of
+    `size_px` (width, height).
 
     `sizes` None = shapes are not used.
     """
@@ -119,7 +133,9 @@ def focal_posterior(
     log_p = np.zeros(_N_GRID)
     for guess in guesses:
         log_p -= 0.5 * ((log_f - math.log(guess.focal_px)) / guess.sigma) ** 2
-    usable = boxes.select(boxes.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class])
+    usable = boxes.select(
+        boxes.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class]
+    )
     n_tracks, noise = 0, BoxNoise().relative
     if sizes is not None and len(usable):
         n_tracks = len(np.unique(usable.track_id))
@@ -134,8 +150,8 @@ def _shape_likelihood(
 ) -> tuple[FloatArray, float]:
     """Likelihood (G,) of the shapes of all boxes, and the estimated noise of their edges.
 
-    The likelihood has the maximum 1 and is smoothed with `_SHAPE_SIGMA`; the noise is the mean of `_RELATIVE_NOISE`
-    weighted by likelihood.
+    The likelihood has the maximum 1 and is smoothed with `_SHAPE_SIGMA`; the noise is the mean of
+    `_RELATIVE_NOISE` weighted by likelihood.
     """
     flat = sizes.with_flat_distance(_FLAT_LOG_SIGMA)
     weight = np.minimum(1.0, _VIEWS_PER_TRACK / boxes.views)
@@ -143,13 +159,17 @@ def _shape_likelihood(
     def log_p(log_focal: float, noise: float) -> FloatArray:
         camera = PinholeCamera.of_focal_length(math.exp(log_focal), size_px)
         edges = BoxNoise(relative=noise)
-        return flat.log_evidence(measured_boxes(boxes.xyxy_px, boxes.size_class, camera=camera, noise=edges))
+        return flat.log_evidence(
+            measured_boxes(boxes.xyxy_px, boxes.size_class, camera=camera, noise=edges)
+        )
 
     log_likelihood = np.zeros((len(_RELATIVE_NOISE), len(log_f)))
     for k, value in enumerate(log_f):
         outlier = math.log(_OUTLIER_FRACTION) + log_p(value, _OUTLIER_NOISE)
         for j, noise in enumerate(_RELATIVE_NOISE):
-            log_likelihood[j, k] = weight @ np.logaddexp(math.log(1 - _OUTLIER_FRACTION) + log_p(value, noise), outlier)
+            log_likelihood[j, k] = weight @ np.logaddexp(
+                math.log(1 - _OUTLIER_FRACTION) + log_p(value, noise), outlier
+            )
     likelihood = np.exp(log_likelihood - log_likelihood.max())
     noise_weight = likelihood.sum(axis=1) / likelihood.sum()
     kernel = np.exp(-0.5 * ((log_f[:, None] - log_f) / _SHAPE_SIGMA) ** 2)

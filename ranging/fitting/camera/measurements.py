@@ -1,9 +1,10 @@
-"""Measurements from which a camera without a calibration is fitted: known metres, boxes of a video, focal guesses.
+"""Measurements from which a camera without a calibration is fitted: known metres, boxes of a video,
+focal guesses.
 
-Pixels are pixels of the video, with the principal point at the image centre and without lens distortion. A known
-distance is the project's `distance_m`: the depth z, along the camera's axis, of the surface in which the ray through
-the centre of the box meets the object. For an object straight ahead, this is the distance from the lens to the object's
-nearest surface.
+Pixels are pixels of the video, with the principal point at the image centre and without lens
+distortion. A known distance is the project's `distance_m`: the depth z, along the camera's axis, of
+the surface in which the ray through the centre of the box meets the object. For an object straight
+ahead, this is the distance from the lens to the object's nearest surface.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 from track_range.ranging.size_models.size_model import BORDER_PX
 
-_MAX_COVERED = 0.03  # largest fraction of a box inside a nearer one for which it counts as not hidden
+# largest fraction of a box inside a nearer one for which it counts as not hidden
+_MAX_COVERED = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +62,10 @@ class SceneBoxes:
     """Boxes of road users in frames of a video, one row per box."""
 
     xyxy_px: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))  # (N, 4) boxes
-    size_class: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) index into `SIZE_CLASSES`
-    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) identity of the object
+    # (N,) index into `SIZE_CLASSES`
+    size_class: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    # (N,) identity of the object
+    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -87,10 +91,14 @@ class SceneBoxes:
         return SceneBoxes(self.xyxy_px[rows], self.size_class[rows], self.track_id[rows])
 
     def are_whole(self, size_px: tuple[int, int], *, min_height_px: float) -> BoolArray:
-        """(N,) whether boxes do not touch the border of images of `size_px` (width, height), and are high enough."""
+        """(N,) whether boxes do not touch the border of images of `size_px` (width, height), and
+        are high enough.
+        """
         x1, y1, x2, y2 = self.xyxy_px.T
         is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
-        return np.asarray(is_inside & (y2 <= size_px[1] - 1 - BORDER_PX) & (y2 - y1 >= min_height_px))
+        return np.asarray(
+            is_inside & (y2 <= size_px[1] - 1 - BORDER_PX) & (y2 - y1 >= min_height_px)
+        )
 
     @property
     def views(self) -> FloatArray:
@@ -109,9 +117,14 @@ class HorizonRow:
 
 
 def unhidden(xyxy_px: FloatArray) -> BoolArray:
-    """(N,) whether no other box of the same frame, with a lower bottom edge and so nearer, covers a part of a box."""
+    """(N,) whether no other box of the same frame, with a lower bottom edge and so nearer, covers a
+    part of a box.
+    """
     x1, y1, x2, y2 = xyxy_px.T
     width = np.minimum(x2[:, None], x2) - np.maximum(x1[:, None], x1)
     height = np.minimum(y2[:, None], y2) - np.maximum(y1[:, None], y1)
-    covered = np.maximum(width, 0.0) * np.maximum(height, 0.0) > _MAX_COVERED * ((x2 - x1) * (y2 - y1))[:, None]
+    covered = (
+        np.maximum(width, 0.0) * np.maximum(height, 0.0)
+        > _MAX_COVERED * ((x2 - x1) * (y2 - y1))[:, None]
+    )
     return np.asarray(~(covered & (y2 > y2[:, None])).any(axis=1))

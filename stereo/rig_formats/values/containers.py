@@ -1,9 +1,11 @@
-"""Containers of calibrations: YAML, XML, JSON, INI, assignments, NumPy's and MATLAB's files, as text or plain values.
+"""Containers of calibrations: YAML, XML, JSON, INI, assignments, NumPy's and MATLAB's files, as
+text or plain values.
 
-    file -> text (`calibration_text`; arrays of .npy, .npz and .mat as JSON) -> values by key (`plain_values`)
+    file -> text (`calibration_text`; arrays of .npy, .npz and .mat as JSON) -> values by key
+    (`plain_values`)
 
-Pickles are never loaded, archives never unpacked beyond the sizes of calibrations, and large arrays (remap tables,
-chessboard corners) are left out.
+Pickles are never loaded, archives never unpacked beyond the sizes of calibrations, and large arrays
+(remap tables, chessboard corners) are left out.
 """
 
 import contextlib
@@ -55,7 +57,8 @@ _BINARY = (  # begins of the content, what it is, what to do
 )  # fmt: skip
 _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
-_NO_SPACE = re.compile(r"^([ \t]*[A-Za-z][\w.]*):(?=[-\[\d.])", re.MULTILINE)  # OpenCV allows it, YAML does not
+# OpenCV allows it, YAML does not
+_NO_SPACE = re.compile(r"^([ \t]*[A-Za-z][\w.]*):(?=[-\[\d.])", re.MULTILINE)
 _SECTION = re.compile(r"^\s*\[([A-Za-z][\w ./-]*)\]\s*$", re.MULTILINE)
 _ASSIGNMENT = re.compile(
     r"^[ \t]*(?:self\.)?([A-Za-z_][\w. ]{0,40}?)[ \t]*[:=]\s*(?:np\.|numpy\.)?(?:array|matrix|mat)?\(?\s*"
@@ -63,7 +66,8 @@ _ASSIGNMENT = re.compile(
     re.MULTILINE,
 )
 _WORD = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
-K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")  # of FoundationStereo
+# of FoundationStereo
+K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")
 VIRTUAL_KITTI = re.compile(r"\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
 _VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
@@ -72,7 +76,8 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 def calibration_text(path: Path) -> str:
     """Text of a calibration file; NumPy's and MATLAB's files as JSON, without large arrays.
 
-    Raises RigError if the file cannot be read, is too large, or is another kind of file, which the message names.
+    Raises RigError if the file cannot be read, is too large, or is another kind of file, which the
+    message names.
     """
     with open_regular(path, RigError, EXPECTED) as file:
         start = file.read(512) or b""
@@ -86,15 +91,21 @@ def calibration_text(path: Path) -> str:
         if start.startswith(marks):
             raise RigError(f"{path}: expected {EXPECTED}, found {noun}; {advice}.")
     is_storage = start.lstrip().startswith((b"%YAML", b"<?xml", b"<opencv_storage"))
-    text = read_text(path, RigError, EXPECTED, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES)
+    text = read_text(
+        path, RigError, EXPECTED, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES
+    )
     text = _LARGE.sub(r"\1", text) if is_storage else text
     if len(text) > MAX_TEXT_BYTES:
-        raise RigError(f"{path}: expected {EXPECTED} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more.")
+        raise RigError(
+            f"{path}: expected {EXPECTED} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more."
+        )
     return text
 
 
 def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, Any]:
-    """Values by key of a calibration's text, numbers of matrices also as texts; raises RigError for broken syntax."""
+    """Values by key of a calibration's text, numbers of matrices also as texts; raises RigError for
+    broken syntax.
+    """
     start = text.lstrip()[:1]
     if K_AND_BASELINE.match(text):
         numbers = [float(word) for word in text.split()]
@@ -123,17 +134,26 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
 
 
 def yaml_of_opencv(text: str) -> str:
-    """Standard YAML from OpenCV's FileStorage, whose first line, tags and spaces differ; lines keep their number."""
+    """Standard YAML from OpenCV's FileStorage, whose first line, tags and spaces differ; lines keep
+    their number.
+    """
     if not text.lstrip().startswith("%YAML"):
         return text
     return _NO_SPACE.sub(r"\1: ", _YAML_HEAD.sub(lambda match: "\n" * match[0].count("\n"), text))
 
 
 def _assigned_values(text: str) -> dict[str, Any]:
-    """Numbers by name of `name = [...]` or `name: [[...]]` as NumPy, Middlebury and MATLAB print them; {} = YAML."""
-    if not re.search(r"^[ \t]*[\w.]+[ \t]*=|:\s*\n\s*\[\[|\[[^\]\n,]*\d[ \t]+[-\d][^\]]*\]", text, re.MULTILINE):
+    """Numbers by name of `name = [...]` or `name: [[...]]` as NumPy, Middlebury and MATLAB print
+    them; {} = YAML.
+    """
+    if not re.search(
+        r"^[ \t]*[\w.]+[ \t]*=|:\s*\n\s*\[\[|\[[^\]\n,]*\d[ \t]+[-\d][^\]]*\]", text, re.MULTILINE
+    ):
         return {}
-    values = {name.strip(): [float(x) for x in _NUMBER.findall(value)] for name, value in _ASSIGNMENT.findall(text)}
+    values = {
+        name.strip(): [float(x) for x in _NUMBER.findall(value)]
+        for name, value in _ASSIGNMENT.findall(text)
+    }
     return {name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in values.items()}
 
 
@@ -146,7 +166,9 @@ def _section_values(text: str) -> dict[str, Any]:
             section = values.setdefault(match[1].strip(), {})
         elif "=" in line and not line.lstrip().startswith(("#", ";")):
             key, _, value = line.partition("=")
-            section[key.strip()] = float(value) if _NUMBER.fullmatch(value.strip()) else value.strip()
+            section[key.strip()] = (
+                float(value) if _NUMBER.fullmatch(value.strip()) else value.strip()
+            )
     return top | values
 
 
@@ -156,10 +178,18 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
     try:
         root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the file's size limits the tree
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise RigError(f"{path}: expected {expected} in XML, found an error: {shortened(str(error))}.") from error
+        raise RigError(
+            f"{path}: expected {expected} in XML, found an error: {shortened(str(error))}."
+        ) from error
     names = [node.tag for node in root]
-    if duplicate := next((key for key in names if names.count(key) > 1), None) if len(names) < MAX_NUMBERS else None:
-        raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
+    if (
+        duplicate := next((key for key in names if names.count(key) > 1), None)
+        if len(names) < MAX_NUMBERS
+        else None
+    ):
+        raise RigError(
+            f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times."
+        )
 
     def value(node: ElementTree.Element, depth: int = 0) -> Any:
         """The words of an element, a list for data and sizes; or its children by name."""
@@ -179,7 +209,11 @@ def _numpy_text(path: Path) -> str:
             arrays = {path.stem: parse_array(io.BytesIO(content), len(content)), **_beside(path)}
         else:
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
-                members = [info for info in archive.infolist()[:_MAX_ARRAYS] if info.filename.endswith(".npy")]
+                members = [
+                    info
+                    for info in archive.infolist()[:_MAX_ARRAYS]
+                    if info.filename.endswith(".npy")
+                ]
                 if not members:
                     raise RigError(
                         f"{path}: expected {EXPECTED}, found a ZIP archive without arrays of NumPy; unpack it, and "
@@ -191,8 +225,12 @@ def _numpy_text(path: Path) -> str:
     except Exception as reason:  # the parsers of archives and headers raise a dozen unrelated types
         problem = shortened(str(reason).partition("\n")[0], 100)
         if "object" in problem:
-            raise RigError(f"{path}: expected {EXPECTED}, found a pickled object, {_PICKLE_ADVICE}.") from reason
-        raise RigError(f"{path}: expected {EXPECTED} as arrays of NumPy, found an error: {problem}.") from reason
+            raise RigError(
+                f"{path}: expected {EXPECTED}, found a pickled object, {_PICKLE_ADVICE}."
+            ) from reason
+        raise RigError(
+            f"{path}: expected {EXPECTED} as arrays of NumPy, found an error: {problem}."
+        ) from reason
     return json.dumps({name: _listed(array) for name, array in arrays.items()}, allow_nan=False)
 
 
@@ -202,7 +240,8 @@ def _beside(path: Path) -> dict[str, Any]:
     for file in sorted(path.absolute().parent.glob("*.npy"))[:_MAX_ARRAYS]:
         if file.is_file() and file.stat().st_size <= _MAX_ARRAY_BYTES:
             content = read_bytes(file, RigError, "an array", max_bytes=_MAX_ARRAY_BYTES)
-            with contextlib.suppress(Exception):  # of arrays that are not numbers, which are not needed
+            # of arrays that are not numbers, which are not needed
+            with contextlib.suppress(Exception):
                 arrays[file.stem] = parse_array(io.BytesIO(content), len(content))
     return arrays
 
@@ -217,28 +256,36 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
 
 
 def _matlab_text(path: Path) -> str:
-    """The variables of a .mat file by name as JSON, with the structs of saved objects as its cameras."""
+    """The variables of a .mat file by name as JSON, with the structs of saved objects as its
+    cameras.
+    """
     content = read_bytes(path, RigError, EXPECTED, max_bytes=_MAX_BYTES)
     try:
         file = MatFile(content)
         values = {name: _listed(value) for name, value in file.values.items()}
     except Exception as reason:  # of damaged sizes and types
         problem = shortened(str(reason).partition("\n")[0], 100)
-        raise RigError(f"{path}: expected {EXPECTED} as a MATLAB file, found an error: {problem}.") from reason
+        raise RigError(
+            f"{path}: expected {EXPECTED} as a MATLAB file, found an error: {problem}."
+        ) from reason
     cameras = [content for content in file.objects if "RadialDistortion" in content]
     pair = next((content for content in file.objects if "RotationOfCamera2" in content), {})
     named = {f"CameraParameters{number}": camera for number, camera in enumerate(cameras[:2], 1)}
     if cameras or pair:
         values = {"stereoParams": _listed(pair | named)}
     if not any(values.values()):
-        raise RigError(f"{path}: expected {EXPECTED}, found objects of MATLAB without numbers; {_MATLAB_ADVICE}.")
+        raise RigError(
+            f"{path}: expected {EXPECTED}, found objects of MATLAB without numbers; {_MATLAB_ADVICE}."
+        )
     return json.dumps(values, allow_nan=False)
 
 
 def _listed(value: Any) -> Any:
     """Plain values of small arrays, structs and texts; None for other values."""
     if isinstance(value, np.ndarray):
-        is_small = value.size <= MAX_NUMBERS and value.dtype.kind in "iuf" and np.isfinite(value).all()
+        is_small = (
+            value.size <= MAX_NUMBERS and value.dtype.kind in "iuf" and np.isfinite(value).all()
+        )
         return value.tolist() if is_small else None
     if isinstance(value, dict):
         return {str(key): _listed(part) for key, part in value.items()}

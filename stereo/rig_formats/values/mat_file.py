@@ -1,11 +1,14 @@
-"""MATLAB's .mat files of version 5 to 7: numbers, texts, structs, cells and the structs of saved objects.
+"""MATLAB's .mat files of version 5 to 7: numbers, texts, structs, cells and the structs of saved
+objects.
 
-    header of 128 bytes, then elements: (type, size in bytes, content); matrices are elements of elements
-    matrix = flags with its class, dimensions, name, content by class; a compressed element is one in zlib's format
+    header of 128 bytes, then elements: (type, size in bytes, content); matrices are elements of
+    elements matrix = flags with its class, dimensions, name, content by class; a compressed element
+    is one in zlib's format
 
-Objects such as `stereoParameters` are saved as structs in a nested file, the last element (MAT-File Format, MathWorks,
-2023; the nested file is undocumented). Sizes are checked before memory is allocated: the content of a compressed
-element and the depth are limited, and no array is larger than the bytes of the file.
+Objects such as `stereoParameters` are saved as structs in a nested file, the last element (MAT-File
+Format, MathWorks, 2023; the nested file is undocumented). Sizes are checked before memory is
+allocated: the content of a compressed element and the depth are limited, and no array is larger
+than the bytes of the file.
 """
 
 import math
@@ -33,8 +36,10 @@ class MatFile:
     def __init__(self, content: bytes) -> None:
         self._order = "<" if content[126:128] == b"IM" else ">"
         self._n_bytes = self._n_values = 0
-        self.values: dict[str, Any] = {}  # variables by name: arrays, texts, lists of cells, dicts of structs
-        self.objects: list[dict[str, Any]] = []  # structs of saved objects, in the order of the objects
+        # variables by name: arrays, texts, lists of cells, dicts of structs
+        self.values: dict[str, Any] = {}
+        # structs of saved objects, in the order of the objects
+        self.objects: list[dict[str, Any]] = []
         for kind, element in self._elements(content[128:]):
             if kind == _COMPRESSED:
                 (_, element), *_ = self._elements(self._decompressed(element))
@@ -79,9 +84,16 @@ class MatFile:
         elements = list(self._elements(content))
         kind = struct.unpack(self._order + "I", elements[0][1][:4])[0] & 0xFF
         if kind == _OPAQUE:
-            inner = [self._matrix(element, depth + 1)[1] for type_, element in elements[1:] if type_ == _MATRIX]
+            inner = [
+                self._matrix(element, depth + 1)[1]
+                for type_, element in elements[1:]
+                if type_ == _MATRIX
+            ]
             return elements[1][1].decode("latin1"), inner[0] if inner else None
-        shape, name = np.frombuffer(elements[1][1], self._order + "i4"), elements[2][1].decode("latin1")
+        shape, name = (
+            np.frombuffer(elements[1][1], self._order + "i4"),
+            elements[2][1].decode("latin1"),
+        )
         rest = elements[3:]
         if kind == _CELL:
             return name, [self._matrix(element, depth + 1)[1] for _, element in rest]
@@ -92,7 +104,9 @@ class MatFile:
         numbers = np.frombuffer(rest[0][1], self._order + _TYPES[rest[0][0]])
         if kind == _TEXT:
             return name, "".join(map(chr, numbers[:200].tolist()))
-        return name, numbers.reshape(shape[::-1]).T if numbers.size == math.prod(shape.tolist()) else numbers
+        return name, numbers.reshape(shape[::-1]).T if numbers.size == math.prod(
+            shape.tolist()
+        ) else numbers
 
     def _struct(self, elements: list[tuple[int, bytes]], depth: int) -> Any:
         """The fields of a struct by name; a list of such mappings for an array of structs."""
@@ -102,13 +116,24 @@ class MatFile:
             for i in range(0, len(elements[1][1]), length)
         ]
         values = [self._matrix(element, depth + 1)[1] for _, element in elements[2:]]
-        structs = [dict(zip(names, values[i:], strict=False)) for i in range(0, len(values), max(len(names), 1))]
+        structs = [
+            dict(zip(names, values[i:], strict=False))
+            for i in range(0, len(values), max(len(names), 1))
+        ]
         return structs[0] if len(structs) == 1 else structs
 
     def _find_structs(self, value: object) -> None:
         """Collect the structs with numbers of cameras and pairs."""
-        parts = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
-        if isinstance(value, dict) and ("RadialDistortion" in value or "RotationOfCamera2" in value):
+        parts = (
+            list(value.values())
+            if isinstance(value, dict)
+            else value
+            if isinstance(value, list)
+            else []
+        )
+        if isinstance(value, dict) and (
+            "RadialDistortion" in value or "RotationOfCamera2" in value
+        ):
             self.objects.append(value)
             return
         for part in parts:

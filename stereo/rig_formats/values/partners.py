@@ -1,4 +1,6 @@
-"""Files that complete a calibration: intrinsics and extrinsics, and files of the left and of the right camera."""
+"""Files that complete a calibration: intrinsics and extrinsics, and files of the left and of the
+right camera.
+"""
 
 import re
 from collections.abc import Iterator
@@ -7,13 +9,22 @@ from pathlib import Path
 _SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".npy", ".txt", ".conf", ".mat")
 _PAIRS = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("infra1", "infra2")),
-    *((f"{noun}{n}", f"{noun}{n + 1}") for noun in ("cam", "camera", "cam_", "camera_") for n in (0, 1)),
+    *(
+        (f"{noun}{n}", f"{noun}{n + 1}")
+        for noun in ("cam", "camera", "cam_", "camera_")
+        for n in (0, 1)
+    ),
 )
-_OTHERS = {word: [a if word == b else b for a, b in _PAIRS if word in (a, b)] for pair in _PAIRS for word in pair}
+_OTHERS = {
+    word: [a if word == b else b for a, b in _PAIRS if word in (a, b)]
+    for pair in _PAIRS
+    for word in pair
+}
 _SIDE = re.compile("|".join(sorted(_OTHERS, key=len, reverse=True)))
 _LETTER = re.compile(r"([_.-])([lLrR])(?=[_.-]|$)")  # camera_L.yml
 _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
-_EXTRINSIC = re.compile(r"extrin|stereo|relative|rt\b|pose", re.IGNORECASE)  # names of files with R and T
+# names of files with R and T
+_EXTRINSIC = re.compile(r"extrin|stereo|relative|rt\b|pose", re.IGNORECASE)
 _MAX_FILES = 50  # files of a folder that are looked at
 
 
@@ -26,15 +37,26 @@ def other_sides(name: str) -> Iterator[str]:
 
 
 def partner_of(path: Path) -> Path | None:
-    """The file of the other camera, with the name or the folder's name of the other side; None if there is none."""
+    """The file of the other camera, with the name or the folder's name of the other side; None if
+    there is none.
+    """
     beside = [path.with_name(name) for name in other_sides(path.name)]
     folders = [path.parent.parent / folder for folder in other_sides(path.parent.absolute().name)]
     inside = [folder / name for folder in folders for name in (path.name, *other_sides(path.name))]
-    return next((candidate for candidate in (*beside, *inside) if candidate != path and candidate.is_file()), None)
+    return next(
+        (
+            candidate
+            for candidate in (*beside, *inside)
+            if candidate != path and candidate.is_file()
+        ),
+        None,
+    )
 
 
 def is_second(path: Path) -> bool:
-    """Whether the name of a file, else of its folder, belongs to a right camera or a camera with a larger number."""
+    """Whether the name of a file, else of its folder, belongs to a right camera or a camera with a
+    larger number.
+    """
     word, partner = _side_word(path), partner_of(path)
     is_after_zero = partner is not None and _side_word(partner).endswith("0")
     return word.lower() in ("right", "r") or word.endswith("2") or is_after_zero
@@ -50,7 +72,9 @@ def _side_word(path: Path) -> str:
 
 
 def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
-    """The file in the folder with the extrinsics for intrinsics, or the intrinsics for extrinsics; None if absent."""
+    """The file in the folder with the extrinsics for intrinsics, or the intrinsics for extrinsics;
+    None if absent.
+    """
     own, other = ("intrinsic", "extrinsic") if is_intrinsic else ("extrinsic", "intrinsic")
     stem = path.stem.replace(own, other) if own in path.stem else f"{other}s"
     for candidate in (path.with_name(stem + suffix) for suffix in (path.suffix, *_SUFFIXES)):
@@ -58,12 +82,22 @@ def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
             return candidate
     names = [file for file in files_of(path.absolute().parent) if file.name != path.name]
     if is_intrinsic:
-        fitting = [file for file in names if _EXTRINSIC.search(file.stem) and not list(other_sides(file.name))]
+        fitting = [
+            file
+            for file in names
+            if _EXTRINSIC.search(file.stem) and not list(other_sides(file.name))
+        ]
     else:
-        fitting = [file for file in names if list(other_sides(file.name)) and partner_of(file) and not is_second(file)]
+        fitting = [
+            file
+            for file in names
+            if list(other_sides(file.name)) and partner_of(file) and not is_second(file)
+        ]
     return path.with_name(fitting[0].name) if len(fitting) == 1 else None
 
 
 def files_of(folder: Path) -> list[Path]:
     """Files of a folder that may be calibrations, sorted by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())[:_MAX_FILES]
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()
+    )[:_MAX_FILES]

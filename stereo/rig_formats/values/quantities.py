@@ -4,8 +4,9 @@
     R, T  x2 = R x1 + T                  rect, P  rotation to the rectified frame, projection in it
     baseline, bf  their scalars          second_from_first, first_from_second  4 x 4 transforms
 
-Names are compared without case and punctuation, with the side before or behind them (`K1`, `left_camera_matrix`,
-`mtxR`) or around them (`cam1: {K: ...}`, `LEFT.K`). Sides are left and right, or numbers in their order.
+Names are compared without case and punctuation, with the side before or behind them (`K1`,
+`left_camera_matrix`, `mtxR`) or around them (`cam1: {K: ...}`, `LEFT.K`). Sides are left and right,
+or numbers in their order.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.values.containers import MAX_NUMBERS, calibration_text, plain_values
+from track_range.stereo.rig_formats.values.containers import (
+    MAX_NUMBERS,
+    calibration_text,
+    plain_values,
+)
 
 _SEPARATORS = re.compile(r"[^a-z0-9]")
 _SIDES = r"left|right|l|r|\d{1,3}"
@@ -35,7 +40,15 @@ _SIDE_WORDS = ("left", "right", "l", "r", *map(str, range(10)))
 _AFFIXES = {  # before or behind the name of a quantity -> the side
     form: word
     for word in _SIDE_WORDS
-    for form in (word, f"cam{word}", f"camera{word}", f"{word}cam", f"{word}camera", f"of{word}", f"ofcamera{word}")
+    for form in (
+        word,
+        f"cam{word}",
+        f"camera{word}",
+        f"{word}cam",
+        f"{word}camera",
+        f"of{word}",
+        f"ofcamera{word}",
+    )
 }
 _NAMES: dict[str, str] = {
     "K": "k m a camera cameramatrix cammatrix cameramat cammat cam cammats mtx matrix mat intrinsic intrinsics kmat kk"
@@ -74,15 +87,30 @@ _NAMES: dict[str, str] = {
 }
 _QUANTITY = {name: quantity for quantity, names in _NAMES.items() for name in names.split()}
 _SCALARS = "k1 k2 k3 k4 k5 k6 p1 p2".split()
-_OF_PAIR = "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye".split()
+_OF_PAIR = (
+    "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye".split()
+)
 _COUNTS = {  # possible numbers of values
     "K": (9, 4), "D": (0, 1, 2, 4, 5, 8, 12, 14), "radial": (2, 3), "tangential": (2,), "R": (9, 3),
     "R_transposed": (9,), "T": (3,), "rect": (9,), "P": (12, 9), "Q": (16,), "second_from_first": (16, 12),
     "first_from_second": (16, 12), "fx": (1, 2), "centre": (2,), "size": (2, 3),
 }  # fmt: skip
-_BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")  # a key whose values are between two cameras or streams
-_OTHER_SET = re.compile(r"rectified|optimal|new|undistort")  # keys of cameras of other images than the recorded ones
-_KNOWN_MATRICES = ("M1", "D1", "M2", "D2", "K1", "K2", "R", "T", "camera_matrix", "distortion_coefficients")
+# a key whose values are between two cameras or streams
+_BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")
+# keys of cameras of other images than the recorded ones
+_OTHER_SET = re.compile(r"rectified|optimal|new|undistort")
+_KNOWN_MATRICES = (
+    "M1",
+    "D1",
+    "M2",
+    "D2",
+    "K1",
+    "K2",
+    "R",
+    "T",
+    "camera_matrix",
+    "distortion_coefficients",
+)
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
 _Value = Annotated[Number, Field(ge=-1e12, le=1e12)]  # products of larger ones would overflow
@@ -90,7 +118,9 @@ _Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
 
 
 class _Matrix(BaseModel):
-    """A matrix in FileStorage, row by row; dt is the type of the numbers: d and f are float64 and float32."""
+    """A matrix in FileStorage, row by row; dt is the type of the numbers: d and f are float64 and
+    float32.
+    """
 
     rows: _Side
     cols: _Side
@@ -98,7 +128,9 @@ class _Matrix(BaseModel):
     data: Annotated[list[_Value], Field(max_length=MAX_NUMBERS)]
 
 
-_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[_Value], Field(max_length=MAX_NUMBERS)])
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(
+    Annotated[list[_Value], Field(max_length=MAX_NUMBERS)]
+)
 Side = str | int | None  # "left", "right", a number, or None for both cameras
 
 
@@ -133,10 +165,20 @@ class Quantities(NamedTuple):
         )
 
     def sides(self) -> list[Side]:
-        """The sides of the file's cameras, the first (left, or with the smaller number) first; [] = no named side."""
-        named = {side for side, quantity in self.values if quantity in ("K", "fx", "P") and side is not None}
+        """The sides of the file's cameras, the first (left, or with the smaller number) first; [] =
+        no named side.
+        """
+        named = {
+            side
+            for side, quantity in self.values
+            if quantity in ("K", "fx", "P") and side is not None
+        }
         words: list[Side] = [side for side in ("left", "right") if side in named]
-        return words if len(words) == 2 else [*words, *sorted(side for side in named if isinstance(side, int))]
+        return (
+            words
+            if len(words) == 2
+            else [*words, *sorted(side for side in named if isinstance(side, int))]
+        )
 
 
 def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
@@ -148,7 +190,8 @@ def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
             continue
         side, quantity = _named(path, value)
         if quantity in ("R", "T") and (between := _direction(path)) is not None:
-            if not between or (None, quantity) in named.values:  # of other streams, such as depth to colour
+            # of other streams, such as depth to colour
+            if not between or (None, quantity) in named.values:
                 continue
             side, named.values[None, "inverse"] = None, between < 0
         if quantity is None or (side, quantity) in named.values:
@@ -205,7 +248,8 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
     around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
     side = _side_of(around[-1]) if around else None
     name, n_values = words[-1], sum(1 for _ in _flat(value))
-    if len(words) > 1 and words[-2] in _QUANTITY and re.fullmatch(_SIDES, name):  # camera_matrix: {left: ...}
+    # camera_matrix: {left: ...}
+    if len(words) > 1 and words[-2] in _QUANTITY and re.fullmatch(_SIDES, name):
         return _word_side(name), _QUANTITY[words[-2]]
     if name in _SCALARS and n_values == 1:
         return side, name
@@ -214,14 +258,18 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
         return (None if name in ("rotationofcamera2", "translationofcamera2") else side), quantity
     for affix, word in _AFFIXES.items():
         stems = (name.removeprefix(affix), name.removesuffix(affix))
-        quantity = next((_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY), None)
+        quantity = next(
+            (_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY), None
+        )
         if quantity and quantity not in _OF_PAIR:
             return _word_side(word), "rect" if quantity == "R" and n_values == 9 else quantity
     return None, None
 
 
 def _direction(path: tuple[str, ...]) -> int | None:
-    """Direction in a key: 1 = from the first camera to the second, -1 = reverse, 0 = other cameras; None = no key."""
+    """Direction in a key: 1 = from the first camera to the second, -1 = reverse, 0 = other cameras;
+    None = no key.
+    """
     for key in path[:-1]:
         if match := _BETWEEN.fullmatch(_SEPARATORS.sub("", key.lower())):
             sides = [_side_of(_AROUND.fullmatch(word)) for word in match.groups()]
@@ -243,14 +291,21 @@ def _value(value: Any, quantity: str, key: str, source: object) -> Any:
     """(N,) numbers of a value, or the text of a unit or model; None for other values."""
     if quantity in ("unit", "model"):
         return value if isinstance(value, str) else None
-    if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):  # a large matrix
+    # a large matrix
+    if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):
         return None
     is_strict = key in _KNOWN_MATRICES
     if _is_matrix(value) and {"rows", "cols"} <= value.keys():
         numbers: FloatArray | None = _stored(value, f"{source}: {key}")
     elif (numbers := _numbers(value)) is None and (is_strict or _is_matrix(value)):
-        raise RigError(f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again.")
-    return numbers if numbers is not None and (is_strict or numbers.size in _COUNTS.get(quantity, (1,))) else None
+        raise RigError(
+            f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again."
+        )
+    return (
+        numbers
+        if numbers is not None and (is_strict or numbers.size in _COUNTS.get(quantity, (1,)))
+        else None
+    )
 
 
 def _stored(value: dict[str, Any], name: str) -> FloatArray:
@@ -264,7 +319,9 @@ def _stored(value: dict[str, Any], name: str) -> FloatArray:
 
 
 def _numbers(value: Any) -> FloatArray | None:
-    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for other values."""
+    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for other
+    values.
+    """
     try:
         return np.array(_NUMBERS.validate_python(list(_flat(value))), np.float64)
     except ValidationError:

@@ -1,4 +1,5 @@
-"""Average precision: hand-worked examples, comparison with pycocotools, and truth against itself."""
+"""Average precision: hand-worked examples, comparison with pycocotools, and truth against
+itself."""
 
 from dataclasses import replace
 
@@ -10,7 +11,11 @@ from tests.detection.evaluation.labelled_scenes import coco_figures, random_scen
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, evaluate_detections
-from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
+from track_range.detection.formats.image_labels.image_truth import (
+    ANY_CLASS,
+    ImageTruth,
+    truth_of_kitti,
+)
 from track_range.detection.formats.video_labels.kitti import read_kitti
 
 N = len(ROAD_CLASSES)
@@ -29,14 +34,16 @@ def square(x, side=10.0):
 
 
 def test_by_hand():
-    # Three cars; detections in the order hit, miss, hit: precision 1, 1/2, 2/3 at recall 1/3, 1/3, 2/3.
+    # Three cars; detections in the order hit, miss, hit: precision 1, 1/2, 2/3 at recall 1/3, 1/3,
+    # 2/3.
     truth = ImageTruth.of([square(0), square(100), square(200)], [CAR] * 3)
     detections = Detections.of([square(0), square(50), square(100)], [0.9, 0.8, 0.4], [CAR] * 3)
     car = scores([detections], [truth]).by_class[CAR]
     # interpolated precision 1 at recall 0 .. 0.33, 2/3 at 0.34 .. 0.66, 0 above
     assert car.ap50 == pytest.approx((34 * 1 + 33 * 2 / 3) / 101)
     assert (car.n_images, car.n_boxes) == (1, 3)
-    assert (car.precision, car.recall) == (pytest.approx(1 / 2), pytest.approx(1 / 3))  # at 0.5 and above
+    # at 0.5 and above
+    assert (car.precision, car.recall) == (pytest.approx(1 / 2), pytest.approx(1 / 3))
     assert car.best_score == 0.4
 
 
@@ -54,11 +61,14 @@ def test_ignored_labels_and_regions():
         is_region=[False, False, True, False],
     )
     inside = [[210, 10, 220, 20], [230, 10, 240, 20]]  # two in one region
-    detections = Detections.of([square(0), square(100), *inside, square(400)], [0.6, 0.9, 0.9, 0.8, 0.7], [CAR] * 5)
+    detections = Detections.of(
+        [square(0), square(100), *inside, square(400)], [0.6, 0.9, 0.9, 0.8, 0.7], [CAR] * 5
+    )
     car = scores([detections], [truth]).by_class[CAR]
     assert (car.n_boxes, car.ap50, car.precision, car.recall) == (1, 1.0, 1.0, 1.0)
     twice = Detections.of([square(0), square(100), square(100)], [0.6, 0.9, 0.8], [CAR] * 3)
-    assert scores([twice], [truth]).by_class[CAR].precision == 0.5  # an ignored label is matched once
+    # an ignored label is matched once
+    assert scores([twice], [truth]).by_class[CAR].precision == 0.5
 
 
 def test_incompletely_labelled_images_are_excluded():
@@ -81,7 +91,9 @@ def test_means_over_known_classes():
     assert evaluated.as_dict()["averaged_classes"] == ["car"]
     assert evaluated.as_dict()["classes"]["person"]["precision"] is None
     assert np.isnan(evaluated.mean("ap50", [person]))
-    limited = evaluate_detections([detections], [truth], working_score=HALF, known_class_id=np.array([person]))
+    limited = evaluate_detections(
+        [detections], [truth], working_score=HALF, known_class_id=np.array([person])
+    )
     assert limited.as_dict()["averaged_classes"] == []
     assert not limited.by_class[CAR].is_known
 
@@ -92,7 +104,9 @@ def test_no_detections_and_no_labels():
     assert empty.as_dict()["ap50"] is None
     limited = scores([Detections.empty()], [ImageTruth.of([square(0)], [CAR])]).by_class[CAR]
     assert (limited.ap50, limited.recall) == (0.0, 0.0)
-    false_positive = scores([Detections.of([square(0)], [0.9], [CAR])], [ImageTruth.of([], [])]).by_class[CAR]
+    false_positive = scores(
+        [Detections.of([square(0)], [0.9], [CAR])], [ImageTruth.of([], [])]
+    ).by_class[CAR]
     assert false_positive.precision == 0.0
     assert np.isnan(false_positive.ap50)
     assert np.isnan(false_positive.recall)
@@ -115,7 +129,10 @@ def test_equals_pycocotools(seed):
     for class_id in range(3):
         ((ap50_95, ap50, _),) = coco_figures(detections, truth, class_id)
         actual = by_class[class_id]
-        assert (actual.ap50_95, actual.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
+        assert (actual.ap50_95, actual.ap50) == (
+            pytest.approx(ap50_95, abs=1e-12),
+            pytest.approx(ap50, abs=1e-12),
+        )
 
 
 def test_hundred_detections_per_image():
@@ -133,20 +150,32 @@ def test_hundred_detections_per_image():
 def test_truth_against_itself_is_perfect(seed):
     rng = np.random.default_rng(seed)
     _, truth = random_scene(rng, n_images=5)
-    detections = [Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth]
+    detections = [
+        Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth
+    ]
     evaluated = scores(detections, truth)
-    assert all(figures.ap50_95 == pytest.approx(1.0) for figures in evaluated.by_class.values() if figures.n_boxes)
+    assert all(
+        figures.ap50_95 == pytest.approx(1.0)
+        for figures in evaluated.by_class.values()
+        if figures.n_boxes
+    )
     assert scores(detections[::-1], truth[::-1]).as_dict() == evaluated.as_dict()
 
 
 def test_kitti_labels(shared_data):
     labels = read_kitti(shared_data / "kitti_stereo/0005/label.txt")
     truth = [truth_of_kitti(labels.select(labels.frame == i)) for i in range(16)]
-    perfect = [Detections.of(t.xyxy_px, np.ones(len(t.class_id)), np.maximum(t.class_id, 0)) for t in truth]
+    perfect = [
+        Detections.of(t.xyxy_px, np.ones(len(t.class_id)), np.maximum(t.class_id, 0)) for t in truth
+    ]
     n_cars = int(np.count_nonzero(labels.kitti_type == "Car"))
     car = scores(perfect, truth).by_class[CAR]
     assert (car.n_boxes, car.ap50) == (n_cars, 1.0)
-    types = {"Van": (CAR, True, False), "DontCare": (ANY_CLASS, True, True), "Misc": (ANY_CLASS, True, False)}
+    types = {
+        "Van": (CAR, True, False),
+        "DontCare": (ANY_CLASS, True, True),
+        "Misc": (ANY_CLASS, True, False),
+    }
     for name, expected in types.items():
         rows = labels.kitti_type == name
         if rows.any():
@@ -157,9 +186,12 @@ def test_kitti_labels(shared_data):
 def test_recall_at_precision_by_hand():
     # hit, miss, hit, miss: precision 1, 1/2, 2/3, 1/2 at recall 1/4, 1/4, 2/4, 2/4
     truth = ImageTruth.of([square(0), square(100), square(200), square(300)], [CAR] * 4)
-    detections = Detections.of([square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
+    detections = Detections.of(
+        [square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4
+    )
     evaluated = scores([detections], [truth])
-    assert evaluated.by_class[CAR].recall_at == (0.5, 0.5, 0.25, 0.25, 0.25, 0.25)  # at 0.5, 0.6, 0.7, 0.8, 0.9, 0.95
+    # at 0.5, 0.6, 0.7, 0.8, 0.9, 0.95
+    assert evaluated.by_class[CAR].recall_at == (0.5, 0.5, 0.25, 0.25, 0.25, 0.25)
     assert evaluated.as_dict()["classes"]["car"]["recall_at"]["0.6"] == 0.5
 
 

@@ -17,7 +17,12 @@ CAR, BUS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("bus")
 
 
 def scores(detections, truth, **options):
-    arguments = {"working_score": np.full(N, 0.5), "known_class_id": np.arange(N), "min_boxes": 1, "min_bin_boxes": 1}
+    arguments = {
+        "working_score": np.full(N, 0.5),
+        "known_class_id": np.arange(N),
+        "min_boxes": 1,
+        "min_bin_boxes": 1,
+    }
     return evaluate_by_size(detections, truth, **(arguments | options))
 
 
@@ -26,14 +31,18 @@ def box(x, width, height):
 
 
 def test_by_hand():
-    # Cars of 20, 50 and 120 px; all are found, the medium one with a low score; false positives of 20 and 120 px.
+    # Cars of 20, 50 and 120 px; all are found, the medium one with a low score; false positives of
+    # 20 and 120 px.
     boxes = [box(0, 20, 20), box(200, 50, 50), box(400, 120, 120)]
     truth = ImageTruth.of(boxes, [CAR] * 3)
     wrong = [box(600, 20, 20), box(800, 120, 120)]
     detections = Detections.of(boxes + wrong, [0.9, 0.4, 0.7, 0.95, 0.6], [CAR] * 5)
-    small, medium, large = (bin_scores.by_class[CAR] for bin_scores in scores([detections], [truth]))
+    small, medium, large = (
+        bin_scores.by_class[CAR] for bin_scores in scores([detections], [truth])
+    )
     assert (small.n_boxes, medium.n_boxes, large.n_boxes) == (1, 1, 1)
-    assert (small.ap50, medium.ap50, large.ap50) == (0.5, 1.0, 1.0)  # only the small false positive is the better one
+    # only the small false positive is the better one
+    assert (small.ap50, medium.ap50, large.ap50) == (0.5, 1.0, 1.0)
     assert (small.recall, medium.recall, large.recall) == (1.0, 0.0, 1.0)  # at 0.5 and above
     by_height = scores([detections], [truth], measure="height")
     assert [bin_scores.by_class[CAR].n_boxes for bin_scores in by_height] == [1, 0, 1, 1]
@@ -41,16 +50,22 @@ def test_by_hand():
 
 
 def test_limits_belong_to_the_upper_bin():
-    truth = ImageTruth.of([box(0, 32, 32), box(200, 96, 96), box(400, 10, 25), box(500, 10, 100)], [CAR] * 4)
+    truth = ImageTruth.of(
+        [box(0, 32, 32), box(200, 96, 96), box(400, 10, 25), box(500, 10, 100)], [CAR] * 4
+    )
     counts = {
-        measure: [one.by_class[CAR].n_boxes for one in scores([Detections.empty()], [truth], measure=measure)]
+        measure: [
+            one.by_class[CAR].n_boxes
+            for one in scores([Detections.empty()], [truth], measure=measure)
+        ]
         for measure in SIZE_BINS
     }
     assert counts == {"area": [2, 1, 1], "height": [0, 2, 1, 1]}
 
 
 def test_detection_of_another_size_that_matches_counts():
-    # IoU 0.6: a label of 30 x 30 px, found by a medium box; the label of 40 x 40 px is found by a small one
+    # IoU 0.6: a label of 30 x 30 px, found by a medium box; the label of 40 x 40 px is found by a
+    # small one
     truth = ImageTruth.of([box(0, 30, 30), box(200, 40, 40)], [CAR] * 2)
     detections = Detections.of([box(0, 50, 30), box(200, 40, 24)], [0.9, 0.8], [CAR] * 2)
     small, medium, _ = scores([detections], [truth])
@@ -78,12 +93,18 @@ def test_bins_divide_the_labels():
     for measure in SIZE_BINS:
         by_bin = scores(detections, truth, measure=measure)
         for class_id, whole in everything.by_class.items():
-            assert sum(bin_scores.by_class[class_id].n_boxes for bin_scores in by_bin) == whole.n_boxes
+            assert (
+                sum(bin_scores.by_class[class_id].n_boxes for bin_scores in by_bin) == whole.n_boxes
+            )
 
 
 def test_means_and_json():
-    cars, buses = ([box(60.0 * i, 20, 20) for i in range(n)] for n in (MIN_BIN_BOXES, MIN_BIN_BOXES - 1))
-    truth = ImageTruth.of(cars + buses + [box(2000, 200, 200)], [CAR] * len(cars) + [BUS] * (len(buses) + 1))
+    cars, buses = (
+        [box(60.0 * i, 20, 20) for i in range(n)] for n in (MIN_BIN_BOXES, MIN_BIN_BOXES - 1)
+    )
+    truth = ImageTruth.of(
+        cars + buses + [box(2000, 200, 200)], [CAR] * len(cars) + [BUS] * (len(buses) + 1)
+    )
     detections = Detections.of(cars, [0.9] * len(cars), [CAR] * len(cars))
     small, medium, large = scores([detections], [truth], min_bin_boxes=MIN_BIN_BOXES)
     assert (small.mean("ap50"), small.by_class[BUS].ap50) == (1.0, 0.0)  # too few buses

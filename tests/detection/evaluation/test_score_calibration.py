@@ -1,4 +1,5 @@
-"""Calibration of scores: hand-worked examples, simulated detectors, and which detections are counted."""
+"""Calibration of scores: hand-worked examples, simulated detectors, and which detections are
+counted."""
 
 import json
 from dataclasses import replace
@@ -21,7 +22,8 @@ def square(x, side=10.0):
 
 
 def test_by_hand():
-    # Bin 0.8-0.9: scores 0.8 and 0.88, one of them true; bin 0.3-0.4: 0.3, false; bin 0.9-1: 1.0, true
+    # Bin 0.8-0.9: scores 0.8 and 0.88, one of them true; bin 0.3-0.4: 0.3, false; bin 0.9-1: 1.0,
+    # true
     score = np.array([0.8, 0.88, 0.3, 1.0])
     reliability = Reliability.of(score, np.array([True, False, False, True]))
     assert reliability.n.tolist() == [0, 0, 0, 1, 0, 0, 0, 0, 2, 1]
@@ -54,11 +56,16 @@ def test_error_by_chance(n):
     rng = np.random.default_rng(3)
     score = rng.uniform(0.05, 1, n)
     draws = [Reliability.of(score, rng.uniform(0, 1, n) < score) for _ in range(300)]
-    assert np.mean([draw.ece for draw in draws]) == pytest.approx(draws[0].ece_if_calibrated, rel=0.06)
+    assert np.mean([draw.ece for draw in draws]) == pytest.approx(
+        draws[0].ece_if_calibrated, rel=0.06
+    )
 
 
 @settings(deadline=None, max_examples=40)
-@given(st.lists(st.tuples(st.integers(0, 1000), st.booleans()), min_size=1, max_size=60), st.integers(1, 20))
+@given(
+    st.lists(st.tuples(st.integers(0, 1000), st.booleans()), min_size=1, max_size=60),
+    st.integers(1, 20),
+)
 def test_equals_the_definition(rows, n_bins):
     score, is_true = np.array([k / 1000 for k, _ in rows]), np.array([true for _, true in rows])
     bins: dict[int, list[int]] = {}
@@ -66,8 +73,12 @@ def test_equals_the_definition(rows, n_bins):
         bins.setdefault(min(k * n_bins // 1000, n_bins - 1), []).append(i)
     gaps = {m: abs(np.mean(is_true[i]) - np.mean(score[i])) for m, i in bins.items()}
     reliability = Reliability.of(score, is_true, n_bins=n_bins)
-    assert {m: n for m, n in enumerate(reliability.n.tolist()) if n} == {m: len(i) for m, i in bins.items()}
-    assert reliability.ece == pytest.approx(sum(len(bins[m]) * gap for m, gap in gaps.items()) / len(rows))
+    assert {m: n for m, n in enumerate(reliability.n.tolist()) if n} == {
+        m: len(i) for m, i in bins.items()
+    }
+    assert reliability.ece == pytest.approx(
+        sum(len(bins[m]) * gap for m, gap in gaps.items()) / len(rows)
+    )
     assert reliability.mce == pytest.approx(max(gaps.values()))
 
 
@@ -79,7 +90,8 @@ def test_counted_detections():
         is_region=[False, False, True, False],
     )
     detections = Detections.of(
-        # a match, its duplicate, two of ignored labels, one of low score, a bus, a truck of which there are no labels
+        # a match, its duplicate, two of ignored labels, one of low score, a bus, a truck of which
+        # there are no labels
         [square(0), square(1), square(100), square(210), square(600), square(400), square(700)],
         [0.95, 0.55, 0.9, 0.9, 0.04, 0.75, 0.9],
         [CAR, CAR, CAR, CAR, CAR, BUS, TRUCK],
@@ -93,7 +105,9 @@ def test_counted_detections():
     assert lower.by_class[CAR].n.sum() == 3
     no_bus = evaluate_calibration([detections], [truth], known_class_id=np.array([CAR]))
     assert list(no_bus.by_class) == [CAR]
-    tall = evaluate_calibration([detections], [truth], known_class_id=np.arange(N), min_height_px=20.0)
+    tall = evaluate_calibration(
+        [detections], [truth], known_class_id=np.arange(N), min_height_px=20.0
+    )
     assert tall.by_class == {}
 
 
@@ -101,7 +115,9 @@ def test_incompletely_labelled_images_are_excluded():
     full, part = ImageTruth.of([square(0)], [CAR]), ImageTruth.of([], [])
     part = replace(part, is_complete=np.arange(N) != CAR)
     detections = Detections.of([square(0)], [0.9], [CAR])
-    calibration = evaluate_calibration([detections, detections], [full, part], known_class_id=np.arange(N))
+    calibration = evaluate_calibration(
+        [detections, detections], [full, part], known_class_id=np.arange(N)
+    )
     assert calibration.overall.n.sum() == 1
 
 
@@ -118,8 +134,15 @@ def test_json():
         "from": pytest.approx(0.7), "to": pytest.approx(0.8), "n": 1, "n_true": 1, "mean_score": 0.75, "precision": 1.0
     }  # fmt: skip
     assert row["bins"][0]["precision"] is None
-    empty = evaluate_calibration([Detections.empty()], [truth], known_class_id=np.arange(N)).as_dict()["all"]
-    assert (empty["n"], empty["ece"], empty["mce"], empty["ece_if_calibrated"]) == (0, None, None, None)
+    empty = evaluate_calibration(
+        [Detections.empty()], [truth], known_class_id=np.arange(N)
+    ).as_dict()["all"]
+    assert (empty["n"], empty["ece"], empty["mce"], empty["ece_if_calibrated"]) == (
+        0,
+        None,
+        None,
+        None,
+    )
 
 
 @pytest.mark.parametrize("n_bins", [0, -3])

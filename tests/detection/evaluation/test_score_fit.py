@@ -6,10 +6,17 @@ from scipy.special import expit, logit
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.evaluation.score_fit import ScoreSamples, cross_validated, fit_scores, reliability
+from track_range.detection.evaluation.score_fit import (
+    ScoreSamples,
+    cross_validated,
+    fit_scores,
+    reliability,
+)
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 
-PERSON, BICYCLE, CAR, BUS = (ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "bus"))
+PERSON, BICYCLE, CAR, BUS = (
+    ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "bus")
+)
 
 
 def drawn(class_id, n, slope, offset, seed=0):
@@ -22,7 +29,10 @@ def drawn(class_id, n, slope, offset, seed=0):
 
 def joined(*parts):
     return ScoreSamples(
-        *(np.concatenate([getattr(part, key) for part in parts]) for key in ("class_id", "score", "is_match"))
+        *(
+            np.concatenate([getattr(part, key) for part in parts])
+            for key in ("class_id", "score", "is_match")
+        )
     )
 
 
@@ -31,7 +41,9 @@ def test_coefficients_are_recovered():
     fit = fit_scores(samples)
     assert fit.slope[[CAR, PERSON]] == pytest.approx([1.6, 0.8], abs=0.06)
     assert fit.offset[[CAR, PERSON]] == pytest.approx([0.4, -0.5], abs=0.06)
-    assert reliability(fit.probability(samples.score, samples.class_id), samples.is_match).ece < 0.015
+    assert (
+        reliability(fit.probability(samples.score, samples.class_id), samples.is_match).ece < 0.015
+    )
     assert fit.as_dict()["car"]["n_positives"] == fit.n_positives[CAR] > 5000
 
 
@@ -70,7 +82,8 @@ def test_too_few_samples():
 
 
 def images(n, *, seed=0):
-    """Images with one car each, detected at score s in a fraction s^2 of the cases; else the box is beside the car."""
+    """Images with one car each, detected at score s in a fraction s^2 of the cases; else the box is
+    beside the car."""
     rng = np.random.default_rng(seed)
     detections, truth = [], []
     for score in rng.uniform(0.02, 1, n):
@@ -85,7 +98,10 @@ def test_cross_validation_of_overconfident_scores():
     known = np.array([CAR])
     samples = ScoreSamples.of(detections, truth, known)
     assert len(samples.score) == 600
-    before, after = reliability(samples.score, samples.is_match), cross_validated(detections, truth, known)
+    before, after = (
+        reliability(samples.score, samples.is_match),
+        cross_validated(detections, truth, known),
+    )
     assert before.ece > 0.1
     assert after.ece < 0.05
     assert cross_validated(detections[:10], truth[:10], known) is None

@@ -1,4 +1,5 @@
-"""Label files that are refused, each in one sentence with the file, or read with a note; and damaged files."""
+"""Label files that are refused, each in one sentence with the file, or read with a note; and
+damaged files."""
 
 from __future__ import annotations
 
@@ -21,9 +22,13 @@ from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
 from track_range.foundation.errors import UserError
 
 BOMB = (
-    '<?xml version="1.0"?>\n<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>\n<annotations>&b;</annotations>'
+    '<?xml version="1.0"?>\n<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b '
+    '"&a;&a;&a;&a;">]>\n<annotations>&b;</annotations>'
 )
-EXTERNAL = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/passwd">]><annotations>&a;</annotations>'
+EXTERNAL = (
+    '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a SYSTEM '
+    '"file:///etc/passwd">]><annotations>&a;</annotations>'
+)
 
 
 def refused(path: Path, key_word: str) -> None:
@@ -65,14 +70,28 @@ def changed(path: tuple[str | int, ...], value: Any) -> str:
         (changed(("annotations", 0, "bbox"), [1, 2, True, 4]), "bbox"),
         (changed(("annotations", 0, "bbox"), None), "found none"),
         (
-            changed(("annotations", 0), {"image_id": 1, "category_id": 3, "segmentation": [[1, 2, 3, 4, 5, 6]]}),
+            changed(
+                ("annotations", 0),
+                {"image_id": 1, "category_id": 3, "segmentation": [[1, 2, 3, 4, 5, 6]]},
+            ),
             "polygon",
         ),
         (changed(("annotations", 0, "bbox"), ["10", "20", "20", "20"]), "bbox"),
         (changed(("annotations", 0, "attributes"), {"distance_m": "near"}), "distance_m"),
         (re.sub(r'"bbox": \[.*?\]', '"bbox": [0.1, 0.2, 0.2, 0.2]', COCO), "fractions"),
-        (re.sub(r'"frame_index": ., "video_id": 1', '"x": 0', COCO).replace("a_000002", "b_000002"), "one video"),
-        (changed(("annotations", 0), {"image_id": 1, "category_id": 3, "segmentation": {"counts": "a"}}), "RLE"),
+        (
+            re.sub(r'"frame_index": ., "video_id": 1', '"x": 0', COCO).replace(
+                "a_000002", "b_000002"
+            ),
+            "one video",
+        ),
+        (
+            changed(
+                ("annotations", 0),
+                {"image_id": 1, "category_id": 3, "segmentation": {"counts": "a"}},
+            ),
+            "RLE",
+        ),
         (changed(("annotations", 0, "track_id"), "x"), "track_id"),
         (changed(("annotations", 0, "score"), 1e9), "score"),
         (changed(("annotations", 2, "track_id"), 7), "once per frame"),
@@ -80,7 +99,10 @@ def changed(path: tuple[str | int, ...], value: Any) -> str:
         (changed(("annotations",), None), "annotations"),
         ('[{"image_id": 1, "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.5}]', "list"),
         ('{"annotations": ' + "[" * 100_000, "JSON"),
-        ('{"images": [' + "[" * 60 + "]" * 60 + '], "annotations": [], "categories": []}', "nested"),
+        (
+            '{"images": [' + "[" * 60 + "]" * 60 + '], "annotations": [], "categories": []}',
+            "nested",
+        ),
         ("{}", "categories"),
     ],
 )
@@ -124,9 +146,17 @@ def test_large_coco_is_refused_by_its_size(tmp_path: Path) -> None:
         (CVAT.replace('id="8"', 'id="7"'), "track id"),
         (CVAT.replace('label="person"', ""), "label"),
         (CVAT.replace(">12.5<", ">near<"), "distance_m"),
-        (CVAT.replace('id="7"', 'id="7" task_id="1"').replace('id="8"', 'id="8" task_id="2"'), "one task"),
+        (
+            CVAT.replace('id="7"', 'id="7" task_id="1"').replace('id="8"', 'id="8" task_id="2"'),
+            "one task",
+        ),
         (CVAT.replace("<width>100<", "<width>640<"), "640x50"),
-        (CVAT.replace("<stop_frame>2", "<stop_frame>9999999").replace('frame="2"', 'frame="999999"'), "boxes"),
+        (
+            CVAT.replace("<stop_frame>2", "<stop_frame>9999999").replace(
+                'frame="2"', 'frame="999999"'
+            ),
+            "boxes",
+        ),
     ],
 )
 def test_bad_cvat(tmp_path: Path, content: str, key_word: str) -> None:
@@ -201,13 +231,17 @@ def test_empty_boxes_of_coco_are_noted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [COCO, CVAT], ids=["coco", "cvat"])
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_damaged_labels(tmp_path: Path, content: str, data: st.DataObject) -> None:
     check_damaged(read_labels, tmp_path / "labels.dat", data.draw(damaged(content.encode())))
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_damaged_yolo(tmp_path: Path, data: st.DataObject) -> None:
     for name, text in YOLO.items():

@@ -35,7 +35,9 @@ def test_columns_in_any_order(tmp_path):
 
 
 def test_unknown_values_are_empty_or_nan(tmp_path):
-    labels = read_csv_labels(written(tmp_path / "t.csv", FULL, "0,1,bus,1,2,3,4,NaN,,nan", "0,2,bus,1,2,3,4,9,0.5,0"))
+    labels = read_csv_labels(
+        written(tmp_path / "t.csv", FULL, "0,1,bus,1,2,3,4,NaN,,nan", "0,2,bus,1,2,3,4,9,0.5,0")
+    )
     np.testing.assert_equal(labels.distance_m, [np.nan, 9.0])
     np.testing.assert_equal(labels.closing_mps, [np.nan, 0.0])
     assert labels.visible_share.tolist() == [1.0, 0.5]
@@ -138,7 +140,11 @@ def test_csv_is_recognised_by_its_header(tmp_path, name, content, is_csv):
 
 def test_is_csv_of_folder_missing_and_binary_file(tmp_path):
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
-    assert [is_label_csv(tmp_path / name) for name in ("", "none.csv", "binary.csv")] == [False, False, False]
+    assert [is_label_csv(tmp_path / name) for name in ("", "none.csv", "binary.csv")] == [
+        False,
+        False,
+        False,
+    ]
 
 
 def test_csv_with_header_only(tmp_path):

@@ -27,7 +27,9 @@ def test_kitti_rows_by_frame(tmp_path):
 
 def test_mot_rows_count_from_one(tmp_path):
     file = tmp_path / "det.txt"
-    file.write_text("1,-1,11,21,5,6,0.5,-1,-1,-1\n3,-1,1,1,2,2,-1,-1,-1,-1\n3,-1,1,1,0,2,0.9,-1,-1,-1\n")
+    file.write_text(
+        "1,-1,11,21,5,6,0.5,-1,-1,-1\n3,-1,1,1,2,2,-1,-1,-1,-1\n3,-1,1,1,0,2,0.9,-1,-1,-1\n"
+    )
     recorded = read_detections(file, default_class_id=2)
     assert recorded.at(0).xyxy_px.tolist() == [[10, 20, 15, 26]]
     assert recorded.at(0).class_id.tolist() == [2]
@@ -48,7 +50,9 @@ def test_plain_rows_and_our_own_tracks(tmp_path):
 
 def test_margins_become_probabilities_with_note(tmp_path):
     file = tmp_path / "det.txt"
-    file.write_text(KITTI.format(frame=0, kind="Car", score=-2) + KITTI.format(frame=0, kind="Car", score=2))
+    file.write_text(
+        KITTI.format(frame=0, kind="Car", score=-2) + KITTI.format(frame=0, kind="Car", score=2)
+    )
     recorded = read_detections(file)
     np.testing.assert_allclose(recorded.at(0).score, [1 / (1 + np.e**2), 1 / (1 + np.e**-2)])
     assert "sigmoid" in recorded.notes[1]
@@ -148,7 +152,8 @@ def test_classes_of_rows_of_numbers(tmp_path):
     file = tmp_path / "det.txt"
     file.write_text("1,3,11,21,50,60,1,4,0,0\n1,4,11,21,50,60,1,10,0,0\n1,5,11,21,50,60,1,11,0,0\n")
     recorded = read_detections(file, default_class_id=0)
-    assert (recorded.detections.class_id.tolist(), recorded.has_classes) == ([2, 3], True)  # VisDrone: car, motor
+    # VisDrone: car, motor
+    assert (recorded.detections.class_id.tolist(), recorded.has_classes) == ([2, 3], True)
     assert "others (1)" in recorded.notes[1]
 
 
@@ -162,10 +167,20 @@ def test_frames_of_kitti_that_end_with_the_number_of_images(tmp_path):
 
 
 def test_two_classes_on_one_object(tmp_path):
-    """Boxes of classes that are easily confused are one object; others, and those of one class, are not."""
+    """Boxes of classes that are easily confused are one object; others, and those of one class, are
+    not."""
     file = tmp_path / "det.txt"
-    rows = [("Car", 1, 0.5), ("Truck", 2, 0.9), ("Car", 1, 0.4), ("Pedestrian", 1, 0.3), ("Car", 40, 0.2)]
-    lines = [f"0 1 {kind} 0 0 0 {x} 2 {x + 30} 30 -1 -1 -1 -1000 -1000 -1000 -10 {s}\n" for kind, x, s in rows]
+    rows = [
+        ("Car", 1, 0.5),
+        ("Truck", 2, 0.9),
+        ("Car", 1, 0.4),
+        ("Pedestrian", 1, 0.3),
+        ("Car", 40, 0.2),
+    ]
+    lines = [
+        f"0 1 {kind} 0 0 0 {x} 2 {x + 30} 30 -1 -1 -1 -1000 -1000 -1000 -10 {s}\n"
+        for kind, x, s in rows
+    ]
     file.write_text("".join(lines))
     recorded = read_detections(file)
     assert len(recorded.frame) == 5

@@ -66,11 +66,17 @@ def test_real_labels(shared_data):
 
 
 def test_labels_checked_together_equal_single_rows(tmp_path):
-    rows = ["3 1 Car 0 0 -1.5 10 20 30 40 1.5 1.7 4 1 2 20 0.1", "4 -1 Person_sitting 0 1 0 1e1 2 3 4 1 1 1 1 2 3 0"]
+    rows = [
+        "3 1 Car 0 0 -1.5 10 20 30 40 1.5 1.7 4 1 2 20 0.1",
+        "4 -1 Person_sitting 0 1 0 1e1 2 3 4 1 1 1 1 2 3 0",
+    ]
     whole = tmp_path / "0000.txt"
     whole.write_text("\n".join(rows) + "\n")
     mixed = tmp_path / "0001.txt"
-    mixed.write_text("\n".join([*rows, "5 2 Truck\u00e9 0 0 0 1 2 3 4 1 1 1 1 2 3 0 0.5"]) + "\n", encoding="utf-8")
+    mixed.write_text(
+        "\n".join([*rows, "5 2 Truck\u00e9 0 0 0 1 2 3 4 1 1 1 1 2 3 0 0.5"]) + "\n",
+        encoding="utf-8",
+    )
     first, second = read_kitti(whole), read_kitti(mixed).select(np.array([0, 1]))
     assert first.kitti_type.tolist() == second.kitti_type.tolist()
     np.testing.assert_array_equal(first.xyxy_px, second.xyxy_px)

@@ -1,4 +1,5 @@
-"""Random tracks through every pair of label formats and back, and recognition of formats by content."""
+"""Random tracks through every pair of label formats and back, and recognition of formats by
+content."""
 
 from __future__ import annotations
 
@@ -23,10 +24,13 @@ YOLO_PX = 2e-5
 
 @st.composite
 def tables(draw: st.DrawFn) -> BoxTable:
-    """Tracks with gaps, of one class each, with boxes inside the image and distances for some of them."""
+    """Tracks with gaps, of one class each, with boxes inside the image and distances for some of
+    them."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     keys = draw(
-        st.lists(st.tuples(st.integers(0, 39), st.integers(1, 12)), min_size=1, max_size=60, unique=True).map(sorted)
+        st.lists(
+            st.tuples(st.integers(0, 39), st.integers(1, 12)), min_size=1, max_size=60, unique=True
+        ).map(sorted)
     )
     frame, track_id = (np.array(column) for column in zip(*keys, strict=True))
     n = len(keys)
@@ -88,7 +92,9 @@ def test_pairs_of_formats_and_back(
 
 @given(table=tables())
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
-def test_second_write_is_the_same_file(table: BoxTable, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_second_write_is_the_same_file(
+    table: BoxTable, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     for name in ("mot", "kitti", "coco", "cvat"):
         folder = tmp_path_factory.mktemp(name)
         label_format = LABEL_FORMATS[name]
@@ -123,7 +129,10 @@ def test_pycocotools_reads_an_export(tmp_path: Path) -> None:
     assert len(data.getImgIds()) == 40
     (image_id,) = data.getImgIds(catIds=data.getCatIds(catNms=["bus"]))
     assert data.loadImgs(image_id)[0]["file_name"] == "drive_000003.jpg"
-    assert [annotation["bbox"] for annotation in data.loadAnns(data.getAnnIds())] == [[10, 20, 20, 20], [1, 2, 3, 8]]
+    assert [annotation["bbox"] for annotation in data.loadAnns(data.getAnnIds())] == [
+        [10, 20, 20, 20],
+        [1, 2, 3, 8],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -144,7 +153,9 @@ def test_format_is_recognised_from_the_content(tmp_path: Path, first_line: str, 
 
 
 def test_kitti_folders_are_not_yolo(tmp_path: Path) -> None:
-    (tmp_path / "0000.txt").write_text("0 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1\n")
+    (tmp_path / "0000.txt").write_text(
+        "0 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1\n"
+    )
     assert label_format_of(tmp_path).name == "kitti"
     (tmp_path / "0000.txt").write_text("0 0.5 0.5 0.1 0.1\n")
     assert label_format_of(tmp_path).name == "yolo"
@@ -154,7 +165,9 @@ def test_kitti_folders_are_not_yolo(tmp_path: Path) -> None:
 def test_regions(tmp_path: Path, name: str) -> None:
     """Regions stay regions, or are left out with a note; they never become objects."""
     boxes = np.tile([10.0, 10.0, 20.0, 20.0], (2, 1))
-    table = BoxTable.of([0, 0], [5, -1], ["car", "person"], boxes, is_region=[False, True], video=VIDEO)
+    table = BoxTable.of(
+        [0, 0], [5, -1], ["car", "person"], boxes, is_region=[False, True], video=VIDEO
+    )
     label_format = LABEL_FORMATS[name]
     assert label_format.write is not None
     n_written, notes = label_format.write(table, tmp_path / "out")
@@ -167,7 +180,9 @@ def test_regions(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["../../out", "/etc/a", "a/b", "a\0b", ".", "", "\u00e4" * 190])
 def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
     """The name of the video comes from the file, and becomes part of the names of written files."""
-    table = BoxTable.of([0], [1], ["car"], [[10, 10, 20, 20]], video=VideoFacts(name, n_frames=1, size_px=(100, 50)))
+    table = BoxTable.of(
+        [0], [1], ["car"], [[10, 10, 20, 20]], video=VideoFacts(name, n_frames=1, size_px=(100, 50))
+    )
     folder = tmp_path / "a/b/c"
     folder.mkdir(parents=True)
     assert LABEL_FORMATS["yolo"].write is not None
@@ -180,7 +195,9 @@ def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["a b", "a\nb", "a\u2003b\u2028", "a,b", "<b>&'\"", "#", "x" * 90])
 def test_odd_class_names(tmp_path: Path, name: str) -> None:
     for label_format in (LABEL_FORMATS[key] for key in ("kitti", "coco", "cvat", "yolo")):
-        table = BoxTable.of([0, 0], [1, 2], [name, "car"], [[10, 10, 20, 20], [5, 5, 9, 9]], video=VIDEO)
+        table = BoxTable.of(
+            [0, 0], [1, 2], [name, "car"], [[10, 10, 20, 20], [5, 5, 9, 9]], video=VIDEO
+        )
         assert label_format.write is not None
         label_format.write(table, tmp_path / label_format.name)
         back = label_format.read(tmp_path / label_format.name, VIDEO)
@@ -202,7 +219,9 @@ def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
 def test_columns_have_one_value_for_each_box() -> None:
     with pytest.raises(ValueError, match="reshape"):
         BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=[0.5])
-    assert BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=0.5).score.tolist() == [0.5, 0.5]
+    assert BoxTable.of(
+        [0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=0.5
+    ).score.tolist() == [0.5, 0.5]
 
 
 def test_titles_of_help_pages():

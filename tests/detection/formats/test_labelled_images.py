@@ -40,7 +40,8 @@ def yolo(folder, text, **options):
 def test_yolo_boxes_are_fractions_of_the_image(folder):
     (item,) = yolo(folder, "2 0.5 0.5 0.25 0.5 0.9\n\n7 0.1 0.1 0.1 0.1\n")
     truth = item.truth_in(read_image(item.path))
-    np.testing.assert_allclose(truth.xyxy_px[0], [14.5, 4.5, 24.5, 14.5])  # corners 15 5 25 15, less half a pixel
+    # corners 15 5 25 15, less half a pixel
+    np.testing.assert_allclose(truth.xyxy_px[0], [14.5, 4.5, 24.5, 14.5])
     assert [ROAD_CLASSES[i] for i in truth.class_id] == ["car", "traffic sign"]
     assert truth.is_complete.all()
 
@@ -95,17 +96,29 @@ def test_kitti_objects_are_labelled_for_four_classes(folder):
     (item,) = read_labelled(folder / "images", folder / "labels", "kitti")
     truth = item.truth_in(read_image(item.path))
     assert item.path.name == "b.png"
-    assert truth.class_id.tolist() == [CAR, CAR, ROAD_CLASSES.index("bicycle"), ANY_CLASS, ANY_CLASS]
+    assert truth.class_id.tolist() == [
+        CAR,
+        CAR,
+        ROAD_CLASSES.index("bicycle"),
+        ANY_CLASS,
+        ANY_CLASS,
+    ]
     assert truth.is_ignored.tolist() == [False, True, False, True, True]
     assert truth.is_region.tolist() == [False, False, False, False, True]
     assert truth.xyxy_px[0].tolist() == [10, 20, 30, 40]
-    assert [ROAD_CLASSES[i] for i in np.flatnonzero(truth.is_complete)] == ["person", "bicycle", "car", "truck"]
+    assert [ROAD_CLASSES[i] for i in np.flatnonzero(truth.is_complete)] == [
+        "person",
+        "bicycle",
+        "car",
+        "truck",
+    ]
 
 
 def test_kitti_sequence_by_frame_number(folder):
     sequence = folder / "label.txt"
     sequence.write_text(
-        f"3 0 {KITTI_ROW.format('Car')}\n3 1 {KITTI_ROW.format('Car')}\n5 0 {KITTI_ROW.format('Car')}\n"
+        f"3 0 {KITTI_ROW.format('Car')}\n3 1 {KITTI_ROW.format('Car')}\n5 0 "
+        f"{KITTI_ROW.format('Car')}\n"
     )
     assert [len(read_sequence(sequence)(frame).class_id) for frame in (3, 4, 5)] == [2, 0, 1]
     cv2.imwrite(str(folder / "images/frame_0005.png"), np.zeros((20, 40, 3), np.uint8))
@@ -144,11 +157,33 @@ def test_coco(folder):
         ("[]", "COCO"),
         (json.dumps(coco_document(images=[])), "image_id"),
         (json.dumps(coco_document(images=[{"id": 7, "file_name": "a.png"}] * 2)), "image id"),
-        (json.dumps(coco_document(images=[{"id": i, "file_name": f"{i}/a.png"} for i in (7, 8)])), "file name"),
+        (
+            json.dumps(
+                coco_document(images=[{"id": i, "file_name": f"{i}/a.png"} for i in (7, 8)])
+            ),
+            "file name",
+        ),
         (json.dumps(coco_document(categories=[{"id": 17, "name": "cat"}])), "category_id"),
-        (json.dumps(coco_document(categories=[{"id": 3, "name": name} for name in ("car", "cat")])), "category id"),
-        (json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": [9, 9, -4, 4]}])), "bbox"),
-        (json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": ["9"] * 4}])), "bbox"),
+        (
+            json.dumps(
+                coco_document(categories=[{"id": 3, "name": name} for name in ("car", "cat")])
+            ),
+            "category id",
+        ),
+        (
+            json.dumps(
+                coco_document(
+                    annotations=[{"image_id": 7, "category_id": 3, "bbox": [9, 9, -4, 4]}]
+                )
+            ),
+            "bbox",
+        ),
+        (
+            json.dumps(
+                coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": ["9"] * 4}])
+            ),
+            "bbox",
+        ),
     ],
 )
 def test_invalid_coco_file(folder, text, message):
@@ -162,7 +197,11 @@ def test_invalid_coco_file(folder, text, message):
 
 def test_empty_boxes_of_coco(folder):
     file = folder / "instances.json"
-    file.write_text(json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": [10, 5, 0, 4]}])))
+    file.write_text(
+        json.dumps(
+            coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": [10, 5, 0, 4]}])
+        )
+    )
     (item,) = read_labelled(folder / "images", file, "coco")
     assert len(item.truth.class_id) == 0
     assert "1 box" in item.notes[0]
@@ -173,7 +212,9 @@ def test_manifest_split_and_completeness(folder):
         (folder / f"labels/{name}.txt").write_text("")
     labelled = read_labelled(folder / "images", folder / "labels", "yolo")
     file = folder / "manifest.csv"
-    file.write_text("file,split,other,labels_complete\na.png,train,x,11111111\nb.png,val,x,10100000\n")
+    file.write_text(
+        "file,split,other,labels_complete\na.png,train,x,11111111\nb.png,val,x,10100000\n"
+    )
     (item,) = of_split(labelled, read_manifest(file), "val")
     assert item.path.name == "b.png"
     assert [ROAD_CLASSES[i] for i in np.flatnonzero(item.truth.is_complete)] == ["person", "car"]

@@ -7,12 +7,19 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.detection.formats.label_formats import label_format_of
-from track_range.detection.formats.video_labels.mot import MotFormatError, MotRows, mot_lines, read_mot
+from track_range.detection.formats.video_labels.mot import (
+    MotFormatError,
+    MotRows,
+    mot_lines,
+    read_mot,
+)
 
 
 def lines_of(boxes: list[list[float]], frame: int) -> list[str]:
     n = len(boxes)
-    return mot_lines(frame, np.arange(1, n + 1), np.array(boxes, np.float64).reshape(-1, 4), np.full(n, 0.875))
+    return mot_lines(
+        frame, np.arange(1, n + 1), np.array(boxes, np.float64).reshape(-1, 4), np.full(n, 0.875)
+    )
 
 
 def test_a_line_by_hand() -> None:
@@ -24,7 +31,10 @@ def test_no_tracks_no_lines() -> None:
     assert lines_of([], 3) == []
 
 
-@given(box=st.tuples(*[st.floats(-100, 3000)] * 2, *[st.floats(0.1, 2000)] * 2), frame=st.integers(0, 10**6 - 1))
+@given(
+    box=st.tuples(*[st.floats(-100, 3000)] * 2, *[st.floats(0.1, 2000)] * 2),
+    frame=st.integers(0, 10**6 - 1),
+)
 @settings(deadline=None)
 def test_written_then_read_is_the_same_box(
     box: tuple[float, ...], frame: int, tmp_path_factory: pytest.TempPathFactory
@@ -106,9 +116,11 @@ def test_columns_of_different_lengths() -> None:
         MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))
 
 
-# -- layouts that look alike ------------------------------------------------------------------------------------------
+# -- layouts that look alike
+# ------------------------------------------------------------------------------------------
 
-BOX = [100.0, 50.0, 130.0, 90.0]  # of one object that moves 4 px to the right in each frame, in pixels from 0
+# of one object that moves 4 px to the right in each frame, in pixels from 0
+BOX = [100.0, 50.0, 130.0, 90.0]
 
 
 def rows_in(layout: str, n: int = 12) -> str:
@@ -155,10 +167,12 @@ def test_layouts_that_look_alike(tmp_path: Path, name: str) -> None:
 
 def test_columns_of_both_meanings_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "boxes.txt"
-    path.write_text("0,100,200,300,400,87\n1,104,200,304,400,85\n")  # corners and per cent, or id, x, y, w, h
+    # corners and per cent, or id, x, y, w, h
+    path.write_text("0,100,200,300,400,87\n1,104,200,304,400,85\n")
     with pytest.raises(MotFormatError, match="both"):
         read_mot(path)
-    path.write_text("0,100.5,200,30,40,0.5\n1,104.5,200,34,40,0.5\n")  # left, top, width, height and a score
+    # left, top, width, height and a score
+    path.write_text("0,100.5,200,30,40,0.5\n1,104.5,200,34,40,0.5\n")
     with pytest.raises(MotFormatError, match="neither"):
         read_mot(path)
 

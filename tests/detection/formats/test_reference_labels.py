@@ -1,8 +1,10 @@
-"""Small label files written by hand from the specification of each format, with the boxes that they describe.
+"""Small label files written by hand from the specification of each format, with the boxes that they
+describe.
 
-All of them describe the same two objects in a video of 100 x 50 px: a car that covers the pixel columns 10 to 29 and
-rows 20 to 39 in the first frame, and is 10 columns further right in the third; and a person in the third frame only,
-columns 50 to 54, rows 10 to 29. With pixel centres at integers, the car's outer edges are 9.5, 19.5, 29.5, 39.5.
+All of them describe the same two objects in a video of 100 x 50 px: a car that covers the pixel
+columns 10 to 29 and rows 20 to 39 in the first frame, and is 10 columns further right in the third;
+and a person in the third frame only, columns 50 to 54, rows 10 to 29. With pixel centres at
+integers, the car's outer edges are 9.5, 19.5, 29.5, 39.5.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from track_range.detection.formats.label_formats import LABEL_FORMATS, label_for
 CAR, CAR_LATER, PERSON = [9.5, 19.5, 29.5, 39.5], [19.5, 19.5, 39.5, 39.5], [49.5, 9.5, 54.5, 29.5]
 SIZE = VideoFacts(size_px=(100, 50))
 
-# https://cocodataset.org/#format-data: bbox is [x, y, width, height], "0-indexed" from the image's top left corner
+# https://cocodataset.org/#format-data: bbox is [x, y, width, height], "0-indexed" from the image's
+# top left corner
 COCO = """
 {"info": {}, "licenses": [],
  "images": [{"id": 1, "width": 100, "height": 50, "file_name": "a_000000.png", "frame_index": 0, "video_id": 1},
@@ -52,7 +55,8 @@ CVAT = """<?xml version="1.0" encoding="utf-8"?>
 </annotations>
 """
 
-# readme.txt of KITTI's development kit for tracking: 0-based pixels, the box of track-range without a change
+# readme.txt of KITTI's development kit for tracking: 0-based pixels, the box of track-range without
+# a change
 KITTI = """\
 0 7 Car 0 0 -1.57 9.5 19.5 29.5 39.5 1.5 1.6 4.0 -3.0 1.6 20.0 -1.57
 2 7 Car 0 0 -1.57 19.5 19.5 39.5 39.5 1.5 1.6 4.0 -3.0 1.6 20.0 -1.57
@@ -62,7 +66,8 @@ KITTI = """\
 # https://motchallenge.net/instructions: frames and pixels from 1; class 3 = car, 1 = pedestrian
 MOT = "1,7,10.5,20.5,20,20,1,3,1\n3,7,20.5,20.5,20,20,1,3,1\n3,8,50.5,10.5,5,20,1,1,1\n"
 
-# https://docs.ultralytics.com/datasets/detect: class, centre and size as fractions of the image size
+# https://docs.ultralytics.com/datasets/detect: class, centre and size as fractions of the image
+# size
 YOLO = {
     "data.yaml": "path: .\ntrain: images\nval: images\nnames: {0: person, 1: car}\n",
     "labels/a_000000.txt": "1 0.2 0.6 0.2 0.4\n",
@@ -106,10 +111,16 @@ def test_written_reference(tmp_path: Path, name: str) -> None:
     assert label_format.write is not None
     label_format.write(table, tmp_path / "out")
     if name == "mot":
-        assert (tmp_path / "out").read_text().startswith("1,7,10.50,20.50,20.00,20.00,1.0000,-1,-1,-1\n3,7,20.50")
+        assert (
+            (tmp_path / "out")
+            .read_text()
+            .startswith("1,7,10.50,20.50,20.00,20.00,1.0000,-1,-1,-1\n3,7,20.50")
+        )
     elif name == "kitti":
         assert (
-            (tmp_path / "out").read_text().startswith("0 7 Car -1 -1 -10 9.50 19.50 29.50 39.50 -1 -1 -1 -1000 -1000")
+            (tmp_path / "out")
+            .read_text()
+            .startswith("0 7 Car -1 -1 -10 9.50 19.50 29.50 39.50 -1 -1 -1 -1000 -1000")
         )
     elif name == "yolo":
         file = tmp_path / "out/labels/a_000002.txt"
@@ -117,9 +128,10 @@ def test_written_reference(tmp_path: Path, name: str) -> None:
         assert (tmp_path / "out/labels/a_000001.txt").read_text() == ""
     else:
         text = (tmp_path / "out").read_text()
-        assert {"coco": '"bbox": [20.0, 20.0, 20.0, 20.0]', "cvat": 'xtl="20.000" ytl="20.000" xbr="40.000"'}[
-            name
-        ] in text
+        assert {
+            "coco": '"bbox": [20.0, 20.0, 20.0, 20.0]',
+            "cvat": 'xtl="20.000" ytl="20.000" xbr="40.000"',
+        }[name] in text
 
 
 def test_distance_of_cvat(tmp_path: Path) -> None:
@@ -128,14 +140,15 @@ def test_distance_of_cvat(tmp_path: Path) -> None:
     assert (table.video.n_frames, table.video.size_px, table.video.name) == (3, (100, 50), "a")
 
 
-# -- what a person changes in CVAT ------------------------------------------------------------------------------------
+# -- what a person changes in CVAT
+# ------------------------------------------------------------------------------------
 
 
 def cvat_of(tmp_path: Path, tracks: str, *, stop: int = 9, meta: str = "") -> BoxTable:
     path = tmp_path / "corrected.xml"
     path.write_text(
-        f"<annotations><version>1.1</version><meta><task><size>{stop + 1}</size><start_frame>0</start_frame>"
-        f"<stop_frame>{stop}</stop_frame></task>{meta}</meta>{tracks}</annotations>"
+        f"<annotations><version>1.1</version><meta><task><size>{stop + 1}</size><start_frame>"
+        f"0</start_frame><stop_frame>{stop}</stop_frame></task>{meta}</meta>{tracks}</annotations>"
     )
     return read_labels(path)
 
@@ -143,13 +156,16 @@ def cvat_of(tmp_path: Path, tracks: str, *, stop: int = 9, meta: str = "") -> Bo
 def box(frame: int, x: float, *, outside: int = 0, keyframe: int = 1, distance_m: str = "") -> str:
     attribute = f'<attribute name="distance_m">{distance_m}</attribute>'
     return (
-        f'<box frame="{frame}" outside="{outside}" occluded="0" keyframe="{keyframe}" xtl="{x}" ytl="5" xbr="{x + 10}" '
-        f'ybr="25" z_order="0">{attribute}</box>'
+        f'<box frame="{frame}" outside="{outside}" occluded="0" keyframe="{keyframe}" xtl="{x}" '
+        f'ytl="5" xbr="{x + 10}" ybr="25" z_order="0">{attribute}</box>'
     )
 
 
 def test_only_keyframes_are_interpolated(tmp_path: Path) -> None:
-    tracks = f'<track id="0" label="car">{box(2, 10, distance_m="20")}{box(6, 18, distance_m="10")}</track>'
+    tracks = (
+        '<track id="0" '
+        f'label="car">{box(2, 10, distance_m="20")}{box(6, 18, distance_m="10")}</track>'
+    )
     table = cvat_of(tmp_path, tracks, stop=6)
     assert table.frame.tolist() == [2, 3, 4, 5, 6]
     np.testing.assert_allclose(table.xyxy_px[:, 0], [9.5, 11.5, 13.5, 15.5, 17.5])
@@ -165,10 +181,15 @@ def test_outside_ends_a_track_and_it_returns(tmp_path: Path) -> None:
 
 
 def test_repeated_distances_are_interpolated(tmp_path: Path) -> None:
-    listed = [box(0, 0, distance_m="20"), *(box(i, i, keyframe=0, distance_m="20") for i in (1, 2, 3))]
+    listed = [
+        box(0, 0, distance_m="20"),
+        *(box(i, i, keyframe=0, distance_m="20") for i in (1, 2, 3)),
+    ]
     track = f'<track id="0" label="car">{"".join(listed)}{box(4, 4, distance_m="12")}</track>'
     np.testing.assert_allclose(cvat_of(tmp_path, track, stop=4).distance_m, [20, 18, 16, 14, 12])
-    own = cvat_of(tmp_path, track, stop=4, meta="<track_range><pixels>rectified</pixels></track_range>")
+    own = cvat_of(
+        tmp_path, track, stop=4, meta="<track_range><pixels>rectified</pixels></track_range>"
+    )
     np.testing.assert_allclose(own.distance_m, [20, 20, 20, 20, 12])
     assert own.video.is_rectified
 
@@ -212,11 +233,13 @@ def test_keyframes_of_an_export_suffice(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.distance_m, table.distance_m, rtol=0.021)
 
 
-# -- other variants ---------------------------------------------------------------------------------------------------
+# -- other variants
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_yolo_with_score_and_identity(tmp_path: Path) -> None:
-    """Rows as Ultralytics' save_txt writes them: frames from 1, then the score, then the identity."""
+    """Rows as Ultralytics' save_txt writes them: frames from 1, then the score, then the
+    identity."""
     for frame, row in {1: "2 0.5 0.5 0.2 0.2 0.9 3", 2: "2 0.5 0.5 0.2 0.2 1"}.items():
         (tmp_path / f"drive_{frame}.txt").write_text(f"{row}\n")
     (tmp_path / "drive_2.txt").write_text("2 0.5 0.5 0.2 0.2 0.8 3\n0 0.1 0.1 0.1 0.1\n")
@@ -238,17 +261,23 @@ def test_coco_of_cvat(tmp_path: Path) -> None:
     """COCO as CVAT writes it: no frame_index, and the identity among the attributes."""
     path = tmp_path / "coco"
     path.write_text(
-        '{"images": [{"id": 1, "file_name": "frame_000005.PNG", "width": 100, "height": 50}], "categories": '
-        '[{"id": 3, "name": "Car"}], "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "iscrowd": 0, '
-        '"bbox": [10.0, 20.0, 20.0, 20.0], "attributes": {"occluded": false, "track_id": 7}}]}'
+        '{"images": [{"id": 1, "file_name": "frame_000005.PNG", "width": 100, "height": 50}], '
+        '"categories": [{"id": 3, "name": "Car"}], "annotations": [{"id": 1, "image_id": 1, '
+        '"category_id": 3, "iscrowd": 0, "bbox": [10.0, 20.0, 20.0, 20.0], "attributes": '
+        '{"occluded": false, "track_id": 7}}]}'
     )
     table = read_labels(path)
-    assert (table.frame.tolist(), table.track_id.tolist(), table.class_id.tolist()) == ([5], [7], [2])
+    assert (table.frame.tolist(), table.track_id.tolist(), table.class_id.tolist()) == (
+        [5],
+        [7],
+        [2],
+    )
     assert "names of the images" in table.notes[0]
 
 
 def test_coco_of_datumaro(tmp_path: Path) -> None:
-    """COCO as Datumaro converts it from CVAT: boxes outside, and the size 0 for images that it does not have."""
+    """COCO as Datumaro converts it from CVAT: boxes outside, and the size 0 for images that it does
+    not have."""
     document = json.loads(COCO)
     document["annotations"][0]["attributes"] = {"outside": True, "keyframe": True}
     for image in document["images"]:
@@ -269,7 +298,11 @@ def test_text_attributes_of_coco(tmp_path: Path, attributes: tuple[object, ...])
     path = tmp_path / "coco"
     path.write_text(json.dumps(document))
     table = read_labels(path)
-    assert (table.distance_m[0], table.score[0], table.observed.tolist()) == (12.5, 0.75, [False, True, True])
+    assert (table.distance_m[0], table.score[0], table.observed.tolist()) == (
+        12.5,
+        0.75,
+        [False, True, True],
+    )
     assert np.isnan(table.sigma_m).all()
 
 
@@ -293,7 +326,10 @@ def test_frame_numbers_in_names(
     table = read_labels(tmp_path, VideoFacts(size_px=(100, 50), n_frames=n_frames))
     assert table.frame.tolist() == frames
     as_in_names = [int(number) for number in numbers]
-    assert read_labels(tmp_path, VideoFacts(size_px=(100, 50), first_frame=1)).frame.tolist() == as_in_names
+    assert (
+        read_labels(tmp_path, VideoFacts(size_px=(100, 50), first_frame=1)).frame.tolist()
+        == as_in_names
+    )
 
 
 def test_yolo_of_roboflow(tmp_path: Path) -> None:

@@ -30,7 +30,9 @@ def test_road_users_of_coco_classes():
 def test_names_come_from_data_or_argument():
     named = boxes(data={"class_name": np.array(["truck", "dog", "Pedestrian"])})
     assert Detections.from_supervision(named).class_id.tolist() == [5, 0]
-    renamed = Detections.from_supervision(boxes(class_id=np.array([0, 1, 1])), class_names=["bus", "tree"])
+    renamed = Detections.from_supervision(
+        boxes(class_id=np.array([0, 1, 1])), class_names=["bus", "tree"]
+    )
     assert renamed.class_id.tolist() == [4]
 
 

@@ -1,4 +1,5 @@
-"""Small files of annotation tools and data sets by their specifications, with the boxes of test_reference_labels."""
+"""Small files of annotation tools and data sets by their specifications, with the boxes of
+test_reference_labels."""
 
 from __future__ import annotations
 
@@ -17,13 +18,16 @@ from track_range.detection.formats.label_formats import LABEL_FORMATS, label_for
 from track_range.detection.formats.video_labels import tool_labels
 from track_range.foundation.errors import UserError
 
-CAR_0, CAR_2, PERSON_2 = (10, 20, 20, 20), (20, 20, 20, 20), (50, 10, 5, 20)  # left, top, width and height in pixels
+# left, top, width and height in pixels
+CAR_0, CAR_2, PERSON_2 = (10, 20, 20, 20), (20, 20, 20, 20), (50, 10, 5, 20)
 OBJECTS = ((0, "car", 7, CAR_0), (2, "car", 7, CAR_2), (2, "person", 8, PERSON_2))
 
 
 def by_frame(make):
     """A list for each of the frames 0 and 2 of what `make` returns for their objects."""
-    return {f: [make(name, i, *box) for frame, name, i, box in OBJECTS if frame == f] for f in (0, 2)}
+    return {
+        f: [make(name, i, *box) for frame, name, i, box in OBJECTS if frame == f] for f in (0, 2)
+    }
 
 
 def scalabel(name, i, x, y, w, h):  # x2 and y2 are the last pixel
@@ -61,12 +65,20 @@ def centre(name, i, x, y, w, h):
 
 def sink(frame, name, i, box):
     x, y, w, h = box
-    row = {"x_min": x, "y_min": y, "x_max": x + w, "y_max": y + h, "class_id": {"car": 2, "person": 0}[name]}
+    row = {
+        "x_min": x,
+        "y_min": y,
+        "x_max": x + w,
+        "y_max": y + h,
+        "class_id": {"car": 2, "person": 0}[name],
+    }
     return row | {"confidence": 0.5, "tracker_id": i, "class_name": name, "frame_index": frame}
 
 
 def video_result(name, frames):
-    keys = [per_cent(name, 0, *box) | {"frame": f + 1, "enabled": enabled} for f, box, enabled in frames]
+    keys = [
+        per_cent(name, 0, *box) | {"frame": f + 1, "enabled": enabled} for f, box, enabled in frames
+    ]
     value = {"framesCount": 3, "duration": 0.3, "sequence": keys, "labels": [name]}
     return {"type": "videorectangle", "original_width": 100, "original_height": 50, "value": value}
 
@@ -183,7 +195,13 @@ VOC = (
 FOLDERS = {
     "labelme": {
         f"a_{f:04d}.json": json.dumps(
-            {"version": "5.0", "shapes": shapes, "imagePath": f"a_{f:04d}.jpg", "imageHeight": 50, "imageWidth": 100}
+            {
+                "version": "5.0",
+                "shapes": shapes,
+                "imagePath": f"a_{f:04d}.jpg",
+                "imageHeight": 50,
+                "imageWidth": 100,
+            }
         )
         for f, shapes in by_frame(rectangle).items()
     },
@@ -197,9 +215,14 @@ FOLDERS = {
         ).items()
     },
     "supervisely": {
-        f"ann/a_{f:04d}.jpg.json": json.dumps({"size": {"height": 50, "width": 100}, "objects": objects})
+        f"ann/a_{f:04d}.jpg.json": json.dumps(
+            {"size": {"height": 50, "width": 100}, "objects": objects}
+        )
         for f, objects in by_frame(
-            lambda name, i, *box: {"classTitle": name, "geometryType": "rectangle"} | figure(name, i, *box)["geometry"]
+            lambda name, i, *box: (
+                {"classTitle": name, "geometryType": "rectangle"}
+                | figure(name, i, *box)["geometry"]
+            )
         ).items()
     },
 }
@@ -215,7 +238,8 @@ WITHOUT_IDENTITIES = (
 
 
 def write(folder: Path, name: str) -> Path:
-    """The reference file of a layout, or its folder for those of `FOLDERS` with "folder" behind the name."""
+    """The reference file of a layout, or its folder for those of `FOLDERS` with "folder" behind the
+    name."""
     path = folder / "labels.dat"
     if name.endswith(" folder"):
         for file, text in FOLDERS[name.removesuffix(" folder")].items():
@@ -223,7 +247,9 @@ def write(folder: Path, name: str) -> Path:
             (folder / file).write_text(text)
         return folder
     content = FILES[name]
-    path.write_text(content if isinstance(content, str) else json.dumps(content, indent=1 + len(name) % 2))
+    path.write_text(
+        content if isinstance(content, str) else json.dumps(content, indent=1 + len(name) % 2)
+    )
     return path
 
 
@@ -233,7 +259,9 @@ NAMES = [*FILES, *(f"{name} folder" for name in FOLDERS)]
 @pytest.mark.parametrize("name", NAMES)
 def test_reference_file(tmp_path: Path, name: str) -> None:
     path = write(tmp_path, name)
-    assert label_format_of(path).name == {"supervision csv": "supervision"}.get(name, name.partition(" ")[0])
+    assert label_format_of(path).name == {"supervision csv": "supervision"}.get(
+        name, name.partition(" ")[0]
+    )
     table = read_labels(path, SIZE)
     later = 1 if name == "coco mono3d" else 2  # the order of two times
     assert table.frame.tolist() == [0, later, later]
@@ -329,7 +357,9 @@ def test_many_boxes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_damaged_files(tmp_path: Path, name: str, data: st.DataObject) -> None:
     path = write(tmp_path, name)

@@ -1,4 +1,5 @@
-"""Drawn road scenes with exact labels: small data sets on which training can be tested in seconds."""
+"""Drawn road scenes with exact labels: small data sets on which training can be tested in
+seconds."""
 
 import cv2
 import numpy as np
@@ -8,7 +9,8 @@ NAMES = ("car", "person")
 
 
 def draw_scene(rng, *, width_px=160, height_px=120):
-    """A BGR image with one to three dark wide cars or bright tall persons, and its rows `class x1 y1 x2 y2`."""
+    """A BGR image with one to three dark wide cars or bright tall persons, and its rows `class x1
+    y1 x2 y2`."""
     image = np.full((height_px, width_px, 3), 120, np.uint8)
     image[height_px // 2 :] = 90
     image = np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
@@ -26,7 +28,8 @@ def draw_scene(rng, *, width_px=160, height_px=120):
 
 
 def write_data_set(folder, *, n_train=8, n_val=None, seed=0, **extra):
-    """Write a YOLO data set to `folder`; the validation images are the training images unless `n_val` is given.
+    """Write a YOLO data set to `folder`; the validation images are the training images unless
+    `n_val` is given.
 
     Returns:
         Path of its data.yaml.

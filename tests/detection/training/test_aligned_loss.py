@@ -28,32 +28,45 @@ def objects(*rows, ignored=False, confidence=1.0, image=0):
     n = len(table)
     flags = torch.full((n,), ignored, dtype=torch.bool)
     return LabelledObjects(
-        torch.full((n,), image), table[:, 0].long(), table[:, 1:], flags, torch.full((n,), confidence)
+        torch.full((n,), image),
+        table[:, 0].long(),
+        table[:, 1:],
+        flags,
+        torch.full((n,), confidence),
     )
 
 
 def joined(*parts):
     return LabelledObjects(
-        *(torch.cat([getattr(part, n) for part in parts]) for n in LabelledObjects.__dataclass_fields__)
+        *(
+            torch.cat([getattr(part, n) for part in parts])
+            for n in LabelledObjects.__dataclass_fields__
+        )
     )
 
 
 def batch(labels, *, is_complete=(True, True), n_images=1):
     images = torch.zeros(n_images, 3, SIDE, SIDE, dtype=torch.uint8)
     return Batch(
-        images, labels, Completeness(torch.tensor(is_complete).expand(n_images, 2, 2, 2), torch.zeros(n_images, 2))
+        images,
+        labels,
+        Completeness(torch.tensor(is_complete).expand(n_images, 2, 2, 2), torch.zeros(n_images, 2)),
     )
 
 
 def centres():
-    grids = [(cells_xy(SIDE // s, SIDE // s, device=torch.device("cpu")).flatten(0, 1) + 0.5) * s for s in STRIDES]
+    grids = [
+        (cells_xy(SIDE // s, SIDE // s, device=torch.device("cpu")).flatten(0, 1) + 0.5) * s
+        for s in STRIDES
+    ]
     return torch.cat(grids), torch.cat(
         [torch.full((len(grid),), float(s)) for grid, s in zip(grids, STRIDES, strict=True)]
     )
 
 
 def outputs(box=None, *, stride=16, score_class=0):
-    """Raw outputs without objects; with `box` (cx, cy, w, h), all cells of a stride predict it, those inside score."""
+    """Raw outputs without objects; with `box` (cx, cy, w, h), all cells of a stride predict it,
+    those inside score."""
     heads = []
     for s in STRIDES:
         n = SIDE // s
@@ -84,7 +97,9 @@ def test_the_ten_best_aligned_cells_inside_are_assigned():
     boxes = (truth + noise)[None]
     cells = assign_aligned(objects((1, *truth.tolist())), scores, boxes, centre, stride)
     true_xyxy = np.array([[30.0, 48.0, 90.0, 92.0]])
-    overlap = torch.from_numpy(iou(xyxy_from_cxcywh(boxes[0].numpy().astype(np.float64)), true_xyxy)[:, 0]).float()
+    overlap = torch.from_numpy(
+        iou(xyxy_from_cxcywh(boxes[0].numpy().astype(np.float64)), true_xyxy)[:, 0]
+    ).float()
     alignment = scores[0, :, 1] * overlap**6
     alignment[~((centre - truth[:2]).abs() < truth[2:] / 2).all(1)] = -1
     best = alignment.argsort(descending=True)[:10]
@@ -97,7 +112,11 @@ def test_an_object_smaller_than_a_cell_has_positives():
     centre, stride = centres()
     boxes = torch.cat([centre, torch.full_like(centre, 4.0)], 1)[None]
     cells = assign_aligned(
-        objects((0, 16.0, 16.0, 3.0, 3.0)), torch.full((1, len(centre), 2), 0.5), boxes, centre, stride
+        objects((0, 16.0, 16.0, 3.0, 3.0)),
+        torch.full((1, len(centre), 2), 0.5),
+        boxes,
+        centre,
+        stride,
     )
     assert (stride[cells.cell] == 8).any()
     assert ((centre[cells.cell] - 16).abs() < 8).all()
@@ -111,7 +130,8 @@ def test_a_cell_belongs_to_the_object_with_the_largest_overlap():
     owned = cells.select(cells.has_box)
     assert len(set(owned.cell.tolist())) == len(owned.cell) == len(set(cells.cell.tolist()))
     assert (owned.object_index == 0).sum() == 10
-    assert (cells.object_index == 1).sum() == 10  # the class of the other object is a target of its cells too
+    # the class of the other object is a target of its cells too
+    assert (cells.object_index == 1).sum() == 10
 
 
 def test_perfect_predictions_have_no_loss_and_others_have(network):
@@ -137,7 +157,9 @@ def test_background_alone_has_no_loss(network):
 def test_classes_that_are_not_completely_labelled_count_less(network):
     box = (56.0, 60.0, 60.0, 44.0)
     complete, incomplete = (
-        float(AlignedLoss(network)(outputs(box), batch(objects(), is_complete=(flag, True)))["class"])
+        float(
+            AlignedLoss(network)(outputs(box), batch(objects(), is_complete=(flag, True)))["class"]
+        )
         for flag in (True, False)
     )
     assert incomplete == pytest.approx(0.2 * complete, rel=1e-3)
@@ -147,7 +169,8 @@ def test_ignored_boxes_do_not_count(network):
     box = (56.0, 60.0, 60.0, 44.0)
     loss = AlignedLoss(network)
     unlabelled, ignored = (
-        loss(outputs(box), batch(labels)) for labels in (objects(), objects((0, *box), ignored=True))
+        loss(outputs(box), batch(labels))
+        for labels in (objects(), objects((0, *box), ignored=True))
     )
     assert float(unlabelled["class"]) > 1
     assert float(ignored["class"]) == pytest.approx(0, abs=1e-3)
@@ -157,7 +180,8 @@ def test_ignored_boxes_do_not_count(network):
 
 
 def test_score_that_minimises_the_loss_is_the_confidence_times_the_overlap(network):
-    """With perfect boxes, the gradient of the scores is zero at the confidence of a pseudo-label."""
+    """With perfect boxes, the gradient of the scores is zero at the confidence of a
+    pseudo-label."""
     box = (56.0, 60.0, 60.0, 44.0)
     raw = outputs(box)
     p = 0.3

@@ -1,13 +1,19 @@
 import numpy as np
 import pytest
 
-from track_range.detection.training.networks.registry import as_text, by_head, kmeans_anchors, mean_best_iou, shape_iou
+from track_range.detection.training.networks.registry import (
+    as_text,
+    by_head,
+    kmeans_anchors,
+    mean_best_iou,
+    shape_iou,
+)
 
 
 def test_iou_of_shapes_by_hand():
-    assert shape_iou(np.array([[4.0, 2.0]]), np.array([[2.0, 2.0], [2.0, 4.0], [8.0, 2.0]])) == pytest.approx(
-        np.array([[0.5, 4 / 12, 0.5]])
-    )
+    assert shape_iou(
+        np.array([[4.0, 2.0]]), np.array([[2.0, 2.0], [2.0, 4.0], [8.0, 2.0]])
+    ) == pytest.approx(np.array([[0.5, 4 / 12, 0.5]]))
 
 
 def test_clusters_of_boxes_are_found():
@@ -22,7 +28,9 @@ def test_clusters_of_boxes_are_found():
 def test_more_anchors_fit_better():
     rng = np.random.default_rng(2)
     sizes = np.exp(rng.normal(3.5, 0.8, (500, 2)))
-    fits = [mean_best_iou(sizes, kmeans_anchors(sizes, k, np.random.default_rng(0))) for k in (2, 4, 9)]
+    fits = [
+        mean_best_iou(sizes, kmeans_anchors(sizes, k, np.random.default_rng(0))) for k in (2, 4, 9)
+    ]
     assert fits == sorted(fits)
     again = kmeans_anchors(sizes, 9, np.random.default_rng(0))
     assert np.array_equal(again, kmeans_anchors(sizes, 9, np.random.default_rng(0)))

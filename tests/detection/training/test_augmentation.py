@@ -3,7 +3,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.detection.training.data.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
+from track_range.detection.training.data.augmentation import (
+    AugmentationSettings,
+    LabelledPixels,
+    mosaic,
+    single,
+)
 
 PLAIN = AugmentationSettings(
     mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
@@ -34,7 +39,9 @@ def red_boxes(image):
     """Boxes of the red areas of an RGB image, in corner coordinates."""
     red = ((image[..., 0] > 120) & (image[..., 1] < 60)).astype(np.uint8)
     _, _, stats, _ = cv2.connectedComponentsWithStats(red)
-    return np.array([[x, y, x + w, y + h] for x, y, w, h, area in stats[1:] if area > 12], np.float64).reshape(-1, 4)
+    return np.array(
+        [[x, y, x + w, y + h] for x, y, w, h, area in stats[1:] if area > 12], np.float64
+    ).reshape(-1, 4)
 
 
 def test_letterbox_without_augmentation():
@@ -71,7 +78,9 @@ def test_mosaic_has_boxes_of_all_four(seed):
     assert set(result.class_index.tolist()) <= {0, 1, 2, 3}
     clear = result.xyxy[~result.is_ignored]
     for box in clear:  # objects that are not ignored are visible
-        inside = result.image[int(box[1]) : int(np.ceil(box[3])), int(box[0]) : int(np.ceil(box[2]))]
+        inside = result.image[
+            int(box[1]) : int(np.ceil(box[3])), int(box[0]) : int(np.ceil(box[2]))
+        ]
         assert np.median(inside[..., 0]) > 100
     assert result.is_complete.tolist() == [[[True, True], [True, False]]] * 2
 
@@ -79,16 +88,24 @@ def test_mosaic_has_boxes_of_all_four(seed):
 def test_crop_of_large_image_has_an_object():
     enlarged = AugmentationSettings(min_gain=4.0, max_gain=4.0, **COLOURLESS)
     n_objects = [
-        len(single(scene(400, 300, (30, 40, 50, 60)), 100, enlarged, np.random.default_rng(seed)).xyxy)
+        len(
+            single(
+                scene(400, 300, (30, 40, 50, 60)), 100, enlarged, np.random.default_rng(seed)
+            ).xyxy
+        )
         for seed in range(20)
     ]
     assert min(n_objects) == 1
 
 
 def test_rotation_keeps_the_object_inside_its_box():
-    turned = AugmentationSettings(rotation_deg=30, shear_deg=8, min_gain=1, max_gain=1, mirror=0.5, **COLOURLESS)
+    turned = AugmentationSettings(
+        rotation_deg=30, shear_deg=8, min_gain=1, max_gain=1, mirror=0.5, **COLOURLESS
+    )
     for seed in range(10):
-        result = single(scene(200, 200, (80, 60, 120, 150)), 200, turned, np.random.default_rng(seed))
+        result = single(
+            scene(200, 200, (80, 60, 120, 150)), 200, turned, np.random.default_rng(seed)
+        )
         red = red_boxes(result.image)
         assert (red[:, :2] >= result.xyxy[:, :2] - 1.5).all()
         assert (red[:, 2:] <= result.xyxy[:, 2:] + 1.5).all()
@@ -99,7 +116,9 @@ def test_cut_objects_are_dropped():
 
     source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))
     matrix = np.array([[1.0, 0, -93], [0, 1.0, 0]])
-    boxes, _, ignored, _ = _transformed_labels(source, matrix, _Part(slice(0, 50), slice(0, 50), (0, 0)))
+    boxes, _, ignored, _ = _transformed_labels(
+        source, matrix, _Part(slice(0, 50), slice(0, 50), (0, 0))
+    )
     assert boxes.tolist() == [[0, 0, 7, 20], [6, 0, 7, 2]]
     assert ignored.tolist() == [True, True]
 
@@ -107,7 +126,8 @@ def test_cut_objects_are_dropped():
 def test_colours_change_and_the_seed_decides():
     source = scene(64, 64, (10, 10, 50, 50))
     result = [
-        single(source, 64, AugmentationSettings(mirror=0), np.random.default_rng(seed)).image for seed in (1, 1, 2)
+        single(source, 64, AugmentationSettings(mirror=0), np.random.default_rng(seed)).image
+        for seed in (1, 1, 2)
     ]
     assert np.array_equal(result[0], result[1])
     assert not np.array_equal(result[0], result[2])

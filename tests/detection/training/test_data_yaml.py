@@ -14,7 +14,9 @@ CAR, PERSON = 2, 0
 
 def changed(path, **changes):
     document = yaml.safe_load(path.read_text()) | changes
-    path.write_text(yaml.safe_dump({key: value for key, value in document.items() if value is not None}))
+    path.write_text(
+        yaml.safe_dump({key: value for key, value in document.items() if value is not None})
+    )
     return path
 
 
@@ -50,7 +52,9 @@ def test_list_of_images(tmp_path):
 
 def test_boxes_outside_the_image_are_clipped(tmp_path):
     path = write_data_set(tmp_path, n_train=2, n_val=1)
-    (tmp_path / "labels/train/000.txt").write_text("0 0.5 0.5 0.2 0.2\n0 0.95 0.5 0.3 0.2\n1 1.5 0.5 0.2 0.2\n")
+    (tmp_path / "labels/train/000.txt").write_text(
+        "0 0.5 0.5 0.2 0.2\n0 0.95 0.5 0.3 0.2\n1 1.5 0.5 0.2 0.2\n"
+    )
     data = read_data_yaml(path)
     assert data.train[0].truth.xyxy_px[:, 2].max() == 1.0
     assert len(data.train[0].truth.class_id) == 2
@@ -93,7 +97,10 @@ def test_polygons_become_boxes(tmp_path):
         ({"names": ["cat", "dog"]}, r"data\.yaml: .*road class"),
         ({"pseudo_names": ["car"], "labels_pseudo": "."}, r"pseudo_names: .*probabilities"),
         ({"pseudo_scores": "yes"}, r"data\.yaml: 'pseudo_scores'"),
-        ({"pseudo_scores": "probabilities", "pseudo_names": ["cat"], "labels_pseudo": "."}, r"pseudo_names: .*cat"),
+        (
+            {"pseudo_scores": "probabilities", "pseudo_names": ["cat"], "labels_pseudo": "."},
+            r"pseudo_names: .*cat",
+        ),
         ({"format": "coco"}, r"data\.yaml: 'format'"),
         ({"anchors": 3}, r"data\.yaml: 'anchors'"),
         ({"foo": 1, "bar": 2}, r"data\.yaml: '(foo|bar)'"),
@@ -135,15 +142,22 @@ def test_pseudo_labels_of_incomplete_classes(tmp_path):
     (tmp_path / "teacher").mkdir()
     for name in ("000", "001"):
         # a car of high score, a car of low score, a person of high score
-        (tmp_path / "teacher" / f"{name}.txt").write_text("0 .2 .2 .1 .1 0.45\n0 .5 .5 .1 .1 0.3\n1 .8 .8 .1 .1 0.9\n")
-    document = yaml.safe_load(path.read_text()) | {"manifest": "manifest.csv", "labels_pseudo": "teacher"}
+        (tmp_path / "teacher" / f"{name}.txt").write_text(
+            "0 .2 .2 .1 .1 0.45\n0 .5 .5 .1 .1 0.3\n1 .8 .8 .1 .1 0.9\n"
+        )
+    document = yaml.safe_load(path.read_text()) | {
+        "manifest": "manifest.csv",
+        "labels_pseudo": "teacher",
+    }
     document["val"] = "images/train"
     with (tmp_path / "manifest.csv").open("a") as file:
         file.write("none.png,val,11111111\n")
     path.write_text(yaml.safe_dump(document))
     with pytest.raises(LabelFileError, match=r"data\.yaml: .*'val'"):
         read_data_yaml(path)
-    (tmp_path / "images/train/none.png").write_bytes((tmp_path / "images/train/000.png").read_bytes())
+    (tmp_path / "images/train/none.png").write_bytes(
+        (tmp_path / "images/train/000.png").read_bytes()
+    )
     data = read_data_yaml(path)
     assert data.train[0].truth.is_ignored.tolist() == [
         False,
@@ -169,7 +183,9 @@ def test_pseudo_labels_of_incomplete_classes(tmp_path):
     path.write_text(yaml.safe_dump(document))
     assert len(data.val) == 1
     assert not any("not in the manifest" in note for note in data.notes)
-    (tmp_path / "images/train/new.png").write_bytes((tmp_path / "images/train/000.png").read_bytes())
+    (tmp_path / "images/train/new.png").write_bytes(
+        (tmp_path / "images/train/000.png").read_bytes()
+    )
     assert any("1 images for 'train'" in note for note in read_data_yaml(path).notes)
 
 
@@ -179,7 +195,10 @@ def test_kitti_labels(tmp_path):
     cv2.imwrite(str(tmp_path / "images/000000.png"), np.zeros((100, 300, 3), np.uint8))
     row = "{} 0 0 0 {} 1 1 1 0 0 0 0"
     (tmp_path / "labels/000000.txt").write_text(
-        "\n".join(row.format(kind, box) for kind, box in (("Car", "10 20 60 50"), ("Person_sitting", "80 20 90 50")))
+        "\n".join(
+            row.format(kind, box)
+            for kind, box in (("Car", "10 20 60 50"), ("Person_sitting", "80 20 90 50"))
+        )
     )
     (tmp_path / "data.yaml").write_text("train: images\nval: images\nformat: kitti\n")
     cv2.imwrite(str(tmp_path / "images/000001.png"), np.zeros((100, 300, 3), np.uint8))
@@ -220,7 +239,9 @@ def test_nested_data_set(tmp_path):
     for name in ("first", "drawn"):
         (tmp_path / name).mkdir()
     other = write_data_set(tmp_path / "drawn", n_train=3)
-    path = changed(write_data_set(tmp_path / "first", n_train=2), train=["images/train", "../drawn/data.yaml"])
+    path = changed(
+        write_data_set(tmp_path / "first", n_train=2), train=["images/train", "../drawn/data.yaml"]
+    )
     assert len(read_data_yaml(path).train) == 5
     both = changed(path, val="../drawn/data.yaml")
     changed(other, val="images/train", names=["car", "zebra"])
@@ -228,7 +249,8 @@ def test_nested_data_set(tmp_path):
     data = read_data_yaml(both)
     assert {item.path.parent.parent.parent.name for item in data.val} == {"drawn"}
     nested = [item for item in data.train if "drawn" in str(item.path)]
-    assert not any(item.truth.is_complete[PERSON] for item in nested)  # data.yaml does not name this class
+    # data.yaml does not name this class
+    assert not any(item.truth.is_complete[PERSON] for item in nested)
     assert all(item.truth.is_complete[CAR] for item in nested)
     changed(other, train="../first/data.yaml")
     with pytest.raises(LabelFileError, match=r"data\.yaml: refers to itself"):

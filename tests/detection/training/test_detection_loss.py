@@ -15,13 +15,19 @@ HIGH_LOGIT = 12.0
 def no_objects(*, ignored=()):
     boxes = torch.tensor([*ignored], dtype=torch.float32).reshape(-1, 4)
     n = len(boxes)
-    return LabelledObjects(torch.zeros(n).long(), torch.zeros(n).long(), boxes, torch.ones(n).bool(), torch.ones(n))
+    return LabelledObjects(
+        torch.zeros(n).long(), torch.zeros(n).long(), boxes, torch.ones(n).bool(), torch.ones(n)
+    )
 
 
 def one(cx, cy, w, h, class_index=0):
     boxes = torch.tensor([[cx, cy, w, h]], dtype=torch.float32)
     return LabelledObjects(
-        torch.zeros(1).long(), torch.tensor([class_index]), boxes, torch.zeros(1).bool(), torch.ones(1)
+        torch.zeros(1).long(),
+        torch.tensor([class_index]),
+        boxes,
+        torch.zeros(1).bool(),
+        torch.ones(1),
     )
 
 
@@ -33,7 +39,9 @@ def batch(objects, *, teacher=None, is_complete=(True, True)):
 
 def background(network):
     """Raw outputs without objects, with high confidence."""
-    heads = [torch.zeros(1, 3, SIDE // s, SIDE // s, 5 + network.n_classes) for s in network.strides_px]
+    heads = [
+        torch.zeros(1, 3, SIDE // s, SIDE // s, 5 + network.n_classes) for s in network.strides_px
+    ]
     for head in heads:
         head[..., 4] = -HIGH_LOGIT
     return heads
@@ -75,9 +83,9 @@ def test_loss_of_perfect_predictions_is_zero(network):
     objects = one(27, 43, 16, 30)
     losses = DetectionLoss(network)(perfect(network, objects), batch(objects))
     assert numbers(losses) == pytest.approx((0, 0, 0), abs=1e-3)
-    assert numbers(DetectionLoss(network)(background(network), batch(no_objects()))) == pytest.approx(
-        (0, 0, 0), abs=1e-3
-    )
+    assert numbers(
+        DetectionLoss(network)(background(network), batch(no_objects()))
+    ) == pytest.approx((0, 0, 0), abs=1e-3)
 
 
 def test_loss_parts_are_independent(network):
@@ -96,9 +104,12 @@ def test_loss_parts_are_independent(network):
 
 def test_false_positive_by_hand(network):
     raw = background(network)
-    raw[0][0, 0, 0, 0, 4] = 0.0  # probability 0.5 for background: ln 2, in 1 of 3 * 64 cells, balance 4
+    # probability 0.5 for background: ln 2, in 1 of 3 * 64 cells, balance 4
+    raw[0][0, 0, 0, 0, 4] = 0.0
     losses = DetectionLoss(network)(raw, batch(no_objects()))
-    assert float(losses["objectness"]) == pytest.approx(4.0 * math.log(2) / (3 * 64) * (SIDE / 640) ** 2, rel=0.01)
+    assert float(losses["objectness"]) == pytest.approx(
+        4.0 * math.log(2) / (3 * 64) * (SIDE / 640) ** 2, rel=0.01
+    )
 
 
 def test_no_false_positives_in_ignored_boxes(network):
@@ -110,7 +121,9 @@ def test_no_false_positives_in_ignored_boxes(network):
     assert float(with_ignored["objectness"]) == pytest.approx(0.0, abs=1e-5)
 
 
-def teacher_outputs(network, *, row=5, column=3, score=0.9, box=(27, 43, 16, 30), scores=(0.8, 0.1)):
+def teacher_outputs(
+    network, *, row=5, column=3, score=0.9, box=(27, 43, 16, 30), scores=(0.8, 0.1)
+):
     """Outputs of a teacher that detects one object, in one cell of the finest head."""
     outputs = []
     for head, stride in enumerate(network.strides_px):
@@ -120,7 +133,11 @@ def teacher_outputs(network, *, row=5, column=3, score=0.9, box=(27, 43, 16, 30)
         if n:
             objectness[0, 1, row, column] = score
         boxes = torch.tensor([box] * n, dtype=torch.float32).reshape(n, 4)
-        outputs.append(TeacherOutputs(objectness, Cells(*where), boxes, torch.tensor([scores] * n).reshape(n, 2)))
+        outputs.append(
+            TeacherOutputs(
+                objectness, Cells(*where), boxes, torch.tensor([scores] * n).reshape(n, 2)
+            )
+        )
     return outputs
 
 
@@ -149,14 +166,19 @@ def test_label_box_overrides_teacher_box(network):
     exact = batch(objects, teacher=teacher_outputs(network))
     raw = perfect(network, objects)
     loss = DetectionLoss(network)
-    assert float(loss(raw, shifted)["box"]) == pytest.approx(float(loss(raw, exact)["box"]), abs=1e-6)
+    assert float(loss(raw, shifted)["box"]) == pytest.approx(
+        float(loss(raw, exact)["box"]), abs=1e-6
+    )
 
 
 def test_eiou_differs_from_ciou(network):
     objects = one(27, 43, 16, 30)
     raw = perfect(network, objects)
     raw[0][..., 2] += 1.0
-    ciou, eiou = (float(DetectionLoss(network, box_loss=name)(raw, batch(objects))["box"]) for name in ("ciou", "eiou"))
+    ciou, eiou = (
+        float(DetectionLoss(network, box_loss=name)(raw, batch(objects))["box"])
+        for name in ("ciou", "eiou")
+    )
     assert eiou != pytest.approx(ciou, rel=0.01)
 
 
@@ -164,8 +186,12 @@ def test_class_is_distilled_at_label_cells(network):
     objects = one(27, 43, 16, 30, class_index=0)
     raw = perfect(network, objects)
     loss = DetectionLoss(network)
-    agreeing, differing = (batch(objects, teacher=teacher_outputs(network, scores=s)) for s in ((0.9, 0.1), (0.1, 0.9)))
-    assert float(loss(raw, differing)["class"]) == pytest.approx(float(loss(raw, agreeing)["class"]), abs=1e-6)
+    agreeing, differing = (
+        batch(objects, teacher=teacher_outputs(network, scores=s)) for s in ((0.9, 0.1), (0.1, 0.9))
+    )
+    assert float(loss(raw, differing)["class"]) == pytest.approx(
+        float(loss(raw, agreeing)["class"]), abs=1e-6
+    )
 
 
 def test_ignored_box_does_not_block_a_label(network):
@@ -183,7 +209,8 @@ def test_ignored_box_does_not_block_a_label(network):
 
 
 def test_labels_used_where_mosaic_is_complete(network):
-    """A class that is complete only on the right: the teacher's car is learnt on the left, but not on the right."""
+    """A class that is complete only on the right: the teacher's car is learnt on the left, but not
+    on the right."""
     flags = torch.zeros(1, 2, 2, 2, dtype=torch.bool)
     flags[0, :, 1] = True
     images = torch.zeros(1, 3, SIDE, SIDE, dtype=torch.uint8)
@@ -191,6 +218,8 @@ def test_labels_used_where_mosaic_is_complete(network):
     losses = {}
     for name, x in (("left of it", 20.0), ("right of it", 60.0)):
         complete = Completeness(flags, torch.tensor([[x, 0.0]]))  # the box's centre is at 27
-        losses[name] = loss(background(network), Batch(images, no_objects(), complete, teacher_outputs(network)))
+        losses[name] = loss(
+            background(network), Batch(images, no_objects(), complete, teacher_outputs(network))
+        )
     assert float(losses["right of it"]["box"]) > 1e-3
     assert numbers(losses["left of it"]) == pytest.approx((0, 0, 0), abs=1e-3)

@@ -1,4 +1,5 @@
-"""Pseudo-labels of an ensemble: fused boxes by hand, calibration of simulated scores, selection, stored boxes."""
+"""Pseudo-labels of an ensemble: fused boxes by hand, calibration of simulated scores, selection,
+stored boxes."""
 
 from dataclasses import replace
 
@@ -27,7 +28,12 @@ from track_range.detection.training.ensemble.calibration import (
 )
 from track_range.detection.training.ensemble.data_set import PseudoLabels, pseudo_labels
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
-from track_range.detection.training.ensemble.views import EnsembleMember, ViewBoxes, detect_views, store_missing
+from track_range.detection.training.ensemble.views import (
+    EnsembleMember,
+    ViewBoxes,
+    detect_views,
+    store_missing,
+)
 from track_range.detection.training.errors import TrainingError
 
 PERSON, BICYCLE, CAR, MOTORCYCLE, BUS, TRUCK = range(6)
@@ -46,9 +52,12 @@ def detections_of(*rows):
 
 
 def truth_of(*rows, incomplete=()):
-    """Labels (x1, y1, x2, y2, class_id) of an image in which some classes are not completely labelled."""
+    """Labels (x1, y1, x2, y2, class_id) of an image in which some classes are not completely
+    labelled."""
     table = np.array(rows, np.float64).reshape(-1, 5)
-    return replace(ImageTruth.of(table[:, :4], table[:, 4]), is_complete=~np.isin(np.arange(8), incomplete))
+    return replace(
+        ImageTruth.of(table[:, :4], table[:, 4]), is_complete=~np.isin(np.arange(8), incomplete)
+    )
 
 
 def scores(n_detectors, *entries):
@@ -62,7 +71,9 @@ def scores(n_detectors, *entries):
 
 def probabilities(*entries):
     """(K, 8) probabilities from {class_id: probability} of each box."""
-    return scores(1, *({(0, class_id): p for class_id, p in entry.items()} for entry in entries))[:, 0]
+    return scores(1, *({(0, class_id): p for class_id, p in entry.items()} for entry in entries))[
+        :, 0
+    ]
 
 
 def test_views_are_in_the_coordinates_of_the_image():
@@ -74,7 +85,9 @@ def test_views_are_in_the_coordinates_of_the_image():
 
         def detect(self, image):
             self.images.append(image)
-            return Detections.of([[9.5, 19.5, 29.5, 39.5], [50, 0, 51, 40]], [0.8, 0.9], [CAR, PERSON])
+            return Detections.of(
+                [[9.5, 19.5, 29.5, 39.5], [50, 0, 51, 40]], [0.8, 0.9], [CAR, PERSON]
+            )
 
     detector, image = Marked(), np.zeros((40, 100, 3), np.uint8)
     image[:, 0] = 255
@@ -86,7 +99,11 @@ def test_views_are_in_the_coordinates_of_the_image():
 
 def test_fusion_by_hand():
     # two detectors, with the boxes of both views; truck and car are confused on one object
-    first = view_boxes((0.1, 0.1, 0.3, 0.3, 0.8, CAR), (0.1, 0.1, 0.32, 0.3, 0.4, CAR), (0.7, 0.7, 0.8, 0.9, 0.03, CAR))
+    first = view_boxes(
+        (0.1, 0.1, 0.3, 0.3, 0.8, CAR),
+        (0.1, 0.1, 0.32, 0.3, 0.4, CAR),
+        (0.7, 0.7, 0.8, 0.9, 0.03, CAR),
+    )
     second = view_boxes((0.1, 0.1, 0.3, 0.34, 0.6, TRUCK), (0.1, 0.1, 0.3, 0.3, 0.5, PERSON))
     fused = fuse([first, second])
     weight = np.array([0.64, 0.16, 0.36])
@@ -99,7 +116,9 @@ def test_fusion_by_hand():
 def test_fusion_does_not_depend_on_the_order_of_the_boxes():
     rng = np.random.default_rng(4)
     corner, size = rng.uniform(0, 0.8, (60, 2)), rng.uniform(0.05, 0.2, (60, 2))
-    table = np.column_stack([corner, corner + size, rng.uniform(0.02, 1, 60), rng.integers(0, 8, 60)])
+    table = np.column_stack(
+        [corner, corner + size, rng.uniform(0.02, 1, 60), rng.integers(0, 8, 60)]
+    )
     fused, mixed = fuse([view_boxes(*table)]), fuse([view_boxes(*rng.permutation(table))])
     np.testing.assert_allclose(mixed.xyxy, fused.xyxy)
     np.testing.assert_allclose(mixed.score, fused.score)
@@ -113,10 +132,22 @@ def test_fusion_without_boxes():
 
 
 def test_a_label_is_matched_once_and_by_the_best_box():
-    boxes = [[0.0, 0.0, 0.2, 0.2], [0.01, 0.0, 0.21, 0.2], [0.5, 0.5, 0.7, 0.7], [0.5, 0.5, 0.6, 0.6]]
+    boxes = [
+        [0.0, 0.0, 0.2, 0.2],
+        [0.01, 0.0, 0.21, 0.2],
+        [0.5, 0.5, 0.7, 0.7],
+        [0.5, 0.5, 0.6, 0.6],
+    ]
     score = scores(1, {(0, CAR): 0.4}, {(0, CAR): 0.9}, {(0, CAR): 0.3}, {(0, CAR): 0.8})
-    truth = truth_of((0.0, 0.0, 0.2, 0.2, CAR), (0.5, 0.5, 0.7, 0.7, CAR), (0.5, 0.5, 0.6, 0.6, PERSON))
-    assert matches(FusedBoxes(np.array(boxes), score), truth, CAR).tolist() == [False, True, True, False]
+    truth = truth_of(
+        (0.0, 0.0, 0.2, 0.2, CAR), (0.5, 0.5, 0.7, 0.7, CAR), (0.5, 0.5, 0.6, 0.6, PERSON)
+    )
+    assert matches(FusedBoxes(np.array(boxes), score), truth, CAR).tolist() == [
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 def simulated(rng, n, *, weight, intercept):
@@ -140,7 +171,8 @@ def test_calibration_recovers_the_probabilities_of_simulated_scores():
     np.testing.assert_allclose(calibration.intercept[[CAR, BUS]], [-0.7, 0.4], atol=0.05)
     assert calibration.weight[BUS, 0] == 0
     assert calibration.n_positives.tolist()[CAR] == np.count_nonzero(cars.is_match)
-    # classes without matches have the mean; that of a detector that does not know the class goes to the other
+    # classes without matches have the mean; that of a detector that does not know the class goes to
+    # the other
     mean = calibration.weight[[CAR, BUS]].mean(axis=0)
     np.testing.assert_allclose(calibration.weight[PERSON], mean)
     np.testing.assert_allclose(calibration.weight[TRUCK], [0, mean.sum()])
@@ -170,7 +202,11 @@ def test_too_few_matches_for_a_calibration():
 def test_samples_are_from_completely_labelled_images():
     boxes, box = np.array([[0.0, 0.0, 0.2, 0.2]]), (0.0, 0.0, 0.2, 0.2)
     fused = FusedBoxes(boxes, scores(1, {(0, CAR): 0.4, (0, PERSON): 0.02}))
-    images = [(fused, truth_of((*box, CAR))), (fused, truth_of()), (fused, truth_of((*box, CAR), incomplete=[CAR]))]
+    images = [
+        (fused, truth_of((*box, CAR))),
+        (fused, truth_of()),
+        (fused, truth_of((*box, CAR), incomplete=[CAR])),
+    ]
     by_class = samples(images, n_detectors=1, is_labelled=ALL)
     assert by_class[CAR].is_match.tolist() == [True, False]
     assert by_class[CAR].score.tolist() == [[0.4], [0.4]]
@@ -178,11 +214,15 @@ def test_samples_are_from_completely_labelled_images():
     assert not len(samples(images, n_detectors=1, is_labelled=~ALL)[CAR].score)
 
 
-BOXES = np.array([[0.0, 0.0, 0.2, 0.2], [0.4, 0.4, 0.6, 0.6], [0.7, 0.7, 0.9, 0.9], [-0.1, 0.5, 0.2, 0.8]])
+BOXES = np.array(
+    [[0.0, 0.0, 0.2, 0.2], [0.4, 0.4, 0.6, 0.6], [0.7, 0.7, 0.9, 0.9], [-0.1, 0.5, 0.2, 0.8]]
+)
 
 
 def test_selection_by_probability_and_labels():
-    p = probabilities({CAR: 0.9}, {CAR: 0.3, TRUCK: 0.2}, {PERSON: 0.59, BUS: 0.7}, {CAR: 0.05, MOTORCYCLE: 0.5})
+    p = probabilities(
+        {CAR: 0.9}, {CAR: 0.3, TRUCK: 0.2}, {PERSON: 0.59, BUS: 0.7}, {CAR: 0.05, MOTORCYCLE: 0.5}
+    )
     truth = truth_of((0.0, 0.0, 0.19, 0.2, PERSON), incomplete=[CAR, TRUCK, MOTORCYCLE])
     is_known = ALL.copy()
     is_known[TRUCK] = False
@@ -210,7 +250,8 @@ def test_combination_with_another_detector_by_hand():
     is_known[7] = False
     truth = truth_of(incomplete=[CAR, 7])
     labels = pseudo_labels(BOXES, p, truth, is_known=is_known, other=other)
-    both, alone = 1 / (1 + 9**-0.5), 1 / (1 + (9 * 0.12 / 0.88) ** -0.5)  # sqrt of the products of odds
+    # sqrt of the products of odds
+    both, alone = 1 / (1 + 9**-0.5), 1 / (1 + (9 * 0.12 / 0.88) ** -0.5)
     assert labels.class_id.tolist() == [CAR, CAR, CAR, PERSON, CAR, 7]
     np.testing.assert_allclose(labels.probability, [both, alone, 0.6 * 0.5, 0.7, 0.75 * 0.4, 0.4])
     without = pseudo_labels(BOXES, p, truth, is_known=is_known)
@@ -218,10 +259,14 @@ def test_combination_with_another_detector_by_hand():
 
 
 def test_no_boxes_and_no_detections():
-    empty = pseudo_labels(np.zeros((0, 4)), np.zeros((0, 8)), truth_of(), is_known=ALL, other=detections_of())
+    empty = pseudo_labels(
+        np.zeros((0, 4)), np.zeros((0, 8)), truth_of(), is_known=ALL, other=detections_of()
+    )
     assert empty.as_text(ROAD_CLASSES) == ""
     alone = detections_of((0.4, 0.0, 0.6, 0.2, 0.4, CAR))
-    labels = pseudo_labels(np.zeros((0, 4)), np.zeros((0, 8)), truth_of(incomplete=[CAR]), is_known=ALL, other=alone)
+    labels = pseudo_labels(
+        np.zeros((0, 4)), np.zeros((0, 8)), truth_of(incomplete=[CAR]), is_known=ALL, other=alone
+    )
     np.testing.assert_allclose(labels.probability, [0.3])
 
 
@@ -234,14 +279,17 @@ def test_label_files_have_the_class_numbers_of_the_data_set(tmp_path):
     )
     file = tmp_path / "a.txt"
     file.write_text(labels.as_text(["zebra", "person", "van", "car"]))  # no bus
-    assert file.read_text().splitlines()[0] == "2 0.200000 0.400000 0.200000 0.400000 0.250"  # vans are cars
+    # vans are cars
+    assert file.read_text().splitlines()[0] == "2 0.200000 0.400000 0.200000 0.400000 0.250"
     read = YoloLabelReader(["zebra", "person", "van", "car"]).read(file)
     assert (read.class_id.tolist(), read.score.tolist()) == ([CAR, PERSON], [0.25, 1.0])
     np.testing.assert_allclose(read.xyxy, labels.xyxy[:2])
 
 
 def test_stored_boxes(tmp_path):
-    model = write_rectangle_finder(tmp_path / "cars.onnx", side_px=64, grey=114 / 255, metadata={"names": "['car']"})
+    model = write_rectangle_finder(
+        tmp_path / "cars.onnx", side_px=64, grey=114 / 255, metadata={"names": "['car']"}
+    )
     image = np.full((64, 64, 3), 114, np.uint8)
     image[20:40, 8:32] = 255
     file, stored = tmp_path / "a.png", tmp_path / "stored"
@@ -249,7 +297,9 @@ def test_stored_boxes(tmp_path):
     assert np.flatnonzero(member.is_known).tolist() == [CAR]
     assert not member.has_boxes(file)
     member.store_boxes(file, image)
-    np.testing.assert_allclose(member.boxes(file).xyxy, [np.array([8, 20, 32, 40]) / 64] * 2, atol=1e-6)
+    np.testing.assert_allclose(
+        member.boxes(file).xyxy, [np.array([8, 20, 32, 40]) / 64] * 2, atol=1e-6
+    )
     assert EnsembleMember(model, stored).has_boxes(file)
     assert not EnsembleMember(model, stored, size_px=128).has_boxes(file)
     assert not member.has_boxes(tmp_path / "other" / "a.png")
@@ -273,7 +323,9 @@ def test_stored_boxes(tmp_path):
 
 def changed(path, **changes):
     document = yaml.safe_load(path.read_text()) | changes
-    path.write_text(yaml.safe_dump({key: value for key, value in document.items() if value is not None}))
+    path.write_text(
+        yaml.safe_dump({key: value for key, value in document.items() if value is not None})
+    )
     return path
 
 
@@ -304,7 +356,10 @@ def test_labels_without_pseudo_labels_and_repetitions(tmp_path):
     [
         ({"train": ["images/train", "images/val"]}, r"data\.yaml: .*different names.*'000'"),
         ({"format": "kitti"}, r"data\.yaml: .*kitti"),
-        ({"labels_pseudo": "labels", "pseudo_scores": "probabilities"}, r"data\.yaml: .*pseudo_scores"),
+        (
+            {"labels_pseudo": "labels", "pseudo_scores": "probabilities"},
+            r"data\.yaml: .*pseudo_scores",
+        ),
         ({"labels_pseudo": "nowhere"}, r"data\.yaml: .*nowhere"),
         ({"names": ["zebra"]}, r"data\.yaml: names"),
     ],

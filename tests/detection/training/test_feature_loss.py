@@ -88,7 +88,9 @@ def test_features_of_the_teacher_are_learnt_and_runs_resume_exactly(sets, tmp_pa
 
     further = run_of(sets, tmp_path / "further", teacher, quick)
     further.start_from(tmp_path / "straight" / "last.pt")
-    assert torch.equal(further._feature_loss.predictors[0].weight, straight._feature_loss.predictors[0].weight)
+    assert torch.equal(
+        further._feature_loss.predictors[0].weight, straight._feature_loss.predictors[0].weight
+    )
     alone = run_of(sets, tmp_path / "straight", None, quick)
     with pytest.raises(CheckpointError, match="--teacher"):
         alone.resume()

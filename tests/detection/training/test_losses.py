@@ -36,7 +36,9 @@ def by_hand(a, b, kind):
 @pytest.mark.parametrize("i", range(3))
 @pytest.mark.parametrize("j", range(3))
 def test_ciou_of_squares_equals_torchvision(i, j):
-    assert ciou(cxcywh(SQUARES[i]), cxcywh(SQUARES[j])).item() == pytest.approx(DISTANCE_IOU[i][j], abs=1e-4)
+    assert ciou(cxcywh(SQUARES[i]), cxcywh(SQUARES[j])).item() == pytest.approx(
+        DISTANCE_IOU[i][j], abs=1e-4
+    )
 
 
 def test_hand_worked():
@@ -55,7 +57,9 @@ boxes = st.tuples(positions, positions, sides, sides)
 @given(a=boxes, b=boxes)
 @pytest.mark.parametrize(("kind", "loss"), [("ciou", ciou), ("eiou", eiou)])
 def test_equals_the_equations(kind, loss, a, b):
-    similarity = loss(torch.tensor([a], dtype=torch.float64), torch.tensor([b], dtype=torch.float64)).item()
+    similarity = loss(
+        torch.tensor([a], dtype=torch.float64), torch.tensor([b], dtype=torch.float64)
+    ).item()
     assert similarity == pytest.approx(by_hand(a, b, kind), abs=1e-5)
     assert similarity <= 1 + 1e-6
 

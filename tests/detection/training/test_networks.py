@@ -48,12 +48,14 @@ def random_network(name, **options):
 
 @pytest.mark.parametrize(("name", "n"), [("yolov5n", 1_872_157), ("yolov5s", 7_235_389)])
 def test_parameter_counts_equal_official_ones(name, n):
-    # Ultralytics' YOLOv5 v6 prints these for yolov5n.yaml and yolov5s.yaml (with the anchors, which are no weights)
+    # Ultralytics' YOLOv5 v6 prints these for yolov5n.yaml and yolov5s.yaml (with the anchors, which
+    # are no weights)
     assert n_weights(make_network(name, 80)) == n
 
 
 def test_parameter_count_of_yolov4_tiny():
-    # 6.06 million, 24.25 MB: the size of AlexeyAB's yolov4-tiny.weights without its batch statistics
+    # 6.06 million, 24.25 MB: the size of AlexeyAB's yolov4-tiny.weights without its batch
+    # statistics
     assert n_weights(make_network("yolov4-tiny", 80)) * 4 / 1e6 == pytest.approx(24.2, abs=0.1)
 
 
@@ -77,7 +79,8 @@ def test_export_equals_network(tmp_path, name, has_cbam):
         expected = network.decode(network(images)).numpy()
     actual = OnnxSession(path).run(images.numpy())[0]
     assert actual.shape == expected.shape
-    assert np.allclose(actual[..., :4], expected[..., :4], atol=1e-3, rtol=1e-6)  # px; random boxes may be huge
+    # px; random boxes may be huge
+    assert np.allclose(actual[..., :4], expected[..., :4], atol=1e-3, rtol=1e-6)
     assert np.abs(actual[..., 4:] - expected[..., 4:]).max() < 1e-5
 
 
@@ -86,9 +89,15 @@ def test_export_equals_network(tmp_path, name, has_cbam):
 def test_detector_loads_export_without_options(tmp_path, name):
     network = random_network(name)
     path = tmp_path / "model.onnx"
-    export_onnx(network, path, {"family": NETWORKS[name].family, "names": ROAD, "letterbox": "centred-114", "size": 96})
+    export_onnx(
+        network,
+        path,
+        {"family": NETWORKS[name].family, "names": ROAD, "letterbox": "centred-114", "size": 96},
+    )
     detector = YoloDetector(path, YoloSettings(min_score=0.05))
-    detections = detector.detect(np.random.default_rng(0).integers(0, 255, (80, 96, 3), dtype=np.uint8))
+    detections = detector.detect(
+        np.random.default_rng(0).integers(0, 255, (80, 96, 3), dtype=np.uint8)
+    )
     assert isinstance(detections, Detections)
     assert len(detections) > 0
     assert (detector.model.family, detector.input_hw) == (NETWORKS[name].family, (96, 96))
@@ -101,7 +110,9 @@ def test_detector_decodes_the_export_of_the_road_network(tmp_path, hw):
     network = random_network("road")
     path = tmp_path / "road.onnx"
     input_format = {"letterbox": "centred-114", "mean": [0, 0, 0], "std": [1, 1, 1]}
-    export_onnx(network, path, {"family": "RoadNet", "names": ROAD, **input_format, "size": max(hw)})
+    export_onnx(
+        network, path, {"family": "RoadNet", "names": ROAD, **input_format, "size": max(hw)}
+    )
     detector = YoloDetector(path, YoloSettings(min_score=0.3))
     image = np.random.default_rng(0).integers(0, 255, (*hw, 3), dtype=np.uint8)
     detector.fill(image)
@@ -124,7 +135,9 @@ def test_import_of_official_export(tmp_path):
     again = yolov5_of_export(path)
     images = torch.rand(1, 3, 64, 96)
     with torch.no_grad():
-        assert torch.allclose(again.decode(again(images)), network.decode(network(images)), atol=1e-3)
+        assert torch.allclose(
+            again.decode(again(images)), network.decode(network(images)), atol=1e-3
+        )
 
 
 def test_equals_official_yolov5(shared_data):

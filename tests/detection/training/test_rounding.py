@@ -4,7 +4,11 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from track_range.detection.training.networks.blocks import ConvolutionBlock, rounded_activations, rounded_weights
+from track_range.detection.training.networks.blocks import (
+    ConvolutionBlock,
+    rounded_activations,
+    rounded_weights,
+)
 
 
 def test_activations_by_reference_arithmetic():
@@ -28,7 +32,11 @@ def test_zero_is_exact_and_constant_tensors_stay():
 
 
 def test_gradient_is_the_identity_except_for_clipped_values():
-    x = torch.stack([torch.linspace(-1, 1, 64), torch.linspace(-3, 3, 64)]).reshape(2, 1, 8, 8).requires_grad_()
+    x = (
+        torch.stack([torch.linspace(-1, 1, 64), torch.linspace(-3, 3, 64)])
+        .reshape(2, 1, 8, 8)
+        .requires_grad_()
+    )
     rounded_activations(x).sum().backward()
     assert torch.equal(x.grad, (x.detach().abs() < 2.01).float())  # the range is -2 to 2
 
@@ -39,15 +47,21 @@ def test_weights_by_output_channel():
     step = weights.abs().amax((1, 2, 3), keepdim=True) / 127
     assert torch.allclose(rounded_weights(weights), (weights / step).round() * step, atol=1e-6)
     # A batch norm that scales the channels does not change their rounding.
-    assert torch.allclose(rounded_weights(weights * scales), rounded_weights(weights) * scales, rtol=1e-4)
+    assert torch.allclose(
+        rounded_weights(weights * scales), rounded_weights(weights) * scales, rtol=1e-4
+    )
 
 
 def test_block_rounds_input_weights_and_output_in_training():
     torch.manual_seed(0)
     block, images = ConvolutionBlock(3, 8, size=3, stride=2), torch.randn(2, 3, 16, 16)
     block.is_rounded = True
-    y = functional.conv2d(rounded_activations(images), rounded_weights(block.conv.weight), stride=2, padding=1)
-    y = functional.batch_norm(y, None, None, block.norm.weight, block.norm.bias, training=True, eps=block.norm.eps)
+    y = functional.conv2d(
+        rounded_activations(images), rounded_weights(block.conv.weight), stride=2, padding=1
+    )
+    y = functional.batch_norm(
+        y, None, None, block.norm.weight, block.norm.bias, training=True, eps=block.norm.eps
+    )
     assert torch.equal(block(images), functional.silu(rounded_activations(y)))
     block.eval()
     rounded = block(images)

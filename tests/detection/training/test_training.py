@@ -27,7 +27,13 @@ from track_range.detection.training.run_folder import (
     load_mean,
     save_checkpoint,
 )
-from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
+from track_range.detection.training.schedule import (
+    SGD,
+    Schedule,
+    ScheduleSettings,
+    WeightAverage,
+    optimiser_of,
+)
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, export_onnx, prepare_torch
@@ -37,7 +43,9 @@ PLAIN = AugmentationSettings(
 )
 
 
-SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
+SMALL = TrainingSettings(
+    size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings()
+)
 
 
 class Quiet:
@@ -73,7 +81,9 @@ def training(sets, out, settings=SMALL, *, name="yolov5n", teacher=None, **optio
 
 
 def weights(run):
-    return torch.cat([value.flatten().float() for value in run.average.network.state_dict().values()])
+    return torch.cat(
+        [value.flatten().float() for value in run.average.network.state_dict().values()]
+    )
 
 
 @pytest.mark.train
@@ -90,7 +100,10 @@ def test_killed_run_resumes_exactly(sets, tmp_path, name):
     resumed.run(Quiet())
     assert torch.equal(weights(resumed), weights(straight))
     drop = {"minutes"}
-    rows = [[{k: v for k, v in row.items() if k not in drop} for row in run.history] for run in (resumed, straight)]
+    rows = [
+        [{k: v for k, v in row.items() if k not in drop} for row in run.history]
+        for run in (resumed, straight)
+    ]
     assert repr(rows[0]) == repr(rows[1])
 
 
@@ -114,8 +127,16 @@ def test_files_of_the_run_folder(sets, tmp_path):
         (lambda s, o: training(s, o, name="yolov4-tiny"), "--model yolov4-tiny, got .* yolov5n"),
         (lambda s, o: training(s, o, has_cbam=True), "--attention True, got .* False"),
         (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "--size 128, got .* 96"),
-        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "--box-loss eiou, got .* ciou"),
-        (lambda s, o: training(s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))), "--mosaic"),
+        (
+            lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")),
+            "--box-loss eiou, got .* ciou",
+        ),
+        (
+            lambda s, o: training(
+                s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))
+            ),
+            "--mosaic",
+        ),
     ],
 )
 def test_checkpoint_of_another_run(sets, tmp_path, change, message):
@@ -183,7 +204,9 @@ def test_epochs_without_mosaics():
     settings = TrainingSettings(n_epochs=5, n_last_epochs=2)
     assert [settings.augmentation_in(i).mosaic > 0 for i in range(5)] == [True] * 3 + [False] * 2
     assert TrainingSettings(n_epochs=5, n_last_epochs=5).augmentation_in(0).mosaic == 0
-    with pytest.raises(TrainingError, match=r"--last-epochs: expected at most 1, .*--epochs, got 5"):
+    with pytest.raises(
+        TrainingError, match=r"--last-epochs: expected at most 1, .*--epochs, got 5"
+    ):
         TrainingSettings(n_epochs=1, n_last_epochs=5)
 
 
@@ -191,7 +214,9 @@ def test_rounded_epochs():
     settings = TrainingSettings(n_epochs=5, n_int8_epochs=2)
     assert [settings.is_rounded_in(i) for i in range(5)] == [False] * 3 + [True] * 2
     assert not TrainingSettings(n_epochs=5).is_rounded_in(4)
-    with pytest.raises(TrainingError, match=r"--int8-epochs: expected at most 1, .*--epochs, got 5"):
+    with pytest.raises(
+        TrainingError, match=r"--int8-epochs: expected at most 1, .*--epochs, got 5"
+    ):
         TrainingSettings(n_epochs=1, n_int8_epochs=5)
 
 
@@ -210,7 +235,9 @@ def test_blocks_are_rounded_in_the_last_epochs(sets, tmp_path):
 
     class Listener(Quiet):
         def epoch(self, row):
-            blocks = [module for module in run.network.modules() if isinstance(module, ConvolutionBlock)]
+            blocks = [
+                module for module in run.network.modules() if isinstance(module, ConvolutionBlock)
+            ]
             seen.append({block.is_rounded for block in blocks})
 
     run.run(Listener())
@@ -260,7 +287,10 @@ def test_initial_weights_of_another_run(sets, tmp_path):
 
 @pytest.mark.train
 def test_initial_weights_are_the_mean_of_several_checkpoints(sets, tmp_path):
-    runs = [training(sets, tmp_path / str(seed), replace(SMALL, n_epochs=1, seed=seed)) for seed in (1, 2)]
+    runs = [
+        training(sets, tmp_path / str(seed), replace(SMALL, n_epochs=1, seed=seed))
+        for seed in (1, 2)
+    ]
     for run in runs:
         run.run(Quiet())
     mean = training(sets, tmp_path / "mean")
@@ -268,22 +298,35 @@ def test_initial_weights_are_the_mean_of_several_checkpoints(sets, tmp_path):
     first, second = (run.average.network.state_dict() for run in runs)
     for network in (mean.network, mean.average.network):
         for name, value in network.state_dict().items():
-            expected = (first[name] + second[name]) / 2 if value.is_floating_point() else first[name]
+            expected = (
+                (first[name] + second[name]) / 2 if value.is_floating_point() else first[name]
+            )
             assert torch.allclose(value, expected, atol=1e-6), name
     other = training(sets, tmp_path / "other", replace(SMALL, n_epochs=1), name="road")
     other.run(Quiet())
-    with pytest.raises(CheckpointError, match=r"other.last\.pt: expected model yolov5n as in .*last\.pt, got road;"):
+    with pytest.raises(
+        CheckpointError, match=r"other.last\.pt: expected model yolov5n as in .*last\.pt, got road;"
+    ):
         mean.start_from(tmp_path / "1" / LAST, tmp_path / "other" / LAST)
 
 
 def test_mean_of_different_networks_is_refused(tmp_path):
     identity, average = {"model": "road", "classes": ["car", "person"]}, {"head": torch.zeros(2, 3)}
     cases = {
-        "classes car, person as in .*, got person, car;": (identity | {"classes": ["person", "car"]}, average),
+        "classes car, person as in .*, got person, car;": (
+            identity | {"classes": ["person", "car"]},
+            average,
+        ),
         "model road as in .*, got unknown;": ({"classes": ["car", "person"]}, average),
-        r"weights head of shape \(2, 3\) as in .*, got \(3, 2\);": (identity, {"head": torch.zeros(3, 2)}),
+        r"weights head of shape \(2, 3\) as in .*, got \(3, 2\);": (
+            identity,
+            {"head": torch.zeros(3, 2)},
+        ),
         r"weights head of shape \(2, 3\) as in .*, got none;": (identity, {}),
-        r"weights attention of shape none as in .*, got \(1,\);": (identity, average | {"attention": torch.zeros(1)}),
+        r"weights attention of shape none as in .*, got \(1,\);": (
+            identity,
+            average | {"attention": torch.zeros(1)},
+        ),
     }
     save_checkpoint(tmp_path / BEST, {"identity": identity, "average": average})
     for message, (other, weights_of_other) in cases.items():
@@ -293,7 +336,9 @@ def test_mean_of_different_networks_is_refused(tmp_path):
 
 
 def test_nan_loss_ends_the_run(sets, tmp_path):
-    diverging = replace(SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1))
+    diverging = replace(
+        SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1)
+    )
     with pytest.raises(TrainingError, match="NaN"):
         training(sets, tmp_path, diverging).run(Quiet())
 
@@ -310,7 +355,9 @@ def failing(sets, out, error):
 
 
 def test_out_of_memory_suggests_batch_size(sets, tmp_path):
-    error = RuntimeError("[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory")
+    error = RuntimeError(
+        "[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory"
+    )
     with pytest.raises(TrainingError, match=r"memory.* --batch 2"):
         failing(sets, tmp_path, error).run(Quiet())
 
@@ -381,7 +428,8 @@ def test_ema_follows_the_weights():
 
 @pytest.mark.train
 def test_student_learns_without_labels(sets, tmp_path):
-    """Images without labels and without completely labelled classes: only the teacher detects cars."""
+    """Images without labels and without completely labelled classes: only the teacher detects
+    cars."""
     prepare_torch(seed=1)
     network = make_network("yolov5n", 2)
     with torch.no_grad():
@@ -399,7 +447,11 @@ def test_student_learns_without_labels(sets, tmp_path):
             item = sets.train.load(index)
             none = np.zeros(0, np.int64)
             return replace(
-                item, xyxy=item.xyxy[:0], class_index=none, is_ignored=none == 1, is_complete=~item.is_complete
+                item,
+                xyxy=item.xyxy[:0],
+                class_index=none,
+                is_ignored=none == 1,
+                is_complete=~item.is_complete,
             )
 
     objectness = {}
@@ -415,6 +467,8 @@ def test_student_learns_without_labels(sets, tmp_path):
 
 @pytest.mark.slow
 def test_teacher_without_road_classes(sets, tmp_path):
-    export_onnx(make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]})
+    export_onnx(
+        make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]}
+    )
     with pytest.raises(ModelError, match=r"pets\.onnx: .*classes"):
         Teacher(tmp_path / "pets.onnx", sets.road_class_id, device="cpu")

@@ -28,7 +28,9 @@ def test_errors_of_the_opening(small_drive, cli, tmp_path):
         tr.Run.mono(small_drive.left, topics=("/camera",)).open()
     with pytest.raises(tr.VideoError, match="omit topics="):
         tr.open_recording(small_drive.left, topics=("/camera",))
-    status, _, complaint = cli("--mono", small_drive.left, "--topics", "/camera", "--out", tmp_path / "out")
+    status, _, complaint = cli(
+        "--mono", small_drive.left, "--topics", "/camera", "--out", tmp_path / "out"
+    )
     assert (status, "omit --topics" in complaint) == (1, True)
 
 
@@ -68,7 +70,12 @@ def test_errors_of_evaluations():
 def test_values_of_python(small_drive):
     """Numbers, paths and lists, where the command line has text."""
     settings = tr.Run.mono(
-        small_drive.left, min_score=0.25, ego_speed=30, names=["car", "bus"], rig=small_drive.rig, size=320
+        small_drive.left,
+        min_score=0.25,
+        ego_speed=30,
+        names=["car", "bus"],
+        rig=small_drive.rig,
+        size=320,
     ).settings
     assert (settings.min_score, settings.ego_speed, settings.names) == ("0.25", "30", "car,bus")
     assert (settings.rig, settings.size_px) == (small_drive.rig, 320)

@@ -28,7 +28,9 @@ def drive(small_drive):
 
 
 def recorded(drive, **options):
-    return tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options)
+    return tr.Run.stereo(
+        drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,10 @@ def test_every_public_name_is_importable():
 
 
 def test_import_loads_no_library():
-    code = "import sys, track_range; print({'numpy', 'cv2', 'pydantic', 'rich', 'onnxruntime'} & set(sys.modules))"
+    code = (
+        "import sys, track_range; print({'numpy', 'cv2', 'pydantic', 'rich', 'onnxruntime'} & "
+        "set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 
@@ -133,8 +138,13 @@ def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
     for _ in second:
         pass
     second.write(tmp_path / "after")
-    assert (tmp_path / "after" / "tracks.csv").read_bytes() == (tmp_path / "while" / "tracks.csv").read_bytes()
-    after, during = (np.loadtxt(tmp_path / name / "mot.txt", delimiter=",", ndmin=2) for name in ("after", "while"))
+    assert (tmp_path / "after" / "tracks.csv").read_bytes() == (
+        tmp_path / "while" / "tracks.csv"
+    ).read_bytes()
+    after, during = (
+        np.loadtxt(tmp_path / name / "mot.txt", delimiter=",", ndmin=2)
+        for name in ("after", "while")
+    )
     assert after == pytest.approx(during, abs=0.0101)  # rounded twice
     assert second.summary["files"] == {}
 
@@ -148,7 +158,9 @@ def test_closed_run_is_not_iterated(drive):
 
 
 def test_second_write_keeps_the_videos(drive, tmp_path):
-    run = tr.Run.mono(drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out")
+    run = tr.Run.mono(
+        drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out"
+    )
     for _ in run:
         pass
     assert (tmp_path / "out" / "overlay.mp4").exists()
@@ -182,7 +194,9 @@ def test_own_detector_and_tracker_objects(drive):
     class MiddleBox:
         def detect(self, image):
             height, width = image.shape[:2]
-            return tr.Detections.of([[width / 2 - 40, height / 2 - 10, width / 2 + 40, height / 2 + 40]], [0.9], [2])
+            return tr.Detections.of(
+                [[width / 2 - 40, height / 2 - 10, width / 2 + 40, height / 2 + 40]], [0.9], [2]
+            )
 
     class OneIdentity:
         def update(self, detections, time_s, image):
@@ -190,10 +204,16 @@ def test_own_detector_and_tracker_objects(drive):
             n = len(detections)
             observed = np.ones(n, np.bool_)
             return tr.Tracks(
-                np.arange(n, dtype=np.int64) + 41, detections.xyxy_px, detections.class_id, detections.score, observed
+                np.arange(n, dtype=np.int64) + 41,
+                detections.xyxy_px,
+                detections.class_id,
+                detections.score,
+                observed,
             )
 
-    run = tr.Run.mono(drive.left, focal_px=700, detector=MiddleBox(), tracker=OneIdentity(), duration=0.3)
+    run = tr.Run.mono(
+        drive.left, focal_px=700, detector=MiddleBox(), tracker=OneIdentity(), duration=0.3
+    )
     frames = list(run)
     assert len(seen) == len(frames) > 0
     assert all(frame.tracks.track_id.tolist() == [41] for frame in frames)
@@ -219,28 +239,41 @@ def test_parts_range_a_pair(drive):
     assert run.rig is not None
     by_stereo = tr.StereoRanger(run.rig).measure(frame.tracks, frame.frame)
     by_size = tr.SizeRanger(run.camera).measure(frame.tracks, frame.frame)
-    assert by_stereo.distance_m == pytest.approx(frame.ranges["stereo"].distance_m, rel=0.05, nan_ok=True)
+    assert by_stereo.distance_m == pytest.approx(
+        frame.ranges["stereo"].distance_m, rel=0.05, nan_ok=True
+    )
     assert by_size.distance_m == pytest.approx(frame.ranges["mono"].distance_m, nan_ok=True)
 
 
 def test_documented_parts_give_the_distances_of_a_run(shared_data, tmp_path, monkeypatch, capsys):
-    """KITTI's drive 0005, whose rig has an error of 0.6 px: 12 % of a distance of 30 m without the alignment."""
+    """KITTI's drive 0005, whose rig has an error of 0.6 px: 12 % of a distance of 30 m without the
+    alignment."""
     pair = [shared_data / "kitti_stereo" / "0005" / f"{side}.mp4" for side in ("left", "right")]
     for video in pair:
         (tmp_path / video.name).symlink_to(video)
     save_rig(tr.load_rig(pair[0].parent / "calib.txt", size_px=(1242, 375)), tmp_path / "rig.yaml")
     monkeypatch.chdir(tmp_path)
     text = (PROJECT / "docs/reference/api/parts.md").read_text(encoding="utf-8")
-    code = next(block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "tr.StereoRanger(" in block)
+    code = next(
+        block
+        for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+        if "tr.StereoRanger(" in block
+    )
     n_frames = 6
-    code = code.replace("in recording.frames:", f"in __import__('itertools').islice(recording.frames, {n_frames}):")
+    code = code.replace(
+        "in recording.frames:", f"in __import__('itertools').islice(recording.frames, {n_frames}):"
+    )
     names: dict = {}
     exec(code, names)  # noqa: S102  # the documented program
     assert capsys.readouterr().out
     with closing(tr.Run.stereo(*pair, rig="rig.yaml", overlay=False)) as run:
         expected = list(islice(run, n_frames))[-1].ranges["stereo"]
     distance_m = dict(zip(names["ranges"].track_id, names["ranges"].distance_m, strict=True))
-    both = [(distance_m[n], d) for n, d in zip(expected.track_id, expected.distance_m, strict=True) if n in distance_m]
+    both = [
+        (distance_m[n], d)
+        for n, d in zip(expected.track_id, expected.distance_m, strict=True)
+        if n in distance_m
+    ]
     measured_m, run_m = np.array([pair for pair in both if np.isfinite(pair).all()]).T
     assert run_m.size >= 2
     assert measured_m == pytest.approx(run_m, rel=0.01)
@@ -253,7 +286,9 @@ def test_rig_files(drive, tmp_path):
     rig = tr.load_rig(drive.rig)
     assert rig.baseline_m == pytest.approx(0.54, abs=0.2)
     assert rig.left.width_px > 0
-    (tmp_path / "calib.txt").write_text("P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -378 0 700 180 0 0 0 1 0\n")
+    (tmp_path / "calib.txt").write_text(
+        "P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -378 0 700 180 0 0 0 1 0\n"
+    )
     with pytest.raises(tr.RigError, match="size_px"):
         tr.load_rig(tmp_path / "calib.txt")
     assert tr.load_rig(tmp_path / "calib.txt", size_px=(640, 360)).baseline_m == pytest.approx(0.54)
@@ -281,7 +316,11 @@ def test_evaluations_take_options_by_name(drive, tmp_path):
 
 
 def test_tracks_measured_against_themselves(tmp_path):
-    rows = [f"{frame},{track},{10 * track + frame},20,30,60,1,-1,-1,-1" for frame in range(1, 9) for track in (1, 2)]
+    rows = [
+        f"{frame},{track},{10 * track + frame},20,30,60,1,-1,-1,-1"
+        for frame in range(1, 9)
+        for track in (1, 2)
+    ]
     for name in ("truth", "results"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("\n".join(rows) + "\n")
@@ -293,10 +332,35 @@ def test_tracks_measured_against_themselves(tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        *("Run", "Detections", "Tracks", "Ranges", "PinholeCamera", "StereoRig", "Detector", "Tracker", "SizeRanger"),
-        *("StereoRanger", "Fusion", "DistanceFilters", "Rectifier", "load_rig", "evaluate_stereo", "open_recording"),
+        *(
+            "Run",
+            "Detections",
+            "Tracks",
+            "Ranges",
+            "PinholeCamera",
+            "StereoRig",
+            "Detector",
+            "Tracker",
+            "SizeRanger",
+        ),
+        *(
+            "StereoRanger",
+            "Fusion",
+            "DistanceFilters",
+            "Rectifier",
+            "load_rig",
+            "evaluate_stereo",
+            "open_recording",
+        ),
         "load_alignment",
-        *("FrameResult", "class_id", "LateralFilters", "CollisionWarning", "WarningSettings", "Warnings"),
+        *(
+            "FrameResult",
+            "class_id",
+            "LateralFilters",
+            "CollisionWarning",
+            "WarningSettings",
+            "Warnings",
+        ),
     ],
 )
 def test_docstring_example(drive, tmp_path, monkeypatch, name):
@@ -306,7 +370,9 @@ def test_docstring_example(drive, tmp_path, monkeypatch, name):
     (tmp_path / "dashcam.mp4").symlink_to(drive.left)
     (tmp_path / "drive").symlink_to(drive.left.parent)
     monkeypatch.chdir(tmp_path)
-    examples = doctest.DocTestFinder(recurse=False).find(getattr(tr, name), name, module=False, globs={})
+    examples = doctest.DocTestFinder(recurse=False).find(
+        getattr(tr, name), name, module=False, globs={}
+    )
     results = [doctest.DocTestRunner().run(example) for example in examples]
     assert sum(result.attempted for result in results) >= 2
     assert sum(result.failed for result in results) == 0

@@ -1,4 +1,5 @@
-"""What SECURITY.md promises about code: the current folder is searched only for modules that `--tracker` names."""
+"""What SECURITY.md promises about code: the current folder is searched only for modules that
+`--tracker` names."""
 
 import sys
 

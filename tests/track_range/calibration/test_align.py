@@ -1,4 +1,5 @@
-"""Tests of `track-range align`: a simulated drive, its labels, tables, KITTI's data, and invalid input."""
+"""Tests of `track-range align`: a simulated drive, its labels, tables, KITTI's data, and invalid
+input."""
 
 from __future__ import annotations
 
@@ -32,11 +33,17 @@ def videos(drive):
 
 
 def near_boxes(drive):
-    """Frame, box, id and depth of the centre of the cars that are completely visible and nearer than 40 m."""
+    """Frame, box, id and depth of the centre of the cars that are completely visible and nearer
+    than 40 m."""
     labels = read_kitti(drive / "truth.txt")
     clear = (labels.kitti_type == "Car") & (labels.truncated == 0) & (labels.occluded == 0)
     clear &= labels.location_m[:, 2] < 40
-    return labels.frame[clear], labels.xyxy_px[clear], labels.track_id[clear], labels.location_m[clear, 2]
+    return (
+        labels.frame[clear],
+        labels.xyxy_px[clear],
+        labels.track_id[clear],
+        labels.location_m[clear, 2],
+    )
 
 
 @pytest.mark.slow
@@ -55,10 +62,20 @@ def test_drive_without_error_is_not_corrected(videos, tmp_path, cli):
 @pytest.mark.slow
 def test_two_drives_are_combined(drive, tmp_path, cli):
     figures = tmp_path / "figures.json"
-    options = ("--drive", drive, "--drive", drive, "--out", tmp_path / "align.yaml", "--json", figures)
+    options = (
+        "--drive",
+        drive,
+        "--drive",
+        drive,
+        "--out",
+        tmp_path / "align.yaml",
+        "--json",
+        figures,
+    )
     status, printed, _ = cli("align", *options)
     assert status == 0
-    assert f"{drive.name}, {drive.name}" in printed  # the names, since the file may be used for another drive
+    # the names, since the file may be used for another drive
+    assert f"{drive.name}, {drive.name}" in printed
 
 
 def test_label_file_and_folder_agree(drive, videos, tmp_path, cli):
@@ -67,7 +84,8 @@ def test_label_file_and_folder_agree(drive, videos, tmp_path, cli):
     assert cli("align", "--reference", drive / "truth.csv", *videos, "--out", by_file)[0] == 0
     folder, file = load_alignment(by_folder), load_alignment(by_file)
     assert abs(folder.offset_px) < 0.1
-    assert file.offset_px == pytest.approx(folder.offset_px, abs=0.1)  # they differ in the range of distances
+    # they differ in the range of distances
+    assert file.offset_px == pytest.approx(folder.offset_px, abs=0.1)
 
 
 @pytest.mark.slow
@@ -78,14 +96,19 @@ def test_table_of_disparities_with_an_offset(drive, videos, tmp_path, cli):
     assert len(frame) > 10
     rows = [[*row] for row in np.column_stack([frame, box, front_px + 2.0, number]).tolist()]
     table = tmp_path / "known.CSV"
-    table.write_text("frame,x1,y1,x2,y2,disparity_px,id\n" + "\n".join(",".join(map(str, row)) for row in rows))
+    table.write_text(
+        "frame,x1,y1,x2,y2,disparity_px,id\n" + "\n".join(",".join(map(str, row)) for row in rows)
+    )
     out = tmp_path / "align.yaml"
     status, _, errors = cli("align", "--reference", table, *videos, "--out", out)
     assert status == 0, errors
     offset_px = load_alignment(out).offset_px
     table.write_text(
         "frame,x1,y1,x2,y2,distance_m,id\n"
-        + "\n".join(",".join(map(str, [*row[:5], rig.left.fx_px * rig.baseline_m / row[5], row[6]])) for row in rows)
+        + "\n".join(
+            ",".join(map(str, [*row[:5], rig.left.fx_px * rig.baseline_m / row[5], row[6]]))
+            for row in rows
+        )
     )
     assert cli("align", "--reference", table, *videos, "--out", out)[0] == 0
     assert load_alignment(out).offset_px == pytest.approx(offset_px, abs=0.05)
@@ -113,7 +136,9 @@ def test_table_of_disparities_with_an_offset(drive, videos, tmp_path, cli):
 def test_invalid_tables(videos, tmp_path, cli, text, word):
     table = tmp_path / "known.csv"
     table.write_text(text)
-    status, _, errors = cli("align", "--reference", table, *videos, "--out", tmp_path / "align.yaml")
+    status, _, errors = cli(
+        "align", "--reference", table, *videos, "--out", tmp_path / "align.yaml"
+    )
     assert status == 1
     assert word in errors
     assert not (tmp_path / "align.yaml").exists()
@@ -122,7 +147,9 @@ def test_invalid_tables(videos, tmp_path, cli, text, word):
 def test_table_is_not_text(videos, tmp_path, cli):
     table = tmp_path / "known.csv"
     table.write_bytes(b"\xff\xfe\x00")
-    status, _, errors = cli("align", "--reference", table, *videos, "--out", tmp_path / "align.yaml")
+    status, _, errors = cli(
+        "align", "--reference", table, *videos, "--out", tmp_path / "align.yaml"
+    )
     assert (status, "known.csv" in errors, "CSV" in errors) == (1, True, True)
 
 
@@ -132,7 +159,11 @@ def test_table_is_not_text(videos, tmp_path, cli):
         ((), 2, "--drive"),
         (("--reference", "{drive}", "--drive", "{drive}"), 2, "--reference"),
         (("--reference", "{drive}/truth.txt"), 2, "--stereo"),
-        (("--reference", "{drive}", "--stereo", "{drive}/left.mp4", "{drive}/right.mp4"), 2, "--stereo"),
+        (
+            ("--reference", "{drive}", "--stereo", "{drive}/left.mp4", "{drive}/right.mp4"),
+            2,
+            "--stereo",
+        ),
         (("--reference", "{drive}/none.csv"), 1, "none.csv: no such file"),
         (("--drive", "{drive}/none"), 1, "left.mp4: no such file"),
         (("--stereo", "{drive}/right.mp4", "{drive}/left.mp4"), 1, "swapped"),
@@ -209,7 +240,8 @@ def test_invalid_output_paths(drive, videos, tmp_path, cli):
 
 
 def test_alignment_of_kitti_drives_corrects_kitti_pairs(shared_data, tmp_path, cli):
-    """The alignment from the images of two drives, applied to 16 pairs of other drives with the same cameras."""
+    """The alignment from the images of two drives, applied to 16 pairs of other drives with the
+    same cameras."""
     out, before, after = tmp_path / "align.yaml", tmp_path / "off.json", tmp_path / "on.json"
     drives = [shared_data / "kitti_stereo" / name for name in ("0003", "0005")]
     status, printed, _ = cli("align", "--drive", drives[0], "--drive", drives[1], "--out", out)
@@ -219,7 +251,9 @@ def test_alignment_of_kitti_drives_corrects_kitti_pairs(shared_data, tmp_path, c
     for align, figures in (("off", before), (out, after)):
         options = ("--matcher", "patch", "--align", align, "--json", figures)
         assert cli("evaluate", "stereo", "--pairs", shared_data / "kitti2015", *options)[0] == 0
-    uncorrected, corrected = (json.loads(file.read_text())["matchers"]["patch"] for file in (before, after))
+    uncorrected, corrected = (
+        json.loads(file.read_text())["matchers"]["patch"] for file in (before, after)
+    )
     assert uncorrected["median_relative_error_pct"] > 2.0
     # The truth is a median over the inner half; the curved surface at its centre is 0.5 % nearer.
     assert 0.8 < corrected["median_relative_error_pct"] < 2.1

@@ -1,4 +1,5 @@
-"""Tests of the sources of board images (patterns, folders, videos) and of the pairing of left and right."""
+"""Tests of the sources of board images (patterns, folders, videos) and of the pairing of left and
+right."""
 
 from __future__ import annotations
 
@@ -54,7 +55,10 @@ def test_pairs_by_wildcard(folder):
     write_images(folder, *(f"img{n}_cam{camera}.png" for n in (1, 2, 12) for camera in (0, 1)))
     os.remove("img2_cam1.png")
     images = board_images(["img*_cam0.png", "img*_cam1.png"])
-    assert names_of(images) == [("img1_cam0.png", "img1_cam1.png"), ("img12_cam0.png", "img12_cam1.png")]
+    assert names_of(images) == [
+        ("img1_cam0.png", "img1_cam1.png"),
+        ("img12_cam0.png", "img12_cam1.png"),
+    ]
     (view,) = images.unpaired
     assert view.name == "img2_cam0.png"
     assert "missing" in view.reason
@@ -75,7 +79,10 @@ def test_pairs_by_name_number_and_order(folder):
     ]  # with folder, since names are equal
     assert [view.name for view in same.unpaired] == ["right/a3.png"]
     write_images(folder / "r2", "b0002.png", "b0001.png")
-    assert names_of(board_images(["left", "r2"])) == [("a1.png", "b0001.png"), ("a2.png", "b0002.png")]
+    assert names_of(board_images(["left", "r2"])) == [
+        ("a1.png", "b0001.png"),
+        ("a2.png", "b0002.png"),
+    ]
     write_images(folder / "r3", "x.png", "y.png")
     assert names_of(board_images(["left", "r3"])) == [("a1.png", "x.png"), ("a2.png", "y.png")]
 
@@ -84,7 +91,9 @@ def test_video_is_sampled_five_times_per_second(folder, film):
     film(folder / "a.mp4", [i / 10 for i in range(21)])
     images = board_images(["a.mp4"])
     assert images.is_video
-    assert [names[0] for names in names_of(images)] == [f"a.mp4 at {t:.2f} s" for t in np.arange(0, 2.1, 0.2)]
+    assert [names[0] for names in names_of(images)] == [
+        f"a.mp4 at {t:.2f} s" for t in np.arange(0, 2.1, 0.2)
+    ]
 
 
 def test_two_videos_are_paired_by_time(folder, film):
@@ -124,7 +133,11 @@ def halves(seed=0, size_px=(96, 40)):
 
 @pytest.mark.parametrize(
     ("given", "stack", "order"),
-    [("auto", np.hstack, (0, 1)), ("right-left", np.hstack, (1, 0)), ("top-bottom", np.vstack, (0, 1))],
+    [
+        ("auto", np.hstack, (0, 1)),
+        ("right-left", np.hstack, (1, 0)),
+        ("top-bottom", np.vstack, (0, 1)),
+    ],
 )
 def test_images_of_both_cameras_in_each_file(folder, given, stack, order):
     images = halves()
@@ -146,5 +159,8 @@ def test_video_of_both_cameras(folder, film):
     film(folder / "both.mp4", [0, 0.5], images=[np.hstack((left, right))] * 2)
     images = board_images(["both.mp4", "both.mp4"], "side-by-side")
     shots = list(images)
-    assert [shot.names for shot in shots] == [("both.mp4 at 0.00 s",) * 2, ("both.mp4 at 0.50 s",) * 2]
+    assert [shot.names for shot in shots] == [
+        ("both.mp4 at 0.00 s",) * 2,
+        ("both.mp4 at 0.50 s",) * 2,
+    ]
     assert [round(float(image.mean()), -1) for image in shots[1].images] == [60, 180]

@@ -1,4 +1,5 @@
-"""End-to-end tests of `track-range calibrate` on drawn boards: known cameras, written files, invalid input."""
+"""End-to-end tests of `track-range calibrate` on drawn boards: known cameras, written files,
+invalid input."""
 
 from __future__ import annotations
 
@@ -12,7 +13,12 @@ import pytest
 
 from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
 from track_range.stereo.calibration.boards import CharucoBoard
-from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig, read_calibration
+from track_range.stereo.rig_formats.reading import (
+    load_calibration,
+    load_camera,
+    load_rig,
+    read_calibration,
+)
 
 TRUE = rig()
 N = 8
@@ -21,11 +27,15 @@ CHARUCO = CharucoBoard(8, 6, 0.04, 0.03)
 
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory):
-    """Folder with left0.png .. left7.png and right0.png .. right7.png of a board of 9x6 corners, squares of 30 mm."""
+    """Folder with left0.png .. left7.png and right0.png .. right7.png of a board of 9x6 corners,
+    squares of 30 mm."""
     folder = tmp_path_factory.mktemp("boards")
     for i, board_pose in enumerate(varied_poses(N, seed=3)):
         cv2.imwrite(str(folder / f"left{i}.png"), drawn(TRUE.left, board_pose, seed=i))
-        cv2.imwrite(str(folder / f"right{i}.png"), drawn(TRUE.right, TRUE.right_from_left @ board_pose, seed=50 + i))
+        cv2.imwrite(
+            str(folder / f"right{i}.png"),
+            drawn(TRUE.right, TRUE.right_from_left @ board_pose, seed=50 + i),
+        )
     return folder
 
 
@@ -66,9 +76,16 @@ def test_one_camera(boards, tmp_path, cli):
     assert abs(camera.fx_px - CAMERA.fx_px) < 3 * read["camera"]["sd"]["fx_px"]
     assert camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.01)
     assert len(camera.distortion) == 5
-    assert (read["board"], read["square_mm"], len(read["views"]), read["rejected"]) == ("9x6", 30.0, 8, [])
+    assert (read["board"], read["square_mm"], len(read["views"]), read["rejected"]) == (
+        "9x6",
+        30.0,
+        8,
+        [],
+    )
     assert 0.02 < read["rms_px"] < 0.12
-    assert {"name", "rms_px", "x", "y", "size", "skew", "tilt_deg", "edge_px"} <= set(read["views"][0])
+    assert {"name", "rms_px", "x", "y", "size", "skew", "tilt_deg", "edge_px"} <= set(
+        read["views"][0]
+    )
     picture = cv2.imread(str(out.with_suffix(".png")))
     assert picture is not None
     assert picture.shape[1] > 1000
@@ -91,9 +108,9 @@ def test_pair(boards, tmp_path, cli):
     accuracy = read_calibration(out, is_grey=False, is_pair=True).accuracy
     assert accuracy.scale_sigma == pytest.approx(read["scale_sigma"], rel=0.01)
     assert 1e-5 < accuracy.focal_sigma < 0.005
-    assert abs(calibrated.left.fx_px * calibrated.baseline_m / (TRUE.left.fx_px * TRUE.baseline_m) - 1) < max(
-        3 * accuracy.scale_sigma, 1e-3
-    )
+    assert abs(
+        calibrated.left.fx_px * calibrated.baseline_m / (TRUE.left.fx_px * TRUE.baseline_m) - 1
+    ) < max(3 * accuracy.scale_sigma, 1e-3)
     assert read["rows_px"] < 0.1
     assert read["held_out_rows_px"] < 0.15
     assert "rectification" in printed
@@ -125,8 +142,13 @@ def test_charuco_board(tmp_path, cli):
 @pytest.mark.slow
 def test_bad_views_are_rejected(copied, tmp_path, cli):
     grey = cv2.imread(str(copied / "left7.png"))
-    cv2.imwrite(str(copied / "left7.png"), cv2.copyMakeBorder(grey, 0, 1, 0, 2, cv2.BORDER_REPLICATE))
-    cv2.imwrite(str(copied / "left90.png"), cv2.GaussianBlur(cv2.imread(str(copied / "left1.png")), (0, 0), 3))
+    cv2.imwrite(
+        str(copied / "left7.png"), cv2.copyMakeBorder(grey, 0, 1, 0, 2, cv2.BORDER_REPLICATE)
+    )
+    cv2.imwrite(
+        str(copied / "left90.png"),
+        cv2.GaussianBlur(cv2.imread(str(copied / "left1.png")), (0, 0), 3),
+    )
     cv2.imwrite(str(copied / "left91.png"), cv2.resize(grey, None, fx=2, fy=2))
     cv2.imwrite(str(copied / "left92.png"), np.full((360, 640), 90, np.uint8))
     (copied / "left93.png").write_bytes(b"no image")
@@ -189,9 +211,13 @@ def test_video(tmp_path, cli, film):
         grey = drawn(CAMERA, board_pose, seed=i)
         images += [grey, cv2.GaussianBlur(grey, (0, 0), 4), np.full_like(grey, 99)]
     coloured = [cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) for grey in images]
-    path = film(tmp_path / "film.mp4", [i * 0.25 for i in range(len(images))], images=coloured, options={})
+    path = film(
+        tmp_path / "film.mp4", [i * 0.25 for i in range(len(images))], images=coloured, options={}
+    )
     out = tmp_path / "rig.yaml"
-    status, printed, errors = cli("calibrate", "--mono", path, "--board", "9x6", "--square-mm", 30, "--out", out)
+    status, printed, errors = cli(
+        "calibrate", "--mono", path, "--board", "9x6", "--square-mm", 30, "--out", out
+    )
     assert status == 0, errors
     assert "9 of 27 images" in printed
     assert "film.mp4 at 2.00 s" in printed
@@ -203,7 +229,17 @@ def test_video(tmp_path, cli, film):
 @pytest.mark.parametrize("board", ["8x6", "9x5", "9x7", "10x7"])
 def test_wrong_number_of_corners(boards, tmp_path, cli, board):
     out = tmp_path / "rig.yaml"
-    outcome = cli("calibrate", "--mono", boards / "left*.png", "--board", board, "--square-mm", 30, "--out", out)
+    outcome = cli(
+        "calibrate",
+        "--mono",
+        boards / "left*.png",
+        "--board",
+        board,
+        "--square-mm",
+        30,
+        "--out",
+        out,
+    )
     assert "--board 9x6" in error_line(outcome)
     assert not out.exists()
 
@@ -232,12 +268,28 @@ def test_sets_without_enough_views(boards, copied, tmp_path, cli):
             else:
                 cv2.imwrite(str(target), np.full((360, 640), 90, np.uint8))
         outcome = cli(
-            "calibrate", "--mono", tmp_path / folder, "--board", "9x6", "--square-mm", 30, "--out", tmp_path / "r"
+            "calibrate",
+            "--mono",
+            tmp_path / folder,
+            "--board",
+            "9x6",
+            "--square-mm",
+            30,
+            "--out",
+            tmp_path / "r",
         )
         assert words in error_line(outcome)
     (tmp_path / "nothing").mkdir()
     cv2.imwrite(str(tmp_path / "nothing" / "1.png"), np.full((360, 640), 90, np.uint8))
-    outcome = cli("calibrate", "--mono", tmp_path / "nothing", "--board", "charuco:5x7:40:20", "--out", tmp_path / "r")
+    outcome = cli(
+        "calibrate",
+        "--mono",
+        tmp_path / "nothing",
+        "--board",
+        "charuco:5x7:40:20",
+        "--out",
+        tmp_path / "r",
+    )
     assert "ArUco" in error_line(outcome)
 
 
@@ -268,7 +320,21 @@ def test_wrong_usage(boards, tmp_path, cli):
         ((*out, *mono, "--board", "9x6", "--square-mm", 0.03), "0.03 mm"),
         ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens-terms", 6), "--lens-terms"),
         ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens", "wide"), "--lens wide"),
-        ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens", "fisheye", "--lens-terms", 4), "--lens pinhole"),
+        (
+            (
+                *out,
+                *mono,
+                "--board",
+                "9x6",
+                "--square-mm",
+                30,
+                "--lens",
+                "fisheye",
+                "--lens-terms",
+                4,
+            ),
+            "--lens pinhole",
+        ),
     ):
         assert word in error_line(cli("calibrate", *options), status=2)
 
@@ -283,7 +349,17 @@ def test_invalid_output_paths(boards, tmp_path, cli):
         (tmp_path / "rig.png", "two outputs"),
         (boards / "left3.yaml", "left3.png"),
     ):
-        outcome = cli("calibrate", "--mono", boards / "left*.png", "--board", "9x6", "--square-mm", 30, "--out", out)
+        outcome = cli(
+            "calibrate",
+            "--mono",
+            boards / "left*.png",
+            "--board",
+            "9x6",
+            "--square-mm",
+            30,
+            "--out",
+            out,
+        )
         assert word in error_line(outcome)
     assert (boards / "left3.png").read_bytes() == before
 

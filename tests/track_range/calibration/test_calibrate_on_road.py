@@ -1,4 +1,5 @@
-"""`track-range calibrate` without a board: texts of measurements, sources of focal lengths, whole commands."""
+"""`track-range calibrate` without a board: texts of measurements, sources of focal lengths, whole
+commands."""
 
 from __future__ import annotations
 
@@ -22,7 +23,11 @@ from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
 MOUNTING = Mounting(
-    focal_sigma=0.04, camera_height_m=1.4, camera_height_sigma_m=0.05, pitch_deg=1.5, pitch_sigma_deg=0.2
+    focal_sigma=0.04,
+    camera_height_m=1.4,
+    camera_height_sigma_m=0.05,
+    pitch_deg=1.5,
+    pitch_sigma_deg=0.2,
 )
 
 
@@ -77,7 +82,8 @@ def test_focal_length_of_apples_header():
     (guess,) = focal_guesses(reader({key: "26"}))
     assert guess.focal_px == pytest.approx(26 * math.hypot(1920, 1080) / 43.27, rel=1e-3)
     assert "26 mm" in guess.source
-    assert focal_guesses(reader({key: "0"}))[0].sigma >= 0.25  # not plausible: the usual field of view
+    # not plausible: the usual field of view
+    assert focal_guesses(reader({key: "0"}))[0].sigma >= 0.25
 
 
 def test_focal_length_of_exif(tmp_path):
@@ -111,7 +117,10 @@ def test_mounting_in_rig_yaml(tmp_path, cli):
     assert mounting_of(path) == MOUNTING
     status, printed, _ = cli("rig", "show", path)
     assert (status, "4.0 %" in printed, "1.40" in printed) == (0, True, True)
-    assert "OUT does not store" in cli("rig", "convert", path, tmp_path / "cv.yml", "--to", "opencv")[1]
+    assert (
+        "OUT does not store"
+        in cli("rig", "convert", path, tmp_path / "cv.yml", "--to", "opencv")[1]
+    )
     assert "OUT does not store" not in cli("rig", "convert", path, tmp_path / "copy.yaml")[1]
     assert mounting_of(tmp_path / "copy.yaml") == MOUNTING
     save_camera(camera, path)
@@ -123,9 +132,13 @@ def test_wrong_commands(tmp_path, cli, film):
     status, _, complaint = cli("calibrate", "--out", out)
     assert (status, "--mono" in complaint) == (2, True)
     video = film(tmp_path / "a.mp4", range(4))
-    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "0,1,1,900,40=5", "--out", out)
+    status, _, complaint = cli(
+        "calibrate", "--mono", video, "--known-distance", "0,1,1,900,40=5", "--out", out
+    )
     assert (status, "64x48" in complaint) == (2, True)
-    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "99,1,1,20,40=5", "--out", out)
+    status, _, complaint = cli(
+        "calibrate", "--mono", video, "--known-distance", "99,1,1,20,40=5", "--out", out
+    )
     assert (status, "end of the video" in complaint) == (2, True)
     for option, words in (
         (("--known-lane-width", "0,1,40,90=3.5"), "64x48"),
@@ -143,7 +156,12 @@ def test_simulated_video(tmp_path, cli, small_drive):
     rows = np.genfromtxt(small_drive.table, delimiter=",", names=True, dtype=None, encoding="utf-8")
     usable = (rows["frame"] == 0) & (rows["class"] == "car")
     camera, _ = load_camera(small_drive.rig, size_px=None)
-    inside = usable & (rows["x1"] > 2) & (rows["x2"] < camera.width_px - 3) & (rows["y2"] < camera.height_px - 3)
+    inside = (
+        usable
+        & (rows["x1"] > 2)
+        & (rows["x2"] < camera.width_px - 3)
+        & (rows["y2"] < camera.height_px - 3)
+    )
     row = rows[np.flatnonzero(inside)[np.argmin(rows["distance_m"][inside])]]
     box = ",".join(str(row[name]) for name in ("x1", "y1", "x2", "y2"))
     out, figures = tmp_path / "rig.yaml", tmp_path / "f.json"
@@ -198,23 +216,35 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
     assert 0.08 < summary["focal_sigma"] < 0.31
     true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
     assert abs(math.log(summary["focal_px"] / true_px)) < 3 * summary["focal_sigma"]
-    rows = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    rows = np.genfromtxt(
+        out / "tracks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    )
     fraction = rows["fused_sigma_m"] / rows["fused_m"]
     assert np.nanmin(fraction) >= summary["focal_sigma"] - 1e-3
 
 
 @pytest.mark.real
 def test_real_drive(shared_data, tmp_path, cli):
-    """KITTI 0005: the car ahead is 1.62 m high, and its rear 33.39 - 4.5 / 2 m away in frame 8; f = 721.5 px."""
+    """KITTI 0005: the car ahead is 1.62 m high, and its rear 33.39 - 4.5 / 2 m away in frame 8; f =
+    721.5 px."""
     video, out = shared_data / "kitti_stereo" / "0005" / "left.mp4", tmp_path / "rig.yaml"
     box = "0.8,573.9,173.4,612.0,211.3"
-    status, printed, complaint = cli("calibrate", "--mono", video, "--known-distance", f"{box}=31.1", "--out", out)
+    status, printed, complaint = cli(
+        "calibrate", "--mono", video, "--known-distance", f"{box}=31.1", "--out", out
+    )
     assert status == 0, complaint
     assert "from the measurements" in printed
     focal_px, mounting = load_camera(out, size_px=None)[0].fx_px, mounting_of(out)
     assert 0.05 < mounting.focal_sigma < 0.12
     assert abs(math.log(focal_px / 721.5)) < 2.5 * mounting.focal_sigma
-    known = ("--known-distance", f"{box}=31.1", "--known-height", f"{box}=1.622", "--camera-height-m", 1.65)
+    known = (
+        "--known-distance",
+        f"{box}=31.1",
+        "--known-height",
+        f"{box}=1.622",
+        "--camera-height-m",
+        1.65,
+    )
     status, printed, complaint = cli("calibrate", "--mono", video, *known, "--out", out)
     assert status == 0, complaint
     assert load_camera(out, size_px=None)[0].fx_px == pytest.approx(721.5, rel=0.06)
@@ -228,7 +258,9 @@ def test_real_drive(shared_data, tmp_path, cli):
     status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out, "--force")
     assert status == 0, complaint
     assert mounting_of(out).focal_sigma > 3 * one_sigma
-    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "0,900,20,980,60=12", "--out", out)
+    status, _, complaint = cli(
+        "calibrate", "--mono", video, "--known-distance", "0,900,20,980,60=12", "--out", out
+    )
     assert (status, "the detector finds none there" in complaint) == (2, True)
 
 
@@ -251,5 +283,7 @@ def test_focal_length_before_the_measurements_is_named_once():
         pitch_sigma_rad=0.01,
     )
     (first, *_) = separability(fit, guesses, by_shape, has_height=True)
-    assert first.startswith("Focal length 883 px within 9.2 %, from the measurements; without them, 833 px within")
+    assert first.startswith(
+        "Focal length 883 px within 9.2 %, from the measurements; without them, 833 px within"
+    )
     assert first.endswith("%, from a guess, and the shapes of 1 vehicle.")

@@ -51,8 +51,18 @@ def options(drive):
     """`options(right=..., rig=...)`: arguments of a valid run, with some replaced."""
 
     def arguments(**changed):
-        files = {"left": drive.left, "right": drive.right, "rig": drive.rig, "detections": drive.detections} | changed
-        rest = [part for key in files if key not in ("left", "right") for part in (f"--{key}", files[key])]
+        files = {
+            "left": drive.left,
+            "right": drive.right,
+            "rig": drive.rig,
+            "detections": drive.detections,
+        } | changed
+        rest = [
+            part
+            for key in files
+            if key not in ("left", "right")
+            for part in (f"--{key}", files[key])
+        ]
         return [
             "--stereo",
             files["left"],
@@ -87,7 +97,8 @@ def junk(path, content):
 def test_videos(fails, options, drive, tmp_path, content, word):
     video = tmp_path / "v.mp4"
     if content == "half":
-        remuxed = tmp_path / "plain.mp4"  # moov at the end, as cameras write it, so half a file cannot be opened
+        # moov at the end, as cameras write it, so half a file cannot be opened
+        remuxed = tmp_path / "plain.mp4"
         with av.open(str(drive.left)) as source, av.open(str(remuxed), "w") as target:
             stream = target.add_stream_from_template(source.streams.video[0])
             for packet in source.demux(video=0):
@@ -105,10 +116,16 @@ def test_videos(fails, options, drive, tmp_path, content, word):
 @pytest.mark.slow
 def test_truncated_video(render_drive, succeeds, tmp_path):
     long = render_drive(seed=3, seconds=1.6)  # a fragment per second: the second one is cut
-    right = junk(tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)])
+    right = junk(
+        tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)]
+    )
     files = ("--stereo", long.left, right, "--rig", long.rig, "--detections", long.detections)
-    assert "right video ends" in succeeds(*files, "--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off")
-    frames = {int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]}
+    assert "right video ends" in succeeds(
+        *files, "--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off"
+    )
+    frames = {
+        int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]
+    }
     assert 9 <= max(frames) < 14
 
 
@@ -162,7 +179,9 @@ def test_rig_of_twice_the_image_size_is_scaled(succeeds, options, drive, tmp_pat
     big = junk(tmp_path / "big.yaml", yaml.safe_dump(rig).encode())
     assert "scaled" in succeeds(*options(rig=big))
     detected = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
-    assert detected["focal_px"] == pytest.approx(yaml.safe_load(drive.rig.read_text())["left"]["fx_px"], rel=1e-3)
+    assert detected["focal_px"] == pytest.approx(
+        yaml.safe_load(drive.rig.read_text())["left"]["fx_px"], rel=1e-3
+    )
 
 
 def test_swapped_videos(fails, options, drive):
@@ -193,7 +212,9 @@ def test_truth_detections_and_classes(fails, options, drive, tmp_path):
 def test_nan_boxes_are_skipped(succeeds, options, drive, tmp_path):
     rows = drive.detections.read_text().splitlines()
     plain = [f"{r[0]},{','.join(r[6:10])},{r[17]}" for r in (row.split() for row in rows)]
-    boxes = junk(tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode())
+    boxes = junk(
+        tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode()
+    )
     assert "boxes.csv: " in succeeds(*options(detections=boxes, classes="car"))
 
 
@@ -242,19 +263,27 @@ def test_closed_pipe_keeps_the_results(options, tmp_path):
 
 
 def test_videos_of_different_rate_length_and_start(succeeds, drive, options, tmp_path):
-    """Right video with every other frame and a late start: matching frames are used, the others are reported."""
+    """Right video with every other frame and a late start: matching frames are used, the others are
+    reported."""
     right = tmp_path / "right.mkv"
     with av.open(str(drive.right)) as source, av.open(str(right), "w") as target:
         stream = target.add_stream("libx264", rate=5)
         stream.width, stream.height, stream.pix_fmt = 620, 188, "yuv420p"
         for number, frame in enumerate(source.decode(video=0)):
             if number in (2, 4):
-                fresh = av.VideoFrame.from_ndarray(frame.to_ndarray(format="yuv420p"), format="yuv420p")
+                fresh = av.VideoFrame.from_ndarray(
+                    frame.to_ndarray(format="yuv420p"), format="yuv420p"
+                )
                 fresh.pts, fresh.time_base = frame.pts, frame.time_base
                 target.mux(stream.encode(fresh))
         target.mux(stream.encode(None))
     assert "starts 0.20 s later" in succeeds(*options(right=right))
-    frames = np.unique([int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]])
+    frames = np.unique(
+        [
+            int(row.split(",")[0])
+            for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]
+        ]
+    )
     assert set(frames) <= {2, 4}
 
 

@@ -23,9 +23,15 @@ def test_two_recordings_may_be_a_pair_or_parts(cli):
         (["d/a_00.jpg", "d/a_01.jpg", "d/a_02.jpg"], "--mono 'd/a_*.jpg'"),
         (["run", "--mono", "front.mp4", "rear.mp4", "side.mp4"], "--mono '*.mp4'"),
         (["--mono", "0001.png", "0002.png", "0003.png", "--focal-px", "700"], "--mono '*.png'"),
-        (["--stereo", "left1.jpg", "left2.jpg", "right1.jpg", "right2.jpg"], "--stereo 'left*.jpg' 'right*.jpg'"),
+        (
+            ["--stereo", "left1.jpg", "left2.jpg", "right1.jpg", "right2.jpg"],
+            "--stereo 'left*.jpg' 'right*.jpg'",
+        ),
         (["--mono", "a.mp4", "b.mp4"], "--mono a.mp4 --mono b.mp4 for the parts of one recording"),
-        (["calibrate", "--mono", "l1.jpg", "l2.jpg", "l3.jpg", "--board", "9x6"], "--mono 'l*.jpg'"),
+        (
+            ["calibrate", "--mono", "l1.jpg", "l2.jpg", "l3.jpg", "--board", "9x6"],
+            "--mono 'l*.jpg'",
+        ),
     ],
 )
 def test_expanded_patterns_are_to_be_quoted(cli, arguments, advice):

@@ -20,14 +20,18 @@ from track_range.views.report.figures import (
 )
 
 HISTORY = [
-    {"epoch": e, "loss_box": 1.0 / e, "loss_class": 2.0 / e, "ap50": 0.1 * e, "ap50_95": 0.05 * e} for e in (1, 2, 3)
+    {"epoch": e, "loss_box": 1.0 / e, "loss_class": 2.0 / e, "ap50": 0.1 * e, "ap50_95": 0.05 * e}
+    for e in (1, 2, 3)
 ]
 
 
 def curves(figure: Figure) -> list[dict[str, tuple[list[float], list[float]]]]:
     """By panel and label: the x and the y values of a line."""
     return [
-        {str(line.get_label()): (list(line.get_xdata()), list(line.get_ydata())) for line in axes.lines}
+        {
+            str(line.get_label()): (list(line.get_xdata()), list(line.get_ydata()))
+            for line in axes.lines
+        }
         for axes in figure.axes
     ]
 
@@ -45,7 +49,10 @@ def test_losses_above_precision_in_percent_below() -> None:
 
 
 def test_epochs_without_validation_are_left_out() -> None:
-    rows = [{"epoch": 1, "loss_box": 1.0, "ap50": float("nan")}, {"epoch": 2, "loss_box": 0.5, "ap50": 0.4}]
+    rows = [
+        {"epoch": 1, "loss_box": 1.0, "ap50": float("nan")},
+        {"epoch": 2, "loss_box": 0.5, "ap50": 0.4},
+    ]
     _, precision = curves(training_figure(rows))
     assert precision == {"mean": ([2], [40.0])}
 
@@ -64,17 +71,25 @@ def test_no_chart_without_an_epoch(tmp_path: Path) -> None:
 
 
 def calibration_of(n_per_bin: int) -> dict[str, Any]:
-    """Two bins of scores, 0.25 and 0.75, of which 40 and 80 % are true; 50 detections of cars, few of buses."""
+    """Two bins of scores, 0.25 and 0.75, of which 40 and 80 % are true; 50 detections of cars, few
+    of buses."""
     score = np.repeat([0.25, 0.75], 25)
-    cars = Reliability.of(score, np.tile(np.arange(25) < 10, 2) | ((score > 0.5) & np.tile(np.arange(25) < 20, 2)))
+    cars = Reliability.of(
+        score, np.tile(np.arange(25) < 10, 2) | ((score > 0.5) & np.tile(np.arange(25) < 20, 2))
+    )
     buses = Reliability.of(np.full(n_per_bin, 0.5), np.ones(n_per_bin, np.bool_))
     return ScoreCalibration(0.05, cars, {2: cars, 4: buses}).as_dict()
 
 
 def test_reliability_diagram() -> None:
-    figure = reliability_figure({"a": calibration_of(RELIABLE_BIN), "b": calibration_of(RELIABLE_BIN - 1)})
+    figure = reliability_figure(
+        {"a": calibration_of(RELIABLE_BIN), "b": calibration_of(RELIABLE_BIN - 1)}
+    )
     first, first_counts, second, _ = curves(figure)
-    expected = ([pytest.approx(0.25), pytest.approx(0.75)], [pytest.approx(0.4), pytest.approx(0.8)])
+    expected = (
+        [pytest.approx(0.25), pytest.approx(0.75)],
+        [pytest.approx(0.4), pytest.approx(0.8)],
+    )
     assert first["all classes"] == first["car"] == second["car"] == expected
     assert first["calibrated"] == ([0, 1], [0, 1])
     assert first["bus"] == ([0.5], [1.0])
@@ -85,7 +100,8 @@ def test_reliability_diagram() -> None:
     assert [axes.get_title() for axes in figure.axes] == ["a", "", "b", ""]
     (interval,) = figure.axes[0].collections
     low, high = interval.get_segments()[0][:, 1]
-    assert (low, high) == (pytest.approx(0.2340, abs=1e-3), pytest.approx(0.5926, abs=1e-3))  # Wilson: 10 of 25
+    # Wilson: 10 of 25
+    assert (low, high) == (pytest.approx(0.2340, abs=1e-3), pytest.approx(0.5926, abs=1e-3))
 
 
 @pytest.mark.parametrize("n_models", [1, 5])

@@ -19,7 +19,9 @@ from track_range.stereo.matching.box_matchers import MATCHER_NAMES
 HEAVY = ("numpy", "cv2", "onnxruntime", "av", "scipy", "matplotlib", "pyarrow", "torch")
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["run", "--help"], ["evaluate", "--help"], ["--version"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["--help"], ["run", "--help"], ["evaluate", "--help"], ["--version"]]
+)
 def test_help_imports_no_heavy_library(arguments):
     code = (
         "import sys\n"
@@ -56,7 +58,14 @@ def test_unexpected_error_asks_for_a_report(cli, tmp_path, monkeypatch):
     (tmp_path / "det.txt").write_text("1,-1,10,10,30,60,0.9\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ZeroDivisionError) as raised:
-        cli("track", tmp_path / "det.txt", "--out", tmp_path / "out", "--tracker", "broken_tracker:Broken")
+        cli(
+            "track",
+            tmp_path / "det.txt",
+            "--out",
+            tmp_path / "out",
+            "--tracker",
+            "broken_tracker:Broken",
+        )
     last_line = "".join(traceback.format_exception(raised.value)).splitlines()[-1]
     for words in ("report", "track-range doctor", "--tracker broken_tracker:Broken"):
         assert words in last_line
@@ -107,7 +116,10 @@ def test_bare_options_mean_run(cli):
         (["ev"], ["evaluate"]),
         (["--overlay-d"], ["--overlay-disparity"]),
         (["--stereo", "a", "b", "--tru"], ["--truth"]),
-        (["run", "--device", ""], ["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"]),
+        (
+            ["run", "--device", ""],
+            ["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"],
+        ),
         (["evaluate", "ra"], ["ranges"]),
         (["evaluate", "ranges", "--fil"], ["--filter"]),
     ],
@@ -127,13 +139,15 @@ def test_completion_of_commands_and_options(monkeypatch, capsys, words, complete
 
 
 def test_completion_script_can_be_shown(cli, monkeypatch):
-    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")  # the tests' parent need not be a shell
+    # the tests' parent need not be a shell
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     status, script, _ = cli("--show-completion", "bash")
     assert (status, "_TRACK_RANGE_COMPLETE=complete_bash" in script) == (0, True)
 
 
 def test_names_in_help_texts():
-    """Help texts repeat names of the code, because importing it takes longer than showing the help."""
+    """Help texts repeat names of the code, because importing it takes longer than showing the
+    help."""
     shown = {name: field.description for name, field in RunSettings.model_fields.items()}
     assert all(name in shown["classes"] for name in ROAD_CLASSES)
     assert LETTERBOXES in shown["letterbox"]

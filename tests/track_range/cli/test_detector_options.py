@@ -71,7 +71,14 @@ def test_invalid_names(option):
 def test_models_info_shows_attributes_and_sources(model, cli):
     status, printed, _ = cli("models", "info", model, "--names", "person,car")
     assert status == 0
-    for words in ("YOLOv5", "centred-114", "default of YOLOv5", "person, car", "as specified", "classes not covered"):
+    for words in (
+        "YOLOv5",
+        "centred-114",
+        "default of YOLOv5",
+        "person, car",
+        "as specified",
+        "classes not covered",
+    ):
         assert words in printed
     status, _, complaint = cli("models", "info", model)
     assert status == 1
@@ -93,7 +100,13 @@ def test_models_info_does_not_download(cli, tmp_path, monkeypatch):
     monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
     status, printed, _ = cli("models", "info", "yolov5n")
     assert status == 0
-    for words in ("not downloaded", "models pull yolov5n", "AGPL-3.0", "releases/download/v7.0/yolov5n.onnx", "sha1:"):
+    for words in (
+        "not downloaded",
+        "models pull yolov5n",
+        "AGPL-3.0",
+        "releases/download/v7.0/yolov5n.onnx",
+        "sha1:",
+    ):
         assert words in printed
     status, printed, _ = cli("models", "list")
     assert status == 0
@@ -115,7 +128,9 @@ def test_models_import_of_darknet_files(cli, tmp_path):
     cfg, weights, out = (tmp_path / f"net.{suffix}" for suffix in ("cfg", "weights", "onnx"))
     cfg.write_text(darknet_networks.yolov4_tiny(size_px=(64, 64), n_classes=2, width=16))
     darknet_networks.write_weights(weights, read_network(cfg), seed=0)
-    status, printed, complaint = cli("models", "import", cfg, weights, "--names", "person,car", "--out", out)
+    status, printed, complaint = cli(
+        "models", "import", cfg, weights, "--names", "person,car", "--out", out
+    )
     assert status == 0, complaint
     assert "yolov4-tiny, 64x64" in printed
     assert "--letterbox stretch" in printed
@@ -123,6 +138,8 @@ def test_models_import_of_darknet_files(cli, tmp_path):
     assert (status, "81,82 135,169 344,319 / 23,27 37,58 81,82" in printed) == (0, True)
     with weights.open("ab") as file:
         file.write(b"1234")
-    status, _, complaint = cli("models", "import", cfg, weights, "--names", "person,car", "--out", out)
+    status, _, complaint = cli(
+        "models", "import", cfg, weights, "--names", "person,car", "--out", out
+    )
     assert status == 1
     assert "net.weights" in complaint

@@ -19,13 +19,23 @@ def test_report_as_json(cli):
     report = json.loads(text)
     assert (status, report["ok"]) == (0, True)
     assert Path(report["folders"]["package"]).name == "track_range"
-    assert set(report) == {"ok", "system", "versions", "inference", "codecs", "extras", "folders", "checks"}
+    assert set(report) == {
+        "ok",
+        "system",
+        "versions",
+        "inference",
+        "codecs",
+        "extras",
+        "folders",
+        "checks",
+    }
     assert re.match(r"\d+\.\d+", report["versions"]["numpy"])
     assert re.fullmatch(r"\d+\.\d ms per image", report["inference"]["device cpu"])
     assert set(report["checks"].values()) == {"ok"}
 
 
-BOXES = np.array([[10.0, 20, 50, 60, 0.9], [60, 20, 90, 60, 0.6], [10, 60, 40, 90, 0.3]])  # corners in px, score
+# corners in px, score
+BOXES = np.array([[10.0, 20, 50, 60, 0.9], [60, 20, 90, 60, 0.6], [10, 60, 40, 90, 0.3]])
 
 
 def device_results(**tested):
@@ -65,10 +75,15 @@ def test_failed_check(cli, monkeypatch):
 @pytest.mark.parametrize(
     ("boxes", "is_right", "words"),
     [
-        (BOXES[[2, 1, 0]] + [0, 0, 2.5, -1, -0.08], True, "boxes up to 2.5 px and scores up to 0.08 off the CPU's"),
+        (
+            BOXES[[2, 1, 0]] + [0, 0, 2.5, -1, -0.08],
+            True,
+            "boxes up to 2.5 px and scores up to 0.08 off the CPU's",
+        ),
         (BOXES + np.eye(5)[0] * 3.5, False, "boxes up to 3.5 px and scores up to 0.00"),
         (BOXES - [0, 0, 0, 0, 0.12], False, "boxes up to 0.0 px and scores up to 0.12"),
-        (BOXES[:2], True, "boxes up to 0.0 px and scores up to 0.00"),  # the third one is no clear object
+        # the third one is no clear object
+        (BOXES[:2], True, "boxes up to 0.0 px and scores up to 0.00"),
         (BOXES[:1], False, "boxes up to 50.0 px"),
         (BOXES[:0], False, "boxes up to inf px"),
         (np.full((1, 5), math.nan), False, "boxes up to nan px"),
@@ -89,7 +104,9 @@ def test_devices(cli, monkeypatch, boxes, is_right, words):
 @pytest.mark.usefixtures("only_quick_checks")
 def test_several_distributions_of_a_package(cli, monkeypatch):
     found = {"opencv-python-headless": "5.0", "opencv-python": "4.9"}
-    monkeypatch.setattr(doctor, "installed_versions", lambda name: found if "opencv" in name else {name: "1"})
+    monkeypatch.setattr(
+        doctor, "installed_versions", lambda name: found if "opencv" in name else {name: "1"}
+    )
     monkeypatch.setattr(doctor, "conflicts", lambda: ("Uninstall both.",))
     status, text, _ = cli("doctor", "--json")
     report = json.loads(text)

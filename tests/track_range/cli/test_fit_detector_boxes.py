@@ -47,12 +47,15 @@ def test_few_noisy_images_say_little():
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"labels": TRUE_PX + np.array([[0, 0, 0, 0], [20, 0, 20, 30]])},  # the other one is nearer and covers it
+        # the other one is nearer and covers it
+        {"labels": TRUE_PX + np.array([[0, 0, 0, 0], [20, 0, 20, 30]])},
         {"labels": TRUE_PX, "is_ignored": True},
         {"labels": TRUE_PX, "score": 0.2},
         {"labels": TRUE_PX, "n": 19},
-        {"labels": np.array([108.0, 0.5, 188, 44.5]), "boxes": np.array([108.0, 0.5, 188, 44.5])},  # cut at the top
-        {"labels": np.array([108.0, 108, 150, 130]), "boxes": np.array([108.0, 108, 150, 130])},  # 22 px high
+        # cut at the top
+        {"labels": np.array([108.0, 0.5, 188, 44.5]), "boxes": np.array([108.0, 0.5, 188, 44.5])},
+        # 22 px high
+        {"labels": np.array([108.0, 108, 150, 130]), "boxes": np.array([108.0, 108, 150, 130])},
     ],
 )
 def test_labels_that_are_not_used(arguments):
@@ -61,7 +64,8 @@ def test_labels_that_are_not_used(arguments):
 
 @pytest.fixture
 def scene(tmp_path):
-    """30 images of 64 x 64 px with a car of 44 px; a NanoDet whose box of it is 40 px high and wide."""
+    """30 images of 64 x 64 px with a car of 44 px; a NanoDet whose box of it is 40 px high and
+    wide."""
     for name in ("images", "labels"):
         (tmp_path / name).mkdir()
     for i in range(30):
@@ -103,8 +107,16 @@ def test_errors_say_what_to_do(scene, cli):
         (("--detector-boxes", model, "--labels", scene / "labels"), 2, ("--images",)),
         (("--detector-boxes", "road", *given), 2, ("packaged", "--out")),
         (("--detector-boxes", scene / "none.onnx", *given), 1, ("none.onnx", "no such model")),
-        (("--detector-boxes", model, *given, "--out", scene / "list.yaml"), 1, ("list.yaml", "--out")),
-        (("--detector-boxes", model, *given, "--out", scene / "text.yaml"), 1, ("text.yaml", "--out")),
+        (
+            ("--detector-boxes", model, *given, "--out", scene / "list.yaml"),
+            1,
+            ("list.yaml", "--out"),
+        ),
+        (
+            ("--detector-boxes", model, *given, "--out", scene / "text.yaml"),
+            1,
+            ("text.yaml", "--out"),
+        ),
     ):
         (scene / "list.yaml").write_text("- car\n")
         (scene / "text.yaml").write_text("box_errors: unknown\n")

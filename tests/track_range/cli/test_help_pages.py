@@ -38,9 +38,14 @@ def test_page_fits_80_columns(names):
 def test_every_option_is_listed_in_full(names):
     text = page(names)
     shown = [parameter for parameter in COMMANDS[names].params if not parameter.hidden]
-    for option in (option for parameter in shown for option in parameter.opts if option.startswith("--")):
+    for option in (
+        option for parameter in shown for option in parameter.opts if option.startswith("--")
+    ):
         assert re.search(rf"^ +{option}\b", text, re.MULTILINE), option
-    assert all(parameter.help and parameter.help[0].isupper() and parameter.help[-1] == "." for parameter in shown)
+    assert all(
+        parameter.help and parameter.help[0].isupper() and parameter.help[-1] == "."
+        for parameter in shown
+    )
 
 
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)

@@ -1,4 +1,5 @@
-"""Nothing leaves the machine: commands make no connection, and write nothing into the home folder but our cache."""
+"""Nothing leaves the machine: commands make no connection, and write nothing into the home folder
+but our cache."""
 
 import ast
 import importlib.util
@@ -19,20 +20,31 @@ FOLDERS = ("detection", "tracking", "stereo", "ranging", "track_range")
 VARIABLES = {variable for variable, _ in TELEMETRY_SWITCHES.values()}
 
 BOXES = "class,x1,y1,x2,y2,distance_m,fx\n" + "".join(
-    f"car,100,100,{100 + 1760 / z_m:.2f},{100 + 1650 / z_m:.2f},{z_m},1100\n" for z_m in np.linspace(5, 65, 200)
+    f"car,100,100,{100 + 1760 / z_m:.2f},{100 + 1650 / z_m:.2f},{z_m},1100\n"
+    for z_m in np.linspace(5, 65, 200)
 )
 
 COMMANDS = [
     pytest.param(["demo", "--seconds", "0.5", "--out", "results"], {"results"}, set(), id="demo"),
     # matplotlib stores its list of fonts
     pytest.param(
-        ["fit", "--csv", "boxes.csv", "--out", "curves.json", "--compare", "--picture", "curves.png"],
+        [
+            "fit",
+            "--csv",
+            "boxes.csv",
+            "--out",
+            "curves.json",
+            "--compare",
+            "--picture",
+            "curves.png",
+        ],
         {"curves.json", "curves.png"},
         {".cache/track-range/matplotlib"},
         id="fit",
     ),
 ]
-"""Commands that import all third-party packages between them, their results, and folders of the home folder with files.
+"""Commands that import all third-party packages between them, their results, and folders of the
+home folder with files.
 
 A command of an optional package is added with `marks=pytest.mark.skipif(not is_installed(...))`.
 """
@@ -44,7 +56,8 @@ def is_installed(package):
 
 @pytest.fixture
 def fresh_environment(tmp_path):
-    """An environment with an empty home folder, and without settings of onnxruntime's telemetry or of caches."""
+    """An environment with an empty home folder, and without settings of onnxruntime's telemetry or
+    of caches."""
     (tmp_path / "home").mkdir()
     kept = {
         name: value
@@ -57,11 +70,14 @@ def fresh_environment(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "results", "folders"), COMMANDS)
 def test_commands_stay_on_the_machine(tmp_path, fresh_environment, arguments, results, folders):
-    """No socket, no file outside of the results and the cache, and no import from the current folder."""
+    """No socket, no file outside of the results and the cache, and no import from the current
+    folder."""
     work, temporary = tmp_path / "work", tmp_path / "temporary"
     work.mkdir()
     temporary.mkdir()
-    inputs = {"boxes.csv": BOXES} | {f"{name}.py": "raise SystemExit(9)" for name in ("json", "numpy", "detection")}
+    inputs = {"boxes.csv": BOXES} | {
+        f"{name}.py": "raise SystemExit(9)" for name in ("json", "numpy", "detection")
+    }
     for name, text in inputs.items():
         (work / name).write_text(text, encoding="utf-8")
     strace, trace = shutil.which("strace"), tmp_path / "trace.txt"
@@ -80,7 +96,9 @@ def test_commands_stay_on_the_machine(tmp_path, fresh_environment, arguments, re
     assert {path.name for path in work.iterdir()} == results | set(inputs)
     assert list(temporary.iterdir()) == []
     home = tmp_path / "home"
-    assert {path.parent.relative_to(home).as_posix() for path in home.rglob("*") if path.is_file()} <= folders
+    assert {
+        path.parent.relative_to(home).as_posix() for path in home.rglob("*") if path.is_file()
+    } <= folders
     if not tracing:
         pytest.skip("strace is not installed; files were checked")
     assert [line for line in trace.read_text().splitlines() if "AF_INET" in line] == []
@@ -92,7 +110,9 @@ def test_trace_shows_connections(tmp_path):
     strace = shutil.which("strace")
     if strace is None:
         pytest.skip("strace is not installed")
-    code = "import socket; socket.socket(socket.AF_INET, socket.SOCK_DGRAM).connect(('127.0.0.1', 9))"
+    code = (
+        "import socket; socket.socket(socket.AF_INET, socket.SOCK_DGRAM).connect(('127.0.0.1', 9))"
+    )
     command = [strace, "-f", "-qq", "-e", "trace=network", sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if "ptrace" in done.stderr:
@@ -101,7 +121,8 @@ def test_trace_shows_connections(tmp_path):
 
 
 def importers_of(package):
-    """Folders of the modules that import a package anywhere, relative to the project, as posix paths."""
+    """Folders of the modules that import a package anywhere, relative to the project, as posix
+    paths."""
     importers = set()
     for folder in (*FOLDERS, "benchmarks"):
         for path in (PROJECT / folder).rglob("*.py"):
@@ -125,17 +146,26 @@ def module_of(folder):
 def variable_after_import(module, variable, environment):
     code = f"import os, {module}; print(os.environ.get({variable!r}))"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=PROJECT, check=True
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=environment,
+        cwd=PROJECT,
+        check=True,
     )
     return done.stdout.strip()
 
 
 @pytest.mark.parametrize(
     "package",
-    [pytest.param(package, marks=pytest.mark.slow if package == "ray" else ()) for package in TELEMETRY_SWITCHES],
+    [
+        pytest.param(package, marks=pytest.mark.slow if package == "ray" else ())
+        for package in TELEMETRY_SWITCHES
+    ],
 )
 def test_importers_disable_telemetry(fresh_environment, package):
-    """Each package of ours that imports one with telemetry disables it, and a user's own setting is kept."""
+    """Each package of ours that imports one with telemetry disables it, and a user's own setting is
+    kept."""
     if not is_installed(package):
         pytest.skip(f"{package} is not installed")
     variable, value = TELEMETRY_SWITCHES[package]
@@ -153,8 +183,14 @@ def test_importers_of_onnxruntime():
 @pytest.mark.parametrize("given", [None, "/own"])
 def test_matplotlib_folder(fresh_environment, given):
     environment = fresh_environment | ({} if given is None else {"MPLCONFIGDIR": given})
-    importers = [folder for folder in importers_of("matplotlib") if not folder.startswith("benchmarks")]
-    assert importers == ["track_range/calibration", "track_range/views/report"]  # the first imports it in a function
+    importers = [
+        folder for folder in importers_of("matplotlib") if not folder.startswith("benchmarks")
+    ]
+    # the first imports it in a function
+    assert importers == ["track_range/calibration", "track_range/views/report"]
     expected = f"{environment['HOME']}/.cache/track-range/matplotlib" if given is None else given
     if sys.platform == "linux" or given:
-        assert variable_after_import("track_range.views.report", "MPLCONFIGDIR", environment) == expected
+        assert (
+            variable_after_import("track_range.views.report", "MPLCONFIGDIR", environment)
+            == expected
+        )

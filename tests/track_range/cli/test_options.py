@@ -20,21 +20,28 @@ class Recipe(Options):
     dish: Annotated[str, option("Dish to cook.", metavar="DISH", is_argument=True)]
     guests: Annotated[int, option("Number of guests.", metavar="N", ge=1, le=9, panel="Table")] = 4
     spices: Annotated[tuple[str, ...], option("Spices to add.")] = ()
-    books: Annotated[tuple[Path, ...], option("Book to look into.", flag="--book", is_repeated=True)] = ()
+    books: Annotated[
+        tuple[Path, ...], option("Book to look into.", flag="--book", is_repeated=True)
+    ] = ()
     heat: Annotated[Literal["low", "high"], option("Heat of the stove.")] = "low"
     form: Annotated[str, option("Form of the noodles.", choices=lambda: ("long", "short"))] = "long"
     salt: Annotated[str, option("Salt.", words=("auto", "off"), metavar="GRAMS")] = "auto"
-    stirred: Annotated[bool, option("Stirring.", flag="--stir/--no-stir", old_names=("agitated",))] = True
+    stirred: Annotated[
+        bool, option("Stirring.", flag="--stir/--no-stir", old_names=("agitated",))
+    ] = True
     secret: Annotated[float, option("Secret ingredient.", is_file_only=True)] = 0.5
 
 
 @pytest.fixture
 def cook():
-    """Runs the command; returns the options passed to the function, or the result of a failed call."""
+    """Runs the command; returns the options passed to the function, or the result of a failed
+    call."""
 
     def run(*arguments):
         cooked = []
-        result = CliRunner().invoke(command(Recipe, cooked.append), [str(item) for item in arguments])
+        result = CliRunner().invoke(
+            command(Recipe, cooked.append), [str(item) for item in arguments]
+        )
         return cooked[0] if cooked else result
 
     return run
@@ -45,14 +52,29 @@ def test_defaults_come_from_the_model(cook):
 
 
 def test_values_reach_the_model(cook):
-    cooked = cook("soup", "--guests", 7, "--spices", "salt, dill", "--book", "a", "--book", "b", "--heat", "high")
-    assert cooked == Recipe(dish="soup", guests=7, spices=("salt", "dill"), books=(Path("a"), Path("b")), heat="high")
+    cooked = cook(
+        "soup",
+        "--guests",
+        7,
+        "--spices",
+        "salt, dill",
+        "--book",
+        "a",
+        "--book",
+        "b",
+        "--heat",
+        "high",
+    )
+    assert cooked == Recipe(
+        dish="soup", guests=7, spices=("salt", "dill"), books=(Path("a"), Path("b")), heat="high"
+    )
     assert cook("soup", "--no-stir").stirred is False
 
 
 def test_old_name_is_accepted_and_hidden(cook):
     assert cook("soup", "--no-agitated").stirred is False
-    assert cook("soup", "--agitated", "--no-stir").stirred is False  # the current name has precedence
+    # the current name has precedence
+    assert cook("soup", "--agitated", "--no-stir").stirred is False
     help_text = cook("--help").output
     assert "--stir" in help_text
     assert "agitated" not in help_text
@@ -66,7 +88,13 @@ def test_old_name_in_a_settings_file():
 
 @pytest.mark.parametrize(
     "arguments",
-    [("soup", "--guests", 0), ("soup", "--guests", 10), ("soup", "--heat", "none"), ("soup", "--form", "round"), ()],
+    [
+        ("soup", "--guests", 0),
+        ("soup", "--guests", 10),
+        ("soup", "--heat", "none"),
+        ("soup", "--form", "round"),
+        (),
+    ],
 )
 def test_values_out_of_bounds_are_wrong_usage(cook, arguments):
     assert cook(*arguments).exit_code == 2
@@ -88,15 +116,26 @@ def test_invalid_values_from_python():
 
 def test_choices_and_words_are_listed():
     shown = {item.name: item.annotation.__metadata__[0].metavar for item in parameters(Recipe)}
-    assert (shown["heat"], shown["form"], shown["salt"]) == ("low|high", "long|short", "auto|off|GRAMS")
+    assert (shown["heat"], shown["form"], shown["salt"]) == (
+        "low|high",
+        "long|short",
+        "auto|off|GRAMS",
+    )
     with pytest.raises(UsageError, match=r"^--form: expected 'long' or 'short', found 'round'\.$"):
         Recipe.of({"dish": "soup", "form": "round"})
 
 
 def test_values_of_files_and_python():
     recipe = Recipe.of({"dish": Path("soup"), "salt": False, "books": ["a"], "spices": "salt,dill"})
-    assert (recipe.dish, recipe.salt, recipe.books, recipe.spices) == ("soup", "off", (Path("a"),), ("salt", "dill"))
-    assert Recipe.of({"dish": ["soup", "bread"], "salt": 2.5}).model_dump(include={"dish", "salt"}) == {
+    assert (recipe.dish, recipe.salt, recipe.books, recipe.spices) == (
+        "soup",
+        "off",
+        (Path("a"),),
+        ("salt", "dill"),
+    )
+    assert Recipe.of({"dish": ["soup", "bread"], "salt": 2.5}).model_dump(
+        include={"dish", "salt"}
+    ) == {
         "dish": "soup,bread",
         "salt": "2.5",
     }
@@ -105,9 +144,14 @@ def test_values_of_files_and_python():
 def test_parameters_show_panel_metavar_and_bounds():
     guests = next(item for item in parameters(Recipe) if item.name == "guests")
     (info,) = guests.annotation.__metadata__
-    assert (info.help, info.metavar, info.rich_help_panel) == ("Number of guests (default: 4).", "N", "Table")
+    assert (info.help, info.metavar, info.rich_help_panel) == (
+        "Number of guests (default: 4).",
+        "N",
+        "Table",
+    )
     assert (info.min, info.max) == (1, 9)
-    assert (guests.default, Recipe.of({"dish": "soup"}).guests) == (None, 4)  # the model has the default
+    # the model has the default
+    assert (guests.default, Recipe.of({"dish": "soup"}).guests) == (None, 4)
 
 
 def test_only_given_parameters_name_their_defaults():
@@ -137,12 +181,19 @@ def test_help_names_the_files_of_all_writers():
 
 
 def test_settings_of_clips_and_fleets():
-    """A new option of a run is none of a clip; those that a fleet refuses say what to do instead."""
+    """A new option of a run is none of a clip; those that a fleet refuses say what to do
+    instead."""
     refused = RunSettings.fields_where(lambda field: option_of(field).instead)
     assert refused == {"stereo", "mono", "truth", "detections", "start_utc", "table", "realtime"}
     assert {"rig", "focal_px", "ego_speed", "align"} <= CLIP_SETTINGS
-    assert CLIP_SETTINGS.isdisjoint(RunSettings.fields_where(lambda field: option_of(field).is_shared))
+    assert CLIP_SETTINGS.isdisjoint(
+        RunSettings.fields_where(lambda field: option_of(field).is_shared)
+    )
     assert [name for name in sorted(CLIP_SETTINGS) if is_file_setting(name, "a")] == [
         *("align", "curves", "detections", "ego_speed", "rig", "truth"),
     ]
-    assert not any(is_file_setting(name, value) for name in ("align", "ego_speed") for value in ("auto", "off", "30.5"))
+    assert not any(
+        is_file_setting(name, value)
+        for name in ("align", "ego_speed")
+        for value in ("auto", "off", "30.5")
+    )

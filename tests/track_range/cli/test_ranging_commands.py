@@ -17,7 +17,9 @@ def folders(tmp_path):
             (tmp_path / place).mkdir(exist_ok=True)
         for name, rows in drives.items():
             (tmp_path / "labels" / f"{name}.txt").write_text("\n".join(rows) + "\n")
-            (tmp_path / "calib" / f"{name}.txt").write_text(f"P2: {F_PX} 0 600 0 0 {F_PX} 180 0 0 0 1 0\n")
+            (tmp_path / "calib" / f"{name}.txt").write_text(
+                f"P2: {F_PX} 0 600 0 0 {F_PX} 180 0 0 0 1 0\n"
+            )
         return ("--labels", tmp_path / "labels", "--calib", tmp_path / "calib")
 
     return write
@@ -26,14 +28,30 @@ def folders(tmp_path):
 def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2))
     files = ("--json", tmp_path / "f.json", "--table", tmp_path / "f.md")
-    status, out, err = cli("evaluate", "ranges", *given, "--cross-validate", "--region", "europe", *files)
+    status, out, err = cli(
+        "evaluate", "ranges", *given, "--cross-validate", "--region", "europe", *files
+    )
     assert (status, err) == (0, "")
     figures = json.loads((tmp_path / "f.json").read_text())
-    assert set(figures["methods"]) >= {"diagonal-3", "diagonal-4", "diagonal-5", "inverse-height", "log-linear", "mono"}
+    assert set(figures["methods"]) >= {
+        "diagonal-3",
+        "diagonal-4",
+        "diagonal-5",
+        "inverse-height",
+        "log-linear",
+        "mono",
+    }
     assert {"ground", "mono+ground"} <= set(figures["methods"])
     for name, classes in figures["methods"].items():
         assert set(classes) == {"car", "person"}, name
-        assert {"n", "bias_pct", "within_1_sigma", "within_2_sigma", "rear_view_pct", "far_pct"} <= set(classes["car"])
+        assert {
+            "n",
+            "bias_pct",
+            "within_1_sigma",
+            "within_2_sigma",
+            "rear_view_pct",
+            "far_pct",
+        } <= set(classes["car"])
     mono, plain = figures["methods"]["mono"]["car"], figures["methods"]["diagonal-3"]["car"]
     assert mono["mean_relative_error_pct"] < 1.0 < plain["mean_relative_error_pct"] < 60.0
     assert mono["bands"][0]["to_m"] == 10.0
@@ -45,7 +63,12 @@ def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
 
 
 def car_by(cli, file, method, *arguments):
-    assert cli("evaluate", "ranges", *arguments, "--method", method, "--cross-validate", "--json", file)[0] == 0
+    assert (
+        cli(
+            "evaluate", "ranges", *arguments, "--method", method, "--cross-validate", "--json", file
+        )[0]
+        == 0
+    )
     return json.loads(file.read_text())["methods"][method]["car"]
 
 
@@ -63,7 +86,8 @@ def test_noise_is_seeded(cli, folders, tmp_path):
 def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
     given = (*folders(a=drive(0), b=drive(1), c=drive(2)), "--noise-px", 2)
     none, paper, default = (
-        car_by(cli, tmp_path / "f.json", "mono", *given, "--filter", name) for name in ("none", "paper", "default")
+        car_by(cli, tmp_path / "f.json", "mono", *given, "--filter", name)
+        for name in ("none", "paper", "default")
     )
     assert default["mean_relative_error_pct"] < 0.75 * none["mean_relative_error_pct"]
     assert paper["closing_median_error_mps"] > default["closing_median_error_mps"] > 0
@@ -71,15 +95,25 @@ def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
 
 
 def test_fit_and_test_on_the_same_drive(cli, folders, tmp_path):
-    """People are 5 % taller in one drive, which causes errors only if the curves are fitted to others."""
+    """People are 5 % taller in one drive, which causes errors only if the curves are fitted to
+    others."""
     tall = [row(k, 0, "Pedestrian", 60 - 0.3 * k, scale=1.1) for k in range(160)]
     usual = [[row(k, 0, "Pedestrian", d_m - 0.3 * k) for k in range(160)] for d_m in (58.0, 62.0)]
-    given = ("evaluate", "ranges", *folders(a=tall, b=usual[0], c=usual[1]), "--method", "log-linear", "--json")
+    given = (
+        "evaluate",
+        "ranges",
+        *folders(a=tall, b=usual[0], c=usual[1]),
+        "--method",
+        "log-linear",
+        "--json",
+    )
     error = {}
     for option in ("--same-drive", "--cross-validate"):
         status, out, _ = cli(*given, tmp_path / "f.json", option)
         assert status == 0
-        error[option] = json.loads((tmp_path / "f.json").read_text())["methods"]["log-linear"]["person"]
+        error[option] = json.loads((tmp_path / "f.json").read_text())["methods"]["log-linear"][
+            "person"
+        ]
         assert ("the same drive" in " ".join(out.split())) == (option == "--same-drive")
     assert error["--same-drive"]["mean_relative_error_pct"] < 0.1
     assert 3.0 < error["--cross-validate"]["mean_relative_error_pct"] < 12.0
@@ -88,7 +122,9 @@ def test_fit_and_test_on_the_same_drive(cli, folders, tmp_path):
 
 def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
     given = folders(a=drive(0))
-    status, out, _ = cli("evaluate", "ranges", *given, "--method", "ground,log-linear", "--json", tmp_path / "f.json")
+    status, out, _ = cli(
+        "evaluate", "ranges", *given, "--method", "ground,log-linear", "--json", tmp_path / "f.json"
+    )
     assert status == 0
     figures = json.loads((tmp_path / "f.json").read_text())
     assert list(figures["methods"]) == ["ground", "log-linear"]
@@ -116,7 +152,15 @@ def test_invalid_usage_of_evaluate_ranges(cli, folders, options, status, message
 @pytest.mark.slow
 def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2, n_frames=20))
-    outputs = ("--compare", "--picture", tmp_path / "p.png", "--out", tmp_path / "c.json", "--leave-out", "c")
+    outputs = (
+        "--compare",
+        "--picture",
+        tmp_path / "p.png",
+        "--out",
+        tmp_path / "c.json",
+        "--leave-out",
+        "c",
+    )
     status, out, err = cli("fit", *given, *outputs, "--source", "made drives")
     assert (status, err) == (0, "")
     assert out.count("inverse-height") == 2  # of cars and of people
@@ -124,7 +168,16 @@ def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
     assert "made drives, sequences a, b" in (tmp_path / "c.json").read_text()
     load_curves(tmp_path / "c.json")
-    again = ("evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json", "--json")
+    again = (
+        "evaluate",
+        "ranges",
+        *given,
+        "--method",
+        "mono",
+        "--curves",
+        tmp_path / "c.json",
+        "--json",
+    )
     assert cli(*again, tmp_path / "f.json")[0] == 0
     car = json.loads((tmp_path / "f.json").read_text())["methods"]["mono"]["car"]
     assert car["mean_relative_error_pct"] < 1.5
@@ -137,13 +190,25 @@ def test_fitted_curves_are_usable_in_a_run(cli, folders, tmp_path, curve):
     assert cli("fit", *given, "--curve", curve, "--out", tmp_path / "c.json")[0] == 0
     assert (
         cli(
-            "evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json", "--json", tmp_path / "f"
+            "evaluate",
+            "ranges",
+            *given,
+            "--method",
+            "mono",
+            "--curves",
+            tmp_path / "c.json",
+            "--json",
+            tmp_path / "f",
         )[0]
         == 0
     )
     car = json.loads((tmp_path / "f").read_text())["methods"]["mono"]["car"]
     assert car["coverage"] == 1.0
-    assert car["mean_relative_error_pct"] < {"cuboids": 4.0, "log-linear": 1.5, "inverse-height": 1.5}.get(curve, 35.0)
+    assert car["mean_relative_error_pct"] < {
+        "cuboids": 4.0,
+        "log-linear": 1.5,
+        "inverse-height": 1.5,
+    }.get(curve, 35.0)
     assert car["within_2_sigma"] > 0.7
 
 
@@ -152,7 +217,9 @@ def test_curve_file_of_another_version(cli, folders, tmp_path):
     assert cli("fit", *given, "--out", tmp_path / "c.json")[0] == 0
     old = json.loads((tmp_path / "c.json").read_text()) | {"track_range_size_curves": 1}
     (tmp_path / "c.json").write_text(json.dumps(old))
-    status, _, err = cli("evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json")
+    status, _, err = cli(
+        "evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json"
+    )
     assert (status, "c.json: " in err, "version" in err) == (1, True, True), err
 
 
@@ -223,12 +290,22 @@ def test_invalid_usage_of_fit(cli, options, status, message):
 def test_kitti_figures_are_unchanged(cli, shared_data, tmp_path):
     """Errors of the curves of one measure on all drives, with lower and upper bounds."""
     place = shared_data / "kitti_labels"
-    given = ("--labels", place / "label_02", "--calib", place / "calib", "--json", tmp_path / "f.json")
+    given = (
+        "--labels",
+        place / "label_02",
+        "--calib",
+        place / "calib",
+        "--json",
+        tmp_path / "f.json",
+    )
     given = (*given, "--region", "europe")
-    assert cli("evaluate", "ranges", *given, "--method", "log-linear,inverse-height,height-5")[0] == 0
+    assert (
+        cli("evaluate", "ranges", *given, "--method", "log-linear,inverse-height,height-5")[0] == 0
+    )
     methods = json.loads((tmp_path / "f.json").read_text())["methods"]
     mean = {
-        name: {kind: row["mean_relative_error_pct"] for kind, row in rows.items()} for name, rows in methods.items()
+        name: {kind: row["mean_relative_error_pct"] for kind, row in rows.items()}
+        for name, rows in methods.items()
     }
     assert mean["log-linear"]["car"] == pytest.approx(5.36, abs=0.02)
     assert mean["inverse-height"]["bicycle"] == pytest.approx(3.27, abs=0.02)
@@ -240,9 +317,20 @@ def test_methods_on_four_drives(cli, shared_data, tmp_path):
     for kind in ("label_02", "calib"):
         (tmp_path / kind).mkdir()
         for name in ("0000", "0002", "0013", "0018"):
-            (tmp_path / kind / f"{name}.txt").symlink_to(shared_data / "kitti_labels" / kind / f"{name}.txt")
-    given = ("--labels", tmp_path / "label_02", "--calib", tmp_path / "calib", "--json", tmp_path / "f.json")
-    assert cli("evaluate", "ranges", *given, "--method", "log-linear,mono,ground,mono+ground")[0] == 0
+            (tmp_path / kind / f"{name}.txt").symlink_to(
+                shared_data / "kitti_labels" / kind / f"{name}.txt"
+            )
+    given = (
+        "--labels",
+        tmp_path / "label_02",
+        "--calib",
+        tmp_path / "calib",
+        "--json",
+        tmp_path / "f.json",
+    )
+    assert (
+        cli("evaluate", "ranges", *given, "--method", "log-linear,mono,ground,mono+ground")[0] == 0
+    )
     methods = json.loads((tmp_path / "f.json").read_text())["methods"]
     assert 2.0 < methods["mono"]["car"]["mean_relative_error_pct"] < 7.0
     assert 4.0 < methods["ground"]["car"]["mean_relative_error_pct"] < 20.0

@@ -58,7 +58,8 @@ def test_table_and_json_of_a_good_rig(drive, tmp_path, cli):
 @pytest.mark.slow
 @pytest.mark.parametrize("angles", [{"yaw_deg": 0.4}, {"pitch_deg": 0.4}, {"roll_deg": 0.5}])
 def test_runs_correct_a_wrong_rig_file(drive, tmp_path, angles):
-    """The frames of a run, rectified with the correction, have no error beyond the one that is added to disparities."""
+    """The frames of a run, rectified with the correction, have no error beyond the one that is
+    added to disparities."""
     rig = save_rotated(drive, tmp_path / "rig.yaml", **angles)
     recording = open_recording(drive / "left.mp4", drive / "right.mp4", rig=rig)
     alignment = recording.calibration.alignment
@@ -81,13 +82,26 @@ def test_the_speed_checks_the_baseline(shared_data, tmp_path, cli, factor):
     drive = shared_data / "kitti_stereo" / "0003"
     rig, _ = load_rig(drive / "calib.txt", size_px=(1242, 374))
     save_rig(StereoRig.rectified(rig.left, factor * rig.baseline_m), tmp_path / "rig.yaml")
-    options = ("--rig", tmp_path / "rig.yaml", "--ego-speed", drive / "oxts", "--json", tmp_path / "rig.json")
-    status, printed, _ = cli("rig", "check", "--stereo", drive / "left.mp4", drive / "right.mp4", *options)
+    options = (
+        "--rig",
+        tmp_path / "rig.yaml",
+        "--ego-speed",
+        drive / "oxts",
+        "--json",
+        tmp_path / "rig.json",
+    )
+    status, printed, _ = cli(
+        "rig", "check", "--stereo", drive / "left.mp4", drive / "right.mp4", *options
+    )
     assert status == 0
     baseline = json.loads((tmp_path / "rig.json").read_text())["baseline"]
     assert baseline["baseline_check"]["sigma"] < 0.08
     assert ("scale_doubt" in baseline) == (factor != 1.0)
-    text = "The baseline agrees with the drive" if factor == 1.0 else "Scale in doubt: the baseline is 1."
+    text = (
+        "The baseline agrees with the drive"
+        if factor == 1.0
+        else "Scale in doubt: the baseline is 1."
+    )
     assert text in printed.replace("\n", " ")
 
 
@@ -104,7 +118,10 @@ def test_one_recording_is_both_videos():
         context = app.make_context("check", [*given, "--stereo-layout", "top-bottom"])
         assert context.params["stereo"] == (Path("a.mp4"), Path("a.mp4"))
         assert context.params["stereo_layout"] == "top-bottom"
-    assert app.make_context("check", ["--stereo", "a", "b"]).params["stereo"] == (Path("a"), Path("b"))
+    assert app.make_context("check", ["--stereo", "a", "b"]).params["stereo"] == (
+        Path("a"),
+        Path("b"),
+    )
 
 
 @pytest.mark.slow
@@ -114,9 +131,13 @@ def test_one_recording_measures_as_two(tmp_path, cli):
         folder = tmp_path / name
         rig = StereoRig.rectified(PinholeCamera(400.0, 400.0, 309.5, 93.5, *SIZE_PX), 0.54)
         layout = options[1] if options else None
-        drive = write_drive(folder, seconds=1.3, rig=rig, options=DriveOptions(lossless=True, stereo_layout=layout))
+        drive = write_drive(
+            folder, seconds=1.3, rig=rig, options=DriveOptions(lossless=True, stereo_layout=layout)
+        )
         names = [drive.left] if options else [drive.left, drive.right]
-        status, _, errors = cli("rig", "check", "--stereo", *names, *options, "--json", folder / "check.json")
+        status, _, errors = cli(
+            "rig", "check", "--stereo", *names, *options, "--json", folder / "check.json"
+        )
         assert status == 0, errors
         figures[name] = json.loads((folder / "check.json").read_text())["measured"]
     for given in figures.values():

@@ -15,7 +15,9 @@ KITTI = "P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -350 0 700 180 0 0 0
 
 def test_rig_yaml_to_opencv_and_back(tmp_path, cli):
     true = rig()
-    yaml_file, opencv_file, second_yaml = (tmp_path / name for name in ("rig.yaml", "cv.yml", "again.yaml"))
+    yaml_file, opencv_file, second_yaml = (
+        tmp_path / name for name in ("rig.yaml", "cv.yml", "again.yaml")
+    )
     save_rig(true, yaml_file)
     assert cli("rig", "convert", yaml_file, opencv_file, "--to", "opencv")[0] == 0
     status, printed, _ = cli("rig", "convert", opencv_file, second_yaml)
@@ -29,7 +31,10 @@ def test_rig_yaml_to_opencv_and_back(tmp_path, cli):
 
 def test_one_camera(tmp_path, cli):
     save_camera(CAMERA, tmp_path / "a.yaml")
-    assert "one camera" in cli("rig", "convert", tmp_path / "a.yaml", tmp_path / "b.yml", "--to", "opencv")[1]
+    assert (
+        "one camera"
+        in cli("rig", "convert", tmp_path / "a.yaml", tmp_path / "b.yml", "--to", "opencv")[1]
+    )
     assert cli("rig", "convert", tmp_path / "b.yml", tmp_path / "c.yaml")[0] == 0
     assert load_calibration(tmp_path / "c.yaml")[0] == CAMERA
     status, printed, _ = cli("rig", "show", tmp_path / "a.yaml")
@@ -53,7 +58,9 @@ def test_reference_frame_of_kitti_labels(tmp_path, cli):
     calib = tmp_path / "calib.txt"
     colour = KITTI.replace("P0", "P2").replace("600 0 0", "600 42 0").replace("P1", "P3")
     calib.write_text(KITTI + colour)
-    status, printed, complaint = cli("rig", "convert", calib, tmp_path / "rig.yaml", "--size", "1242x375")
+    status, printed, complaint = cli(
+        "rig", "convert", calib, tmp_path / "rig.yaml", "--size", "1242x375"
+    )
     assert status == 0, complaint
     assert "0.060 m" in printed  # 42 / 700
 
@@ -115,7 +122,10 @@ def test_sections_units_and_recognition_are_shown(tmp_path, cli):
 
 def test_template(tmp_path, cli):
     source, out = tmp_path / "stereo.json", tmp_path / "rig.yaml"
-    source.write_text('{"K1": [[500, 0, 320], [0, 501, 240], [0, 0, 1]], "D1": [0.1, 0, 0, 0], "T": [-0.12, 0, 0]}')
+    source.write_text(
+        '{"K1": [[500, 0, 320], [0, 501, 240], [0, 0, 1]], "D1": [0.1, 0, 0, 0], '
+        '"T": [-0.12, 0, 0]}'
+    )
     status, printed, _ = cli("rig", "template", source)
     assert (status, "fx_px: 500.0" in printed, "no M2, D2, R" in printed) == (0, True, True)
     status, printed, _ = cli("rig", "template", source, "--out", out)
@@ -128,6 +138,10 @@ def test_template(tmp_path, cli):
     assert cli("rig", "template", source, "--out", out)[0] == 0
     text = out.read_text()
     assert text.count(":  #") == 5  # two sizes, and the heading
-    out.write_text(text.replace("width_px:  #", "width_px: 1242  #").replace("height_px:  #", "height_px: 375  #"))
+    out.write_text(
+        text.replace("width_px:  #", "width_px: 1242  #").replace(
+            "height_px:  #", "height_px: 375  #"
+        )
+    )
     assert load_rig(out, size_px=(1242, 375))[0].baseline_m == pytest.approx(0.5)
     assert cli("rig", "template", tmp_path / "absent.yml")[0] == 1

@@ -19,7 +19,8 @@ NAN = math.nan
 
 
 def frame(index):
-    """Track 3, a car that crosses at 12 m while the ego vehicle drives 1 m per frame; track 7 is a traffic light."""
+    """Track 3, a car that crosses at 12 m while the ego vehicle drives 1 m per frame; track 7 is a
+    traffic light."""
     given = result(index)
     pair, motion = np.array, np.array([NAN, NAN])
     gap_m, ttc_s = 20.0 - index, 4.0 - 0.25 * index
@@ -28,7 +29,9 @@ def frame(index):
         pair([5.0, NAN]), pair([0.1 * index, 0.0]), pair([0.01 * index, 0.0]), pair([0.0, NAN]), pair([0.1, NAN]),
         np.array([index < 5, False]),
     )  # fmt: skip
-    motion = ObjectMotion(motion, motion, motion, pair([12.0, NAN]), pair([-3.0 + index, NAN]), pair([3.0, NAN]))
+    motion = ObjectMotion(
+        motion, motion, motion, pair([12.0, NAN]), pair([-3.0 + index, NAN]), pair([3.0, NAN])
+    )
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
     time = type(given.frame)(index, index / 10, given.frame.left, None)
     return type(given)(**{
@@ -70,13 +73,25 @@ def test_figures_by_class():
     }
     other = row | {"tet_s": 0.0, "min_gap_m": 2.0, "max_drac_mps2": 4.0, "pet_s": 1.5}
     cars, people = by_class([row, {**other, "class": "person"}, other])[::-1]
-    assert (cars["n"], cars["n_exposed"], cars["min_gap_m"], cars["max_drac_mps2"]) == (2, 1, 2.0, 4.0)
-    assert (cars["tet_s"], cars["lead_s"], cars["pet_s"], cars["min_headway_s"]) == (1.0, 4.0, 1.5, None)
+    assert (cars["n"], cars["n_exposed"], cars["min_gap_m"], cars["max_drac_mps2"]) == (
+        2,
+        1,
+        2.0,
+        4.0,
+    )
+    assert (cars["tet_s"], cars["lead_s"], cars["pet_s"], cars["min_headway_s"]) == (
+        1.0,
+        4.0,
+        1.5,
+        None,
+    )
     assert (people["class"], people["n"]) == ("person", 1)
 
 
 def test_table_and_exports(run, tmp_path, cli):
-    status, printed, error = cli("surrogate", run, "--csv", tmp_path / "a.csv", "--parquet", tmp_path / "a.parquet")
+    status, printed, error = cli(
+        "surrogate", run, "--csv", tmp_path / "a.csv", "--parquet", tmp_path / "a.parquet"
+    )
     assert (status, error) == (0, "")
     assert "car 3" in printed
     with (tmp_path / "a.csv").open() as file:
@@ -112,7 +127,11 @@ def test_rows_without_measures_are_refused(tmp_path, run):
 def test_a_run_without_tracks(tmp_path, cli):
     with writing(tmp_path, ("csv",)):
         pass
-    status, _, error = cli("surrogate", tmp_path, "--csv", tmp_path / "a.csv", "--parquet", tmp_path / "a.parquet")
+    status, _, error = cli(
+        "surrogate", tmp_path, "--csv", tmp_path / "a.csv", "--parquet", tmp_path / "a.parquet"
+    )
     assert (status, error) == (0, "")
-    assert (tmp_path / "a.csv").read_text().replace('"', "").startswith("clip,track_id,class,state,")
+    assert (
+        (tmp_path / "a.csv").read_text().replace('"', "").startswith("clip,track_id,class,state,")
+    )
     assert parquet.read_table(tmp_path / "a.parquet").num_rows == 0

@@ -66,19 +66,33 @@ def test_road_network(drawn, tmp_path, cli):
     assert status == 0, printed
     model = json.loads(figures.read_text())["models"]["road"]
     assert min(model["classes"][name]["ap50"] for name in ("car", "person")) > 0.95
-    assert train(cli, data, tmp_path / "anchors", "--model", "road", "--anchors", "kmeans++")[0] == 1
+    assert (
+        train(cli, data, tmp_path / "anchors", "--model", "road", "--anchors", "kmeans++")[0] == 1
+    )
 
 
 @pytest.mark.train
 def test_resume_and_no_overwriting(drawn, tmp_path, cli):
     _, data = drawn
-    assert train(cli, data, tmp_path, "--epochs", 1, "--attention", "cbam", "--anchors", "kmeans++")[0] == 0
+    assert (
+        train(cli, data, tmp_path, "--epochs", 1, "--attention", "cbam", "--anchors", "kmeans++")[0]
+        == 0
+    )
     status, _, complaint = train(cli, data, tmp_path, "--epochs", 1)
     assert (status, "--resume" in complaint) == (1, True)
     status, _, complaint = train(cli, data, tmp_path, "--epochs", 1, "--resume")
     assert (status, "attention" in complaint) == (1, True)
     status, printed, _ = train(
-        cli, data, tmp_path, "--epochs", 1, "--resume", "--attention", "cbam", "--anchors", "kmeans++"
+        cli,
+        data,
+        tmp_path,
+        "--epochs",
+        1,
+        "--resume",
+        "--attention",
+        "cbam",
+        "--anchors",
+        "kmeans++",
     )
     assert status == 0
     assert "after epoch 1 of 1" in printed
@@ -104,7 +118,9 @@ def test_teacher_and_initial_weights(drawn, tmp_path, cli):
     _, data = drawn
     assert train(cli, data, tmp_path / "first", "--epochs", 1)[0] == 0
     model, start = tmp_path / "first/yolov5n.onnx", tmp_path / "first/best.pt"
-    status, _, complaint = train(cli, data, tmp_path / "second", "--epochs", 1, "--teacher", model, "--weights", start)
+    status, _, complaint = train(
+        cli, data, tmp_path / "second", "--epochs", 1, "--teacher", model, "--weights", start
+    )
     assert (status, complaint) == (0, "")
     both = ("--weights", start, "--weights", tmp_path / "second/last.pt", "--int8-epochs", 1)
     status, _, complaint = train(cli, data, tmp_path / "rounded", "--epochs", 1, *both)
@@ -120,11 +136,17 @@ def test_probabilities_need_the_road_network(drawn, tmp_path, cli):
     (tmp_path / "teacher").mkdir()
     for image in (folder / "images/train").iterdir():
         (tmp_path / "teacher" / f"{image.stem}.txt").write_text("0 .2 .2 .1 .1 0.45\n")
-    document = yaml.safe_load(data.read_text()) | {"path": str(folder), "labels_pseudo": str(tmp_path / "teacher")}
+    document = yaml.safe_load(data.read_text()) | {
+        "path": str(folder),
+        "labels_pseudo": str(tmp_path / "teacher"),
+    }
     document["pseudo_scores"] = "probabilities"
     (tmp_path / "soft.yaml").write_text(yaml.safe_dump(document))
     status, _, complaint = train(cli, tmp_path / "soft.yaml", tmp_path / "run", "--epochs", 1)
-    assert (status, "--model yolov5n: expected `pseudo_scores: thresholds`" in " ".join(complaint.split())) == (
+    assert (
+        status,
+        "--model yolov5n: expected `pseudo_scores: thresholds`" in " ".join(complaint.split()),
+    ) == (
         1,
         True,
     ), complaint
@@ -140,7 +162,8 @@ def test_anchors_and_their_iou(drawn, cli):
     (w1, h1), (w2, h2) = (map(float, pair.split(",")) for pair in lines[-1].split())
     assert (w1 < h1, w2 > h2) == (True, True)  # people are tall, cars are wide
     printed = cli("anchors", "--data", data, "--size", 160, "--clusters", 6)[1]
-    assert [len(head.split()) for head in printed.splitlines()[-1].split(" / ")] == [3, 3]  # as --anchors takes them
+    # as --anchors takes them
+    assert [len(head.split()) for head in printed.splitlines()[-1].split(" / ")] == [3, 3]
     status, _, complaint = cli("anchors", "--data", data, "--clusters", 32)
     assert (status, "32 anchors" in complaint) == (1, True)
 

@@ -27,7 +27,15 @@ def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
     """`against(truth)`: run on the drive; status, summary (None if it failed), output, error."""
 
     def run(truth: Path) -> tuple[int, Any, str, str]:
-        sides = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
+        sides = (
+            "--stereo",
+            drive.left,
+            drive.right,
+            "--rig",
+            drive.rig,
+            "--detections",
+            drive.detections,
+        )
         quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off", "--verbose")
         out = tmp_path / "out"
         status, printed, complaint = cli(*sides, *quick, "--truth", truth, "--out", out)
@@ -62,11 +70,17 @@ def test_truth_csv_of_the_simulation_is_exact(against: Any, drive: Drive) -> Non
 
 
 def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
-    """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not riders."""
+    """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not
+    riders."""
     rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
     exact, kitti = (read_truth(path, rig.left, np.zeros(3)) for path in (drive.table, drive.truth))
-    by_key = {key: row for row, key in enumerate(zip(kitti.frame.tolist(), kitti.track_id.tolist(), strict=True))}
-    row = np.array([by_key[key] for key in zip(exact.frame.tolist(), exact.track_id.tolist(), strict=True)])
+    by_key = {
+        key: row
+        for row, key in enumerate(zip(kitti.frame.tolist(), kitti.track_id.tolist(), strict=True))
+    }
+    row = np.array(
+        [by_key[key] for key in zip(exact.frame.tolist(), exact.track_id.tolist(), strict=True)]
+    )
     both = np.isfinite(exact.distance_m) & np.isfinite(kitti.distance_m[row])
     assert both.sum() > 30
     np.testing.assert_allclose(exact.xyxy_px, kitti.xyxy_px[row], atol=0.01)
@@ -120,8 +134,12 @@ def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> No
         ("distance_m", "", "distance_m"),
     ],
 )
-def test_invalid_truth(against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str) -> None:
-    status, _, _, complaint = against(rewritten(drive, tmp_path / "bad.csv", lambda row: {**row, column: value}))
+def test_invalid_truth(
+    against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str
+) -> None:
+    status, _, _, complaint = against(
+        rewritten(drive, tmp_path / "bad.csv", lambda row: {**row, column: value})
+    )
     assert status == 1
     assert "bad.csv" in complaint
     assert message in complaint
@@ -129,7 +147,9 @@ def test_invalid_truth(against: Any, drive: Drive, tmp_path: Path, column: str, 
 
 
 def test_truth_without_a_column_or_rows(against: Any, drive: Drive, tmp_path: Path) -> None:
-    bad = rewritten(drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"})
+    bad = rewritten(
+        drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"}
+    )
     for message in ("distance_m", "empty"):
         status, _, _, complaint = against(bad)
         assert (status, complaint.count("\n")) == (1, 1)

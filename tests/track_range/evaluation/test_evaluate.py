@@ -8,7 +8,10 @@ import pytest
 
 from tests.detection.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.evaluation.sequences.detector_evaluation import Candidate, evaluate as evaluate_frames
+from track_range.evaluation.sequences.detector_evaluation import (
+    Candidate,
+    evaluate as evaluate_frames,
+)
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 
 GREY = 114
@@ -16,7 +19,8 @@ GREY = 114
 
 @pytest.fixture
 def rectangles(tmp_path):
-    """Ten images of 96 x 96 px with one bright rectangle each, labelled as a car, and a network that detects it."""
+    """Ten images of 96 x 96 px with one bright rectangle each, labelled as a car, and a network
+    that detects it."""
     rng = np.random.default_rng(0)
     for name in ("images", "labels"):
         (tmp_path / name).mkdir()
@@ -33,15 +37,26 @@ def rectangles(tmp_path):
 
 
 def evaluate(cli, folder, *more):
-    inputs = ["--images", folder / "images", "--labels", folder / "labels", "--json", folder / "figures.json"]
+    inputs = [
+        "--images",
+        folder / "images",
+        "--labels",
+        folder / "labels",
+        "--json",
+        folder / "figures.json",
+    ]
     status, printed, errors = cli("evaluate", "detections", *inputs, *more)
     assert status == 0, errors
     return json.loads((folder / "figures.json").read_text()), printed
 
 
 def test_perfect_and_blind_detector(rectangles, cli):
-    blind = write_model(rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
-    figures, printed = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--model", blind)
+    blind = write_model(
+        rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"}
+    )
+    figures, printed = evaluate(
+        cli, rectangles, "--model", rectangles / "finder.onnx", "--model", blind
+    )
     finder, blind = figures["models"]["finder"], figures["models"]["blind"]
     car = finder["classes"]["car"]
     assert (car["n_images"], car["n_boxes"], car["ap50"], car["ap50_95"]) == (10, 10, 1.0, 1.0)
@@ -55,14 +70,18 @@ def test_perfect_and_blind_detector(rectangles, cli):
 
 
 def test_sizes_and_calibration(rectangles, cli):
-    blind = write_model(rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
+    blind = write_model(
+        rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"}
+    )
     model = ("--model", rectangles / "finder.onnx")
     figures, printed = evaluate(cli, rectangles, *model, "--figure", rectangles / "f.svg")
     finder = figures["models"]["finder"]
     for bins in finder["by_size"].values():
         counts = [row["classes"]["car"]["n_boxes"] for row in bins]
         assert sum(counts) == 10
-        assert [row["classes"]["car"]["ap50"] for row in bins] == [1.0 if n else None for n in counts]
+        assert [row["classes"]["car"]["ap50"] for row in bins] == [
+            1.0 if n else None for n in counts
+        ]
     row = finder["calibration"]["classes"]["car"]
     assert (row["n"], row["precision"]) == (10, 1.0)
     assert row["ece"] == pytest.approx(1 - row["mean_score"])
@@ -71,7 +90,9 @@ def test_sizes_and_calibration(rectangles, cli):
     assert "<svg" in (rectangles / "f.svg").read_text()
 
     both = (*model, "--model", blind)
-    figures, printed = evaluate(cli, rectangles, *both, "--by", "height", "--figure", rectangles / "f.png")
+    figures, printed = evaluate(
+        cli, rectangles, *both, "--by", "height", "--figure", rectangles / "f.png"
+    )
     assert figures["models"]["blind"]["calibration"]["all"]["ece"] is None
     assert figures["models"]["blind"]["by_size"]["height"][1]["classes"]["car"]["recall"] == 0.0
     for text in ("car, < 25 px", "finder: by height", "blind: by height", "ECE % by class"):
@@ -81,8 +102,18 @@ def test_sizes_and_calibration(rectangles, cli):
 
 def test_input_of_a_model_with_an_area(rectangles, cli):
     rows, metadata = np.zeros((1, 252, 6)), {"names": "['car']"}
-    write_model(rectangles / "side.onnx", rows, metadata=metadata | {"size": "64"}, input_shape=(1, 3, "h", "w"))
-    write_model(rectangles / "area.onnx", rows, metadata=metadata | {"area": "4096"}, input_shape=(1, 3, "h", "w"))
+    write_model(
+        rectangles / "side.onnx",
+        rows,
+        metadata=metadata | {"size": "64"},
+        input_shape=(1, 3, "h", "w"),
+    )
+    write_model(
+        rectangles / "area.onnx",
+        rows,
+        metadata=metadata | {"area": "4096"},
+        input_shape=(1, 3, "h", "w"),
+    )
     models = ("--model", rectangles / "side.onnx", "--model", rectangles / "area.onnx")
     figures, printed = evaluate(cli, rectangles, *models)
     assert [row["input"] for row in figures["models"].values()] == ["64 open", "4096 px2 open"]
@@ -109,15 +140,21 @@ def test_outputs_are_checked_before_models_are_loaded(rectangles, cli, option, s
 
 
 def test_manifest_unknown_class_and_damaged_image(rectangles, cli):
-    lines = [f"{i}.png,{'val' if i < 4 else 'train'},{'00100000' if i else '00000000'}" for i in range(10)]
+    lines = [
+        f"{i}.png,{'val' if i < 4 else 'train'},{'00100000' if i else '00000000'}"
+        for i in range(10)
+    ]
     (rectangles / "m.csv").write_text("file,split,labels_complete\n" + "\n".join(lines))
     (rectangles / "images/3.png").write_bytes(b"damaged")
     (rectangles / "labels/1.txt").write_text("2 0.5 0.5 0.2 0.2\n")
-    person = write_model(rectangles / "p.onnx", np.zeros((1, 252, 6)), metadata={"names": "['person']"})
+    person = write_model(
+        rectangles / "p.onnx", np.zeros((1, 252, 6)), metadata={"names": "['person']"}
+    )
     models = ["--model", rectangles / "finder.onnx", "--model", person]
     figures, printed = evaluate(cli, rectangles, *models, "--manifest", rectangles / "m.csv")
     assert figures["n_images"] == 3
-    assert figures["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 not all cars are labelled
+    # in image 0 not all cars are labelled
+    assert figures["models"]["finder"]["classes"]["car"]["n_images"] == 2
     assert "p does not detect car" in printed
     assert "Skipped 1 image;" in printed.replace("\n", " ")
     status, _, errors = cli(
@@ -137,9 +174,13 @@ def test_manifest_unknown_class_and_damaged_image(rectangles, cli):
 
 
 def test_classes_and_working_scores(rectangles, cli):
-    figures, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0")
+    figures, _ = evaluate(
+        cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0"
+    )
     assert (figures["working_score"]["car"], figures["working_score"]["bus"]) == (1.0, 0.2)
-    figures, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--classes", "bus,truck")
+    figures, _ = evaluate(
+        cli, rectangles, "--model", rectangles / "finder.onnx", "--classes", "bus,truck"
+    )
     assert figures["models"]["finder"]["classes"] == {}  # cars are ignored
     status, _, errors = cli(
         "evaluate", "detections", "--model", rectangles / "finder.onnx", "--classes", "tuck",
@@ -155,7 +196,9 @@ def test_frames_of_a_video_with_kitti_labels(shared_data, cli, tmp_path):
         "--images", drive / "left.mp4", "--labels", drive / "label.txt", "--json", tmp_path / "f.json",
     )  # fmt: skip
     assert status == 0, errors
-    car = json.loads((tmp_path / "f.json").read_text())["models"]["yolov5n_coco_dyn"]["classes"]["car"]
+    car = json.loads((tmp_path / "f.json").read_text())["models"]["yolov5n_coco_dyn"]["classes"][
+        "car"
+    ]
     assert car["n_images"] == 16
     assert 0.5 < car["ap50"] < 1.0  # near cars, and two occluded ones
 
@@ -185,7 +228,9 @@ def test_quantize_writes_smaller_copies(shared_data, cli, tmp_path):
     for i in range(10):
         cv2.imwrite(str(images / f"{i}.jpg"), capture.read()[1][:, 300:900])
     model, figures = shared_data / "models/yolox_nano_416.onnx", tmp_path / "f.json"
-    status, printed, errors = cli("models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures)
+    status, printed, errors = cli(
+        "models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures
+    )
     assert status == 0, errors
     assert "original's boxes" in " ".join(printed.split())
     read = json.loads(figures.read_text())
@@ -205,7 +250,9 @@ def test_quantize_writes_smaller_copies(shared_data, cli, tmp_path):
 def test_quantize_needs_two_images(rectangles, cli):
     for image in sorted((rectangles / "images").iterdir())[1:]:
         image.unlink()
-    status, _, errors = cli("models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images")
+    status, _, errors = cli(
+        "models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images"
+    )
     assert (status, "at least 2 images" in errors) == (1, True)
 
 

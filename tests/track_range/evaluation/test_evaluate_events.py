@@ -10,7 +10,13 @@ from hypothesis import given, settings, strategies as st
 import track_range as tr
 from tests.command_line import run_command
 from tests.track_range.results.events.event_builder import event
-from track_range.evaluation.events.scores import Contact, contact_scores, event_scores, objects_by_time, read_contacts
+from track_range.evaluation.events.scores import (
+    Contact,
+    contact_scores,
+    event_scores,
+    objects_by_time,
+    read_contacts,
+)
 from track_range.foundation.errors import UsageError, UserError
 from track_range.results.columns import column_names
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS
@@ -20,7 +26,9 @@ CAR, CHILD = Contact(3, "car", 10.0), Contact(8, "person", 20.0)
 
 
 def warning(warning_s, **changes):
-    return event(**{"warning_s": warning_s, "start_s": warning_s, "end_s": warning_s + 2, **changes})
+    return event(
+        **{"warning_s": warning_s, "start_s": warning_s, "end_s": warning_s + 2, **changes}
+    )
 
 
 def counts(section):
@@ -47,7 +55,9 @@ def test_hits_misses_and_false_alarms():
     assert [row["warning_s"] for row in scores["false_warnings"]] == [30.0]
 
 
-@pytest.mark.parametrize(("lead_s", "is_hit"), [(0.8, True), (0.79, False), (0.0, False), (-1.0, False)])
+@pytest.mark.parametrize(
+    ("lead_s", "is_hit"), [(0.8, True), (0.79, False), (0.0, False), (-1.0, False)]
+)
 def test_shortest_lead(lead_s, is_hit):
     scores = contact_scores([warning(10.0 - lead_s)], [3], [CAR], hours=1.0)
     assert counts(scores["overall"]) == (int(is_hit), int(not is_hit), 0)
@@ -62,7 +72,11 @@ def test_a_warning_of_any_kind_hits(kind):
 
 @pytest.mark.parametrize("kind", sorted(set(EVENT_KINDS) - set(WARNING_KINDS)))
 def test_other_events_neither_hit_nor_alarm(kind):
-    assert counts(contact_scores([warning(8.0, kind=kind)], [3], [CAR], hours=1.0)["overall"]) == (0, 1, 0)
+    assert counts(contact_scores([warning(8.0, kind=kind)], [3], [CAR], hours=1.0)["overall"]) == (
+        0,
+        1,
+        0,
+    )
 
 
 def test_lead_is_that_of_the_first_warning():
@@ -99,24 +113,37 @@ def test_nothing_at_all():
 
 @settings(max_examples=40, deadline=None)
 @given(
-    st.lists(st.tuples(st.sampled_from(EVENT_KINDS), st.floats(0, 50), st.integers(0, 3)), max_size=8),
-    st.lists(st.tuples(st.integers(0, 3), st.sampled_from(["car", "person"]), st.floats(0, 50)), max_size=4),
+    st.lists(
+        st.tuples(st.sampled_from(EVENT_KINDS), st.floats(0, 50), st.integers(0, 3)), max_size=8
+    ),
+    st.lists(
+        st.tuples(st.integers(0, 3), st.sampled_from(["car", "person"]), st.floats(0, 50)),
+        max_size=4,
+    ),
 )
 def test_kinds_add_up(some, contacts):
     events = [warning(time_s, kind=kind) for kind, time_s, _ in some]
-    scores = contact_scores(events, [number for _, _, number in some], [Contact(*row) for row in contacts], hours=1.0)
+    scores = contact_scores(
+        events, [number for _, _, number in some], [Contact(*row) for row in contacts], hours=1.0
+    )
     sections = scores["by_kind"].values()
-    assert counts(scores["overall"]) == tuple(sum(part) for part in zip(*map(counts, sections), strict=True))
+    assert counts(scores["overall"]) == tuple(
+        sum(part) for part in zip(*map(counts, sections), strict=True)
+    )
     assert scores["overall"]["hits"] + scores["overall"]["misses"] == len(contacts)
     assert scores["overall"]["hits"] == len(scores["overall"]["lead_s"])
     assert min(scores["overall"]["lead_s"], default=1.0) >= 0.8
 
 
-# -- labelled events --------------------------------------------------------------------------------------------------
+# -- labelled events
+# --------------------------------------------------------------------------------------------------
 
 
 def test_labelled_events():
-    labels = [event(kind="cut_in", start_s=5, peak_s=6, end_s=7), event(kind="near_miss", start_s=20, end_s=21)]
+    labels = [
+        event(kind="cut_in", start_s=5, peak_s=6, end_s=7),
+        event(kind="near_miss", start_s=20, end_s=21),
+    ]
     events = [
         event(kind="cut_in", start_s=6.5, end_s=9, warning_s=math.nan),
         event(kind="cut_in", start_s=30, end_s=31),
@@ -133,15 +160,21 @@ def test_labelled_events():
 
 def test_labelled_events_match_one_to_one():
     label = event(kind="cut_in", start_s=5, peak_s=6, end_s=7)
-    near, far = event(kind="cut_in", start_s=5, peak_s=6, end_s=7), event(kind="cut_in", start_s=7.9, end_s=9)
+    near, far = (
+        event(kind="cut_in", start_s=5, peak_s=6, end_s=7),
+        event(kind="cut_in", start_s=7.9, end_s=9),
+    )
     assert counts(event_scores([far, near], [label], hours=None)["overall"]) == (1, 0, 1)
     assert counts(event_scores([far, near], [label, label], hours=None)["overall"]) == (2, 0, 0)
-    assert counts(event_scores([far], [event(kind="cut_in", start_s=5, end_s=6.8)], hours=None)["overall"]) == (0, 1, 1)
+    assert counts(
+        event_scores([far], [event(kind="cut_in", start_s=5, end_s=6.8)], hours=None)["overall"]
+    ) == (0, 1, 1)
     person = event(kind="cut_in", start_s=5, end_s=7, class_name="person")
     assert counts(event_scores([person], [label], hours=None)["overall"]) == (0, 1, 1)
 
 
-# -- objects without tracks -------------------------------------------------------------------------------------------
+# -- objects without tracks
+# -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -161,7 +194,8 @@ def test_objects_by_number_class_and_time(events, objects):
     assert objects_by_time(events, [CAR, CHILD]) == objects
 
 
-# -- files ------------------------------------------------------------------------------------------------------------
+# -- files
+# ------------------------------------------------------------------------------------------------------------
 
 CONTACTS = "object_id,class,contact_s\n"
 N_FRAMES, FPS = 40, 10.0
@@ -175,7 +209,8 @@ def box_of(object_id, frame):
 
 @pytest.fixture
 def drive(tmp_path):
-    """A drive of 4 s: objects 0, 1, 2 are tracks 11, 12, 13; a contact with 0 at 3 s, warnings on 11 and 12."""
+    """A drive of 4 s: objects 0, 1, 2 are tracks 11, 12, 13; a contact with 0 at 3 s, warnings on
+    11 and 12."""
     run, drive = tmp_path / "run", tmp_path / "drive"
     run.mkdir()
     drive.mkdir()
@@ -185,7 +220,9 @@ def drive(tmp_path):
     for frame in range(N_FRAMES):
         for object_id, name in enumerate(("car", "car", "truck")):
             box = ",".join(f"{edge:g}" for edge in box_of(object_id, frame))
-            truth.append(f"{frame},{frame / FPS},{object_id},{name},{box},1.0,{35 - frame / 2},5.0,0")
+            truth.append(
+                f"{frame},{frame / FPS},{object_id},{name},{box},1.0,{35 - frame / 2},5.0,0"
+            )
             values = {
                 "frame": frame,
                 "time_s": frame / FPS,
@@ -248,8 +285,12 @@ def test_hours_of_the_summary(drive):
 
 
 def test_contacts_outside_the_processed_part(drive):
-    (drive / "drive/contacts.csv").write_text(f"{CONTACTS}0,car,3.0\n1,car,3.0\n2,truck,3.5\n2,truck,0.2\n")
-    (drive / "run/summary.json").write_text(json.dumps({"events": {"hours": 2 / 3600}, "starts_s": 0.5}))
+    (drive / "drive/contacts.csv").write_text(
+        f"{CONTACTS}0,car,3.0\n1,car,3.0\n2,truck,3.5\n2,truck,0.2\n"
+    )
+    (drive / "run/summary.json").write_text(
+        json.dumps({"events": {"hours": 2 / 3600}, "starts_s": 0.5})
+    )
     figures = evaluated(drive)
     assert [row["object_id"] for row in figures["contacts"]] == [0, 1]  # with warnings
     assert counts(figures["overall"]) == (2, 0, 0)
@@ -262,7 +303,10 @@ def test_options_and_folder(drive):
     without = evaluated(drive)
     assert any("--tracks" in note for note in without["notes"])
     given = tr.evaluate_events(
-        drive / "run", drive / "drive/contacts.csv", tracks=drive / "rows.csv", boxes=drive / "labels.csv"
+        drive / "run",
+        drive / "drive/contacts.csv",
+        tracks=drive / "rows.csv",
+        boxes=drive / "labels.csv",
     )
     assert counts(given["overall"]) == (1, 0, 1)
     assert counts(evaluated(drive, min_lead_s=2.5)["overall"])[0] == 0
@@ -272,18 +316,25 @@ def test_options_and_folder(drive):
 
 def test_only_the_two_files(tmp_path):
     events, contacts = tmp_path / "events.csv", tmp_path / "contacts.csv"
-    events.write_text(events_text([warning(7.0, track_id=3, end_s=11.0), warning(40.0, track_id=9, end_s=45.0)]))
+    events.write_text(
+        events_text([warning(7.0, track_id=3, end_s=11.0), warning(40.0, track_id=9, end_s=45.0)])
+    )
     contacts.write_text(f"{CONTACTS}3,car,10.0\n8,Pedestrian,20.0\n")
     figures = tr.evaluate_events(events, contacts, hours=2)
     assert counts(figures["overall"]) == (1, 1, 1)
-    assert (figures["overall"]["lead_s"], figures["overall"]["false_alarms_per_hour"]) == ([3.0], 0.5)
+    assert (figures["overall"]["lead_s"], figures["overall"]["false_alarms_per_hour"]) == (
+        [3.0],
+        0.5,
+    )
     figures = tr.evaluate_events(events, contacts)
     assert figures["overall"]["hours"] == pytest.approx(0.0125)
     assert any("--hours" in note for note in figures["notes"])
 
 
 def test_labelled_events_in_a_file(drive):
-    (drive / "labels.csv").write_text("kind,start_s,end_s,class\nforward_collision,0.4,2.0,car\ncut_in,3,4,\n")
+    (drive / "labels.csv").write_text(
+        "kind,start_s,end_s,class\nforward_collision,0.4,2.0,car\ncut_in,3,4,\n"
+    )
     figures = tr.evaluate_events(drive / "run/events.csv", drive / "labels.csv")
     assert counts(figures["overall"]) == (1, 1, 1)
     assert "closing" not in figures
@@ -295,14 +346,19 @@ def test_files_without_rows(tmp_path):
     contacts.write_text(CONTACTS)
     figures = tr.evaluate_events(events, contacts)
     assert counts(figures["overall"]) == (0, 0, 0)
-    assert (figures["overall"]["hours"], figures["overall"]["false_alarms_per_hour"]) == (None, None)
+    assert (figures["overall"]["hours"], figures["overall"]["false_alarms_per_hour"]) == (
+        None,
+        None,
+    )
     json.dumps(figures, allow_nan=False)
     assert counts(tr.evaluate_events(events, events)["overall"]) == (0, 0, 0)
 
 
 def test_events_of_another_video(drive):
     with (drive / "run/events.csv").open("a") as file:
-        file.write(events_text([event(start_s=99, warning_s=99.0, end_s=100)]).splitlines()[1] + "\n")
+        file.write(
+            events_text([event(start_s=99, warning_s=99.0, end_s=100)]).splitlines()[1] + "\n"
+        )
     assert any(note.startswith("1 of 3 events") for note in evaluated(drive)["notes"])
 
 
@@ -370,7 +426,9 @@ def test_command(drive):
     )  # fmt: skip
     assert done.status == 0, done.stderr
     figures = json.loads((drive / "scores.json").read_text())
-    assert set(figures["overall"]) == {*("hits", "misses", "false_alarms", "hours", "false_alarms_per_hour", "lead_s")}
+    assert set(figures["overall"]) == {
+        *("hits", "misses", "false_alarms", "hours", "false_alarms_per_hour", "lead_s")
+    }
     assert figures["by_kind"]["forward_collision"] == figures["overall"]
     assert np.isfinite(figures["overall"]["lead_s"]).all()
     assert "forward_collision" in done.stdout

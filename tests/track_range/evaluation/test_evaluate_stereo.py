@@ -1,4 +1,5 @@
-"""Tests of `track-range evaluate stereo`: exact pairs, a simulated drive, real pairs, and invalid input."""
+"""Tests of `track-range evaluate stereo`: exact pairs, a simulated drive, real pairs, and invalid
+input."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ KEYS = {
 
 
 def evaluate(cli, folder, tmp_path, *more):
-    status, printed, errors = cli("evaluate", "stereo", "--pairs", folder, "--json", tmp_path / "f.json", *more)
+    status, printed, errors = cli(
+        "evaluate", "stereo", "--pairs", folder, "--json", tmp_path / "f.json", *more
+    )
     assert status == 0, errors
     return json.loads((tmp_path / "f.json").read_text()), printed
 
@@ -40,7 +43,12 @@ def test_exact_pairs(cli, tmp_path):
     assert list(figures["matchers"]) == list(figures["common"]) == ["patch", "sgbm", "sgbm-hh"]
     for row in figures["matchers"].values():
         assert set(row) >= KEYS
-        assert (row["n"], row["n_measured"], row["coverage"], row["failures_pct"]) == (4, 4, 1.0, 0.0)
+        assert (row["n"], row["n_measured"], row["coverage"], row["failures_pct"]) == (
+            4,
+            4,
+            1.0,
+            0.0,
+        )
         assert row["p95_relative_error_pct"] < 1.0
         assert row["median_abs_error_px"] < 0.15
         assert (row["within_1_sigma"], row["within_2_sigma"]) == (
@@ -60,7 +68,9 @@ def test_exact_pairs(cli, tmp_path):
 def test_risk_coverage(cli, tmp_path):
     folder = write_set(tmp_path / "set", ["000000_10"])
     chart = tmp_path / "risk.svg"
-    figures, printed = evaluate(cli, folder, tmp_path, "--matcher", "patch,sgbm-hh", "--figure", chart)
+    figures, printed = evaluate(
+        cli, folder, tmp_path, "--matcher", "patch,sgbm-hh", "--figure", chart
+    )
     curves = figures["risk_coverage"]
     assert set(curves["patch"]) == {"sigma"}
     assert set(curves["sgbm-hh"]) == {"sigma", *MEASURES}
@@ -72,7 +82,9 @@ def test_risk_coverage(cli, tmp_path):
 
 
 def test_wrong_chart_name(cli, tmp_path):
-    status, _, errors = cli("evaluate", "stereo", "--pairs", write_set(tmp_path / "set"), "--figure", "risk.txt")
+    status, _, errors = cli(
+        "evaluate", "stereo", "--pairs", write_set(tmp_path / "set"), "--figure", "risk.txt"
+    )
     assert (status, "--figure" in errors) == (2, True)
 
 
@@ -85,8 +97,12 @@ def test_one_matcher_has_no_common_objects(cli, tmp_path):
 def test_leave_two_out_removes_a_common_offset(cli, tmp_path):
     folder = write_set(tmp_path / "set", [f"{n:06d}_10" for n in range(6)], offset_px=1)
     raw, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch")
-    assert raw["matchers"]["patch"]["bias_pct"] == pytest.approx(100 * (1 / 20 + 1 / 30) / 2, abs=0.4)
-    corrected, printed = evaluate(cli, folder, tmp_path, "--matcher", "patch", "--align", "leave-two-out")
+    assert raw["matchers"]["patch"]["bias_pct"] == pytest.approx(
+        100 * (1 / 20 + 1 / 30) / 2, abs=0.4
+    )
+    corrected, printed = evaluate(
+        cli, folder, tmp_path, "--matcher", "patch", "--align", "leave-two-out"
+    )
     assert abs(corrected["matchers"]["patch"]["bias_pct"]) < 0.3
     assert corrected["alignment"]["patch"]["mean_offset_px"] == pytest.approx(1.0, abs=0.1)
     assert "leave-two-out" in printed
@@ -95,7 +111,9 @@ def test_leave_two_out_removes_a_common_offset(cli, tmp_path):
 def test_alignment_file_is_applied(cli, tmp_path):
     folder = write_set(tmp_path / "set", offset_px=1)
     save_alignment(Alignment(offset_px=1.0, residual_px=0.2), tmp_path / "align.yaml")
-    figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch", "--align", tmp_path / "align.yaml")
+    figures, _ = evaluate(
+        cli, folder, tmp_path, "--matcher", "patch", "--align", tmp_path / "align.yaml"
+    )
     assert abs(figures["matchers"]["patch"]["bias_pct"]) < 0.3
     assert figures["alignment"]["offset_px"] == 1.0
 
@@ -125,7 +143,9 @@ def test_objects_of_a_drive(drive):
         ):
             assert box == [float(rows[track_id][edge]) for edge in ("x1", "y1", "x2", "y2")]
             assert object_m == pytest.approx(float(rows[track_id]["distance_m"]))
-        assert pair.class_names == tuple(rows[track_id]["class"] for track_id in pair.track_id.tolist())
+        assert pair.class_names == tuple(
+            rows[track_id]["class"] for track_id in pair.track_id.tolist()
+        )
 
 
 def test_drive_with_kitti_labels_only(drive, tmp_path):
@@ -154,7 +174,10 @@ def test_drive_with_kitti_labels_only(drive, tmp_path):
         (lambda folder: (folder / "calib.txt").unlink(), "calib.txt"),
         (lambda folder: (folder / "image_3").rename(folder / "right"), "image_3"),
         (lambda folder: (folder / "obj_map/000001_10.png").unlink(), "obj_map/000001_10.png"),
-        (lambda folder: [part.rename(folder.parent / part.name) for part in folder.iterdir()], "KITTI 2015"),
+        (
+            lambda folder: [part.rename(folder.parent / part.name) for part in folder.iterdir()],
+            "KITTI 2015",
+        ),
         (lambda folder: (folder / "calib.txt").write_text("P2: 1 2 3\n"), "12 numbers"),
     ],
 )
@@ -201,7 +224,9 @@ def test_invalid_drives(drive, cli, tmp_path):
         assert (status, word in errors) == (1, True), errors
     (tmp_path / "right.mp4/right.mp4").symlink_to(drive / "right.mp4")
     (tmp_path / "right.mp4/rig.yaml").unlink()
-    status, _, errors = cli("evaluate", "stereo", "--pairs", tmp_path / "right.mp4", "--matcher", "patch")
+    status, _, errors = cli(
+        "evaluate", "stereo", "--pairs", tmp_path / "right.mp4", "--matcher", "patch"
+    )
     assert (status, "--rig" in errors) == (1, True)
     rig = drive / "rig.yaml"
     figures, _ = evaluate(cli, tmp_path / "right.mp4", tmp_path, "--matcher", "patch", "--rig", rig)
@@ -210,11 +235,18 @@ def test_invalid_drives(drive, cli, tmp_path):
 
 def test_real_pairs(shared_data, cli, tmp_path):
     figures, _ = evaluate(
-        cli, shared_data / "kitti2015", tmp_path, "--matcher", "patch,sgbm-centre", "--align", "leave-two-out"
+        cli,
+        shared_data / "kitti2015",
+        tmp_path,
+        "--matcher",
+        "patch,sgbm-centre",
+        "--align",
+        "leave-two-out",
     )
     patch, centre = figures["matchers"]["patch"], figures["matchers"]["sgbm-centre"]
     assert (figures["n_pairs"], patch["n"], centre["n"]) == (16, 36, 36)
     assert [band["n"] for band in patch["bands"]] == [10, 10, 15]
     assert 0.7 < patch["median_relative_error_pct"] < 1.8
     assert patch["failures_pct"] < centre["failures_pct"]
-    assert 0.7 < np.mean(centre["coverage"]) < 1.0  # no disparity at the centre of many cars: windows and gaps
+    # no disparity at the centre of many cars: windows and gaps
+    assert 0.7 < np.mean(centre["coverage"]) < 1.0

@@ -30,13 +30,15 @@ def kitti(tmp_path):
 def test_sequences_and_combined(kitti, tmp_path, cli):
     results = tmp_path / "out/mot"
     results.mkdir(parents=True)
-    # MOT rows count frames from 1, the truth from 0. The first sequence has an identity switch and a tracked van, which
-    # is ignored; the second has no tracks.
+    # MOT rows count frames from 1, the truth from 0. The first sequence has an identity switch and
+    # a tracked van, which is ignored; the second has no tracks.
     rows = [(1, 7, 100), (2, 7, 100), (3, 8, 100), (4, 8, 100), (1, 9, 300), (2, 9, 300)]
     (results / "0001.txt").write_text(mot_rows(*rows))
     (results / "0002.txt").write_text("")
     figures = tmp_path / "figures.json"
-    status, printed, _ = cli("evaluate", "tracks", "--truth", kitti, "--results", tmp_path / "out", "--json", figures)
+    status, printed, _ = cli(
+        "evaluate", "tracks", "--truth", kitti, "--results", tmp_path / "out", "--json", figures
+    )
     assert status == 0, printed
     assert "0002" in printed
     read = json.loads(figures.read_text())
@@ -56,12 +58,16 @@ def test_results_without_truth_are_reported(kitti, tmp_path, cli):
     for name in ("0001", "0002", "0003"):
         (results / f"{name}.txt").write_text(mot_rows((1, 7, 100)))
     figures = tmp_path / "figures.json"
-    status, printed, _ = cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)
+    status, printed, _ = cli(
+        "evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures
+    )
     (note,) = json.loads(figures.read_text())["notes"]
     assert (status, note in printed) == (0, True)
     assert "0003" in note
     (results / "0003.txt").unlink()
-    assert cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)[0] == 0
+    assert (
+        cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)[0] == 0
+    )
     assert json.loads(figures.read_text())["notes"] == []
 
 
@@ -113,18 +119,30 @@ def test_invalid_results(kitti, tmp_path, cli, name, text, word):
 def test_truth_in_cvat(tmp_path, cli):
     """A car in two frames and a person, tracked without classes: all tracks count as cars."""
     box = '<box frame="{}" outside="{}" occluded="0" keyframe="1" xtl="{}" ytl="10.5" xbr="{}" ybr="50.5"/>'
-    car = box.format(0, 0, 100.5, 140.5) + box.format(1, 0, 100.5, 140.5) + box.format(2, 1, 100.5, 140.5)
+    car = (
+        box.format(0, 0, 100.5, 140.5)
+        + box.format(1, 0, 100.5, 140.5)
+        + box.format(2, 1, 100.5, 140.5)
+    )
     person = box.format(0, 0, 300.5, 340.5) + box.format(1, 1, 300.5, 340.5)
     tracks = f'<track id="0" label="car">{car}</track><track id="1" label="person">{person}</track>'
-    truth, results, figures = (tmp_path / name for name in ("truth.xml", "results.txt", "figures.json"))
+    truth, results, figures = (
+        tmp_path / name for name in ("truth.xml", "results.txt", "figures.json")
+    )
     truth.write_text(f"<annotations>{tracks}</annotations>")
     results.write_text(mot_rows((1, 7, 100), (2, 7, 100), (1, 8, 300)))
     options = ("evaluate", "tracks", "--truth", truth, "--results", results, "--json", figures)
     assert cli(*options, "--class", "car")[0] == 0
     read = json.loads(figures.read_text())
-    assert (read["combined"]["fp"], read["combined"]["fn"], read["combined"]["motp"]) == (1, 0, 100.0)
+    assert (read["combined"]["fp"], read["combined"]["fn"], read["combined"]["motp"]) == (
+        1,
+        0,
+        100.0,
+    )
     assert any("no class" in note for note in read["notes"])
-    results.write_text(kitti_rows((0, 7, "Car", 100), (1, 7, "Car", 100), (0, 8, "Pedestrian", 300)))
+    results.write_text(
+        kitti_rows((0, 7, "Car", 100), (1, 7, "Car", 100), (0, 8, "Pedestrian", 300))
+    )
     assert cli(*options, "--class", "car")[0] == 0
     read = json.loads(figures.read_text())
     assert (read["combined"]["hota"], read["combined"]["n"], read["notes"]) == (100.0, 2, [])
@@ -139,11 +157,15 @@ def test_wrong_usage(kitti, tmp_path, cli):
         (("--class", "bus"), 2, "car, person, bicycle"),
         (("--format", "mot", "--class", "car"), 1, "0001.txt, line 1"),
     ):
-        status, _, errors = cli("evaluate", "tracks", "--truth", kitti, "--results", kitti, *options)
+        status, _, errors = cli(
+            "evaluate", "tracks", "--truth", kitti, "--results", kitti, *options
+        )
         assert (status, word in errors) == (expected, True), errors
     truth = tmp_path / "gt.txt"
     truth.write_text("1,1,100,100,50,50,1,3,1\n")
-    status, _, errors = cli("evaluate", "tracks", "--truth", truth, "--results", truth, "--class", "car")
+    status, _, errors = cli(
+        "evaluate", "tracks", "--truth", truth, "--results", truth, "--class", "car"
+    )
     assert (status, "labels.txt" in errors) == (2, True)
     status, _, errors = cli("evaluate", "tracks", "--truth", tmp_path / "none", "--results", kitti)
     assert (status, "none: no such file" in errors) == (1, True)
@@ -155,13 +177,26 @@ def test_comparison_with_motmetrics(kitti, tmp_path, cli):
     rows = [(1, 7, 100), (2, 7, 100), (3, 8, 100), (4, 8, 100)]
     (results / "0001.txt").write_text(mot_rows(*rows))
     (results / "0002.txt").write_text(mot_rows(*((f, 1, 100) for f in (1, 2, 4))))
-    arguments = ("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", tmp_path / "f.json")
+    arguments = (
+        "evaluate",
+        "tracks",
+        "--truth",
+        kitti,
+        "--results",
+        results,
+        "--json",
+        tmp_path / "f.json",
+    )
     status, printed, errors = cli(*arguments, "--compare", "motmetrics")
     assert status == 0, errors
     assert "motmetrics" in printed
     read = json.loads((tmp_path / "f.json").read_text())
     reference = read["motmetrics"]
-    assert (reference["combined"]["idsw"], reference["combined"]["fn"], reference["combined"]["mota"]) == (1, 1, 75.0)
+    assert (
+        reference["combined"]["idsw"],
+        reference["combined"]["fn"],
+        reference["combined"]["mota"],
+    ) == (1, 1, 75.0)
     assert set(reference["sequences"]) == {"0001", "0002"}
     assert (read["combined"]["frag"], reference["combined"]["frag"]) == (0, 1)
     assert "Frag" in printed
@@ -180,7 +215,8 @@ def test_motmetrics_on_mot17(shared_data, tmp_path, cli):
     reference, combined = read["motmetrics"]["combined"], read["combined"]
     for name in ("mota", "motp", "idf1", "idsw", "fp", "fn", "ml"):
         assert reference[name] == pytest.approx(combined[name]), name
-    at_80_per_cent = reference["mt"] - combined["mt"]  # motmetrics counts them as mostly tracked (REASONS)
+    # motmetrics counts them as mostly tracked (REASONS)
+    at_80_per_cent = reference["mt"] - combined["mt"]
     assert 0 <= at_80_per_cent <= 2
     assert combined["pt"] - reference["pt"] == at_80_per_cent
 
@@ -191,7 +227,15 @@ def evaluated(cli, tmp_path, truth, results, *options):
     for path, text in zip(paths, (truth, results), strict=True):
         path.write_text(text)
     status, _, errors = cli(
-        "evaluate", "tracks", "--truth", paths[0], "--results", paths[1], "--json", tmp_path / "f.json", *options
+        "evaluate",
+        "tracks",
+        "--truth",
+        paths[0],
+        "--results",
+        paths[1],
+        "--json",
+        tmp_path / "f.json",
+        *options,
     )
     assert status == 0, errors
     return json.loads((tmp_path / "f.json").read_text())

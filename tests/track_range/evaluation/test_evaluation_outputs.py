@@ -34,16 +34,24 @@ def test_files_are_checked_before_the_evaluation(tmp_path):
     (tmp_path / "folder.json").mkdir()
     for name in ("no/such/folder/f.json", "folder.json"):
         done = contacts_command(tmp_path, "--json", tmp_path / name)
-        assert (done.status, "cannot be written" in done.stderr, "missing.csv" in done.stderr) == (1, True, False)
+        assert (done.status, "cannot be written" in done.stderr, "missing.csv" in done.stderr) == (
+            1,
+            True,
+            False,
+        )
     assert not (tmp_path / "no").exists()
     assert "missing.csv" in contacts_command(tmp_path, "--json", tmp_path / "f.json").stderr
 
 
 def test_two_outputs_in_one_file(tmp_path):
     folders = ("--labels", tmp_path / "labels", "--calib", tmp_path / "calib")
-    done = run_command("evaluate", "ranges", *folders, "--json", tmp_path / "f", "--table", tmp_path / "f")
+    done = run_command(
+        "evaluate", "ranges", *folders, "--json", tmp_path / "f", "--table", tmp_path / "f"
+    )
     assert (done.status, "different files" in done.stderr) == (1, True)
-    done = run_command("evaluate", "ranges", *folders, "--json", "/dev/null", "--table", "/dev/null")
+    done = run_command(
+        "evaluate", "ranges", *folders, "--json", "/dev/null", "--table", "/dev/null"
+    )
     assert "different files" not in done.stderr  # written in place
 
 
@@ -67,7 +75,14 @@ def test_attributes_of_models_are_not_replaced(tmp_path):
     (tmp_path / "my.onnx").write_bytes(b"model")
     sidecar = tmp_path / "my.yaml"
     sidecar.write_text("size: 640")
-    inputs = ("--model", tmp_path / "my.onnx", "--images", tmp_path / "images", "--labels", tmp_path / "labels")
+    inputs = (
+        "--model",
+        tmp_path / "my.onnx",
+        "--images",
+        tmp_path / "images",
+        "--labels",
+        tmp_path / "labels",
+    )
     done = run_command("evaluate", "detections", *inputs, "--json", sidecar)
     assert (done.status, "the file of --model;" in done.stderr) == (1, True)
     assert sidecar.read_text() == "size: 640"
@@ -76,6 +91,13 @@ def test_attributes_of_models_are_not_replaced(tmp_path):
 def test_earlier_results_beside_the_inputs_are_replaced(tmp_path):
     for name in ("risk.png", "table.md", "f.json"):
         (tmp_path / name).write_text("")
-    outputs = ("--figure", tmp_path / "risk.png", "--table", tmp_path / "table.md", "--json", tmp_path / "f.json")
+    outputs = (
+        "--figure",
+        tmp_path / "risk.png",
+        "--table",
+        tmp_path / "table.md",
+        "--json",
+        tmp_path / "f.json",
+    )
     done = run_command("evaluate", "ranges", "--labels", tmp_path, "--calib", tmp_path, *outputs)
     assert "expected a new file" not in done.stderr

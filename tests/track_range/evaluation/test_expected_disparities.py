@@ -18,7 +18,9 @@ CAR = (280.0, 170.0, 350.0, 225.0)
 def pair_of(*classes: str, boxes: list[tuple[float, ...]] | None = None) -> StereoPair:
     image = np.zeros((360, 640, 3), np.uint8)
     xyxy_px = np.array(boxes or [CAR] * max(len(classes), 1))
-    return StereoPair("0", image, image, xyxy_px, np.full(len(xyxy_px), 18.0), RIG, class_names=classes)
+    return StereoPair(
+        "0", image, image, xyxy_px, np.full(len(xyxy_px), 18.0), RIG, class_names=classes
+    )
 
 
 def test_disparity_of_a_car() -> None:

@@ -10,11 +10,14 @@ from track_range.ranging.ranges import Ranges
 
 
 def state(x, v, P_xx, P_xv, P_vv):
-    return ConstantVelocity(*(np.atleast_1d(np.asarray(value, float)) for value in (x, v, P_xx, P_xv, P_vv)))
+    return ConstantVelocity(
+        *(np.atleast_1d(np.asarray(value, float)) for value in (x, v, P_xx, P_xv, P_vv))
+    )
 
 
 def test_by_hand():
-    """Two states with equal covariances: the mean with half of them; backwards, the rate has the other sign."""
+    """Two states with equal covariances: the mean with half of them; backwards, the rate has the
+    other sign."""
     both = combined(state(40.0, -5.0, 4.0, 1.0, 2.0), state(42.0, 7.0, 4.0, -1.0, 2.0))
     assert np.ravel(both.columns) == pytest.approx([41.0, -6.0, 2.0, 0.5, 1.0])
 
@@ -29,7 +32,8 @@ def test_unknown_states():
 
 
 def test_middle_of_a_drive():
-    """Objects with random accelerations: the sigma is true, and far smaller than that of the frames so far."""
+    """Objects with random accelerations: the sigma is true, and far smaller than that of the frames
+    so far."""
     rng, n, n_frames = np.random.default_rng(1), 500, 41
     steps = rng.normal(0, 0.5 * np.sqrt(0.1), (n_frames, n)).cumsum(axis=0)
     v_mps = rng.normal(-6.0, 2.0, n) + steps
@@ -37,7 +41,9 @@ def test_middle_of_a_drive():
     measured_m = true_m * np.exp(rng.normal(0, 0.05, true_m.shape))
     middle, states = n_frames // 2, []
     for sign in (1.0, -1.0):
-        filters = DistanceFilters({"a": 1.0}, FilterSettings(acceleration_noise=0.5, learns_noise=False))
+        filters = DistanceFilters(
+            {"a": 1.0}, FilterSettings(acceleration_noise=0.5, learns_noise=False)
+        )
         for step in range(middle + 1) if sign > 0 else range(n_frames - 1, middle - 1, -1):
             ranges = Ranges(np.arange(n), measured_m[step], 0.05 * measured_m[step])
             result = filters.update({"a": ranges}, sign * 0.1 * step)["a"]

@@ -20,7 +20,8 @@ EGO_MPS, LEAD_MPS, N_FRAMES = 10.0, 6.0, 45
 
 @pytest.fixture
 def drive(tmp_path):
-    """A parked car 3 m beside the path, and one ahead that drives at 6 m/s, from a camera at 10 m/s, without turns."""
+    """A parked car 3 m beside the path, and one ahead that drives at 6 m/s, from a camera at 10
+    m/s, without turns."""
     for name in ("labels", "calib", "poses"):
         (tmp_path / name).mkdir()
     times_s = FRAME_STEP_S * np.arange(N_FRAMES)
@@ -53,7 +54,8 @@ def test_true_motion_is_that_of_the_drive(drive):
 
 
 def test_yaw_of_the_camera_is_no_speed_of_objects(drive):
-    """The camera stands and turns to the right by 0.1 rad/s: a standing car moves in its frame, but not over ground."""
+    """The camera stands and turns to the right by 0.1 rad/s: a standing car moves in its frame, but
+    not over ground."""
     labels, calib, poses = drive
     angles = 0.1 * FRAME_STEP_S * np.arange(N_FRAMES)
     rows, pose = [], []
@@ -74,12 +76,28 @@ def test_yaw_of_the_camera_is_no_speed_of_objects(drive):
 
 def test_exact_boxes_give_the_true_motion(drive, cli, tmp_path):
     labels, calib, poses = drive
-    arguments = ("--labels", labels, "--calib", calib, "--poses", poses, "--json", tmp_path / "f.json")
+    arguments = (
+        "--labels",
+        labels,
+        "--calib",
+        calib,
+        "--poses",
+        poses,
+        "--json",
+        tmp_path / "f.json",
+    )
     status, printed, _ = cli("evaluate", "motion", *arguments)
     assert status == 0, printed
     figures = json.loads((tmp_path / "f.json").read_text())
     near = figures["bands"]["10-40"]
-    assert set(near) == {"n", "coverage", "median_mps", "p95_mps", "within_1_sigma", "within_2_sigma"}
+    assert set(near) == {
+        "n",
+        "coverage",
+        "median_mps",
+        "p95_mps",
+        "within_1_sigma",
+        "within_2_sigma",
+    }
     assert 0 <= near["median_mps"] < 0.15
     assert 0.8 < near["coverage"] <= 1.0
     assert figures["by_class"]["car"]["10-40"] == near
@@ -96,9 +114,11 @@ def test_look_ahead_answers_more(drive):
     import track_range as tr
 
     labels, calib, poses = drive
-    given = {"calib": calib, "poses": poses, "noise_px": 2.0, "seed": 1}  # with seed 0, only the parked car is answered
+    # with seed 0, only the parked car is answered
+    given = {"calib": calib, "poses": poses, "noise_px": 2.0, "seed": 1}
     bands = {
-        look_ahead: tr.evaluate_motion(labels, look_ahead=look_ahead, **given)["bands"] for look_ahead in (False, True)
+        look_ahead: tr.evaluate_motion(labels, look_ahead=look_ahead, **given)["bands"]
+        for look_ahead in (False, True)
     }
     far, far_ahead = bands[False]["40-80"], bands[True]["40-80"]
     near, near_ahead = bands[False]["10-40"], bands[True]["10-40"]
@@ -113,12 +133,23 @@ def test_slopes_need_labels_on_both_sides():
     time_s = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 5.0])
     key = np.zeros((1, 8), np.int64)
     slopes = track_slopes(key, time_s, np.stack([2 * time_s, time_s**2], axis=1))
-    assert np.isfinite(slopes[:, 0]).tolist() == [False, False, False, True, False, False, False, False]
-    assert slopes[3] == pytest.approx([2.0, 0.6])  # the slope of t^2 at 0.3 s over a symmetrical span
+    assert np.isfinite(slopes[:, 0]).tolist() == [
+        False,
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
+    # the slope of t^2 at 0.3 s over a symmetrical span
+    assert slopes[3] == pytest.approx([2.0, 0.6])
 
 
 def test_speed_figures_by_hand():
-    """Errors of 0.5, 1 and 3 m/s in four labels with a truth; one sigma is too large for an answer."""
+    """Errors of 0.5, 1 and 3 m/s in four labels with a truth; one sigma is too large for an
+    answer."""
     true = np.array([5.0, 5.0, 5.0, 5.0, np.nan])
     speed, sigma = np.array([5.5, 4.0, 8.0, 5.0, 5.0]), np.array([0.6, 0.6, 1.0, 1.6, 0.1])
     figures = speed_figures(np.stack([speed, sigma, true]), np.ones(5, np.bool_))
@@ -130,16 +161,20 @@ def test_speed_figures_by_hand():
 
 
 def test_errors_of_ttc_as_tsttc_defines_them():
-    """5 s measured as 4 s, 4 s as 30 s, which clipped to 20 s; one not measured, one too far away."""
+    """5 s measured as 4 s, 4 s as 30 s, which clipped to 20 s; one not measured, one too far
+    away."""
     figures = ttc_figures(np.array([4.0, 30.0, np.nan, 9.0]), np.array([5.0, 4.0, 3.0, 9.0]), 6.0)
     assert (figures["n"], figures["coverage"]) == (2, pytest.approx(2 / 3, abs=1e-3))
     assert figures["rte_pct"] == pytest.approx(100 * (0.2 + 4.0) / 2)
     s = [t / (t + 0.1) for t in (4.0, 5.0, 20.0, 4.0)]
-    assert figures["mid"] == pytest.approx(1e4 * (abs(np.log(s[0] / s[1])) + abs(np.log(s[2] / s[3]))) / 2, abs=1e-3)
+    assert figures["mid"] == pytest.approx(
+        1e4 * (abs(np.log(s[0] / s[1])) + abs(np.log(s[2] / s[3]))) / 2, abs=1e-3
+    )
 
 
 def test_false_alarms_by_cause(drive):
-    """Alarms for the car ahead, and for the parked one beside the path, with right and with wrong distances."""
+    """Alarms for the car ahead, and for the parked one beside the path, with right and with wrong
+    distances."""
     truth = kitti_motion(*drive)
     boxes = truth.boxes
     true_m, closing = boxes.distance_m.copy(), truth.closing_mps.copy()
@@ -211,7 +246,8 @@ def test_official_velocity_score_by_hand():
 
 
 def mono3d(folder, speeds_mps, *, ego_mps=8.0, yaw_rad_s=0.0):
-    """A file of mono3d labels: cars from 30 m on, 3 m to the right, with these own speeds along the first axis."""
+    """A file of mono3d labels: cars from 30 m on, 3 m to the right, with these own speeds along the
+    first axis."""
     images, rows = [], []
     for k in range(5):
         t, a = 0.5 * k, -0.5 * yaw_rad_s * k  # nuScenes: x forward, y left, z up
@@ -236,7 +272,9 @@ def mono3d(folder, speeds_mps, *, ego_mps=8.0, yaw_rad_s=0.0):
                     "category_id": 0,
                     "bbox": [1000 * (x - 0.9) / z + 800, 1000 * 0.1 / z + 450, 1800 / z, 1500 / z],
                     "bbox_cam3d": [x, 0.85, z, 4.0 + number / 10, 1.5, 1.8, -np.pi / 2],
-                    "velo_cam3d": [np.sin(a) * speed_mps, np.cos(a) * speed_mps] if k < 4 else [np.nan, np.nan],
+                    "velo_cam3d": [np.sin(a) * speed_mps, np.cos(a) * speed_mps]
+                    if k < 4
+                    else [np.nan, np.nan],
                 }
             )
     path = folder / "mono3d.json"
@@ -247,7 +285,8 @@ def mono3d(folder, speeds_mps, *, ego_mps=8.0, yaw_rad_s=0.0):
 
 @pytest.mark.parametrize("yaw_rad_s", [0.0, 0.05])
 def test_motion_of_mono3d_labels(tmp_path, yaw_rad_s):
-    """A parked car and one at 6 m/s: closing speeds are the slopes of their depths, also while the camera turns."""
+    """A parked car and one at 6 m/s: closing speeds are the slopes of their depths, also while the
+    camera turns."""
     truth = nuscenes_motion(mono3d(tmp_path, [0.0, 6.0], yaw_rad_s=yaw_rad_s))
     boxes = truth.boxes
     z = boxes.distance_m + 2.0

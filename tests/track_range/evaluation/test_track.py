@@ -1,4 +1,5 @@
-"""Tests of `track-range track`: tracks of recorded boxes; MOT files count frames from 1, KITTI files from 0."""
+"""Tests of `track-range track`: tracks of recorded boxes; MOT files count frames from 1, KITTI
+files from 0."""
 
 import json
 
@@ -44,7 +45,14 @@ def test_rrc_rows_tracked_and_evaluated(tmp_path, cli, moving):
         )
     )
     status, _, _ = cli(
-        "evaluate", "tracks", "--truth", truth, "--results", tmp_path / "out", "--json", tmp_path / "f.json"
+        "evaluate",
+        "tracks",
+        "--truth",
+        truth,
+        "--results",
+        tmp_path / "out",
+        "--json",
+        tmp_path / "f.json",
     )
     assert status == 0
     figures = json.loads((tmp_path / "f.json").read_text())["combined"]
@@ -56,7 +64,9 @@ def test_motchallenge_folders_count_from_one(tmp_path, cli, moving):
     for name in ("A", "B"):
         folder = tmp_path / name / "det"
         folder.mkdir(parents=True)
-        (folder / "det.txt").write_text("".join(f"{f + 1},-1,{x + 1},11,40,40,{s}\n" for f, x, s in moving))
+        (folder / "det.txt").write_text(
+            "".join(f"{f + 1},-1,{x + 1},11,40,40,{s}\n" for f, x, s in moving)
+        )
     (tmp_path / "A/seqinfo.ini").write_text(
         "[Sequence]\nname=A\nframeRate=25\nseqLength=12\nimWidth=640\nimHeight=480\n"
     )
@@ -78,8 +88,13 @@ def mot_row(frame, x):
 @pytest.mark.parametrize("row", [kitti_row, mot_row])
 def test_frame_numbers_of_both_formats(tmp_path, cli, row):
     boxes = tmp_path / "boxes.txt"
-    boxes.write_text("".join(row(frame, 100 + 3 * frame) for frame in (*range(2, 8), *range(30, 36))))
-    assert cli("track", boxes, "--out", tmp_path / "out", "--kitti", "--online", "--classes", "car")[0] == 0
+    boxes.write_text(
+        "".join(row(frame, 100 + 3 * frame) for frame in (*range(2, 8), *range(30, 36)))
+    )
+    assert (
+        cli("track", boxes, "--out", tmp_path / "out", "--kitti", "--online", "--classes", "car")[0]
+        == 0
+    )
     mot = rows_of(tmp_path / "out/mot/boxes.txt")
     kitti = [line.split() for line in (tmp_path / "out/kitti/boxes.txt").read_text().splitlines()]
     assert [line[0] for line in mot] == [int(line[0]) + 1 for line in kitti]
@@ -87,12 +102,18 @@ def test_frame_numbers_of_both_formats(tmp_path, cli, row):
     assert {8, 36} <= {line[0] for line in mot} <= {*range(3, 9), *range(31, 37)}
     # with the same boxes as truth, in either format, each result scores 100
     truth = {name: tmp_path / f"{name}-truth.txt" for name in ("kitti", "mot")}
-    truth["kitti"].write_text("".join(" ".join([*line[:3], "0", "0", *line[5:17]]) + "\n" for line in kitti))
-    truth["mot"].write_text("".join(",".join(f"{cell:g}" for cell in [*line[:6], 1, 1, 1]) + "\n" for line in mot))
+    truth["kitti"].write_text(
+        "".join(" ".join([*line[:3], "0", "0", *line[5:17]]) + "\n" for line in kitti)
+    )
+    truth["mot"].write_text(
+        "".join(",".join(f"{cell:g}" for cell in [*line[:6], 1, 1, 1]) + "\n" for line in mot)
+    )
     for expected, results in (("kitti", "kitti"), ("kitti", "mot"), ("mot", "mot")):
         pair = ("--truth", truth[expected], "--results", tmp_path / f"out/{results}/boxes.txt")
         assert cli("evaluate", "tracks", *pair, "--json", tmp_path / "figures.json")[0] == 0
-        assert json.loads((tmp_path / "figures.json").read_text())["combined"]["hota"] == pytest.approx(100.0)
+        assert json.loads((tmp_path / "figures.json").read_text())["combined"][
+            "hota"
+        ] == pytest.approx(100.0)
 
 
 def test_tracking_is_deterministic(tmp_path, cli, moving):
@@ -147,7 +168,9 @@ def test_gaps_are_filled_unless_online(tmp_path, cli, moving):
         rows = rows_of(tmp_path / name / "mot/boxes.txt")
         n_rows[name] = len(rows)
     assert n_rows == {"offline": 20, "online": 19}  # the target at 400 px is missing in frame 5
-    filled = next(row for row in rows_of(tmp_path / "offline/mot/boxes.txt") if row[0] == 6 and row[2] > 300)
+    filled = next(
+        row for row in rows_of(tmp_path / "offline/mot/boxes.txt") if row[0] == 6 and row[2] > 300
+    )
     assert filled[2:6] == [401.0, 11.0, 40.0, 40.0]
 
 
@@ -157,21 +180,31 @@ def test_images_of_one_and_of_several_sequences(tmp_path, cli, moving):
     for name in ("one", "two"):
         (tmp_path / "boxes").mkdir(exist_ok=True)
         (tmp_path / f"boxes/{name}.txt").write_text(rrc_rows(*moving))
-    status, printed, _ = cli("track", tmp_path / "boxes/one.txt", "--images", images, "--out", tmp_path / "a")
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes/one.txt", "--images", images, "--out", tmp_path / "a"
+    )
     assert status == 0, printed
-    status, printed, _ = cli("track", tmp_path / "boxes", "--images", tmp_path / "frames", "--out", tmp_path / "b")
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes", "--images", tmp_path / "frames", "--out", tmp_path / "b"
+    )
     assert status == 0, printed
     assert (tmp_path / "a/mot/one.txt").read_bytes() == (tmp_path / "b/mot/two.txt").read_bytes()
-    status, _, errors = cli("track", tmp_path / "boxes", "--images", tmp_path / "none", "--out", tmp_path / "c")
+    status, _, errors = cli(
+        "track", tmp_path / "boxes", "--images", tmp_path / "none", "--out", tmp_path / "c"
+    )
     assert (status, "none: no such file" in errors) == (1, True)
-    status, _, errors = cli("track", tmp_path / "boxes", "--images", images, "--out", tmp_path / "c")
+    status, _, errors = cli(
+        "track", tmp_path / "boxes", "--images", images, "--out", tmp_path / "c"
+    )
     assert (status, "one.mp4" in errors) == (1, True)
 
 
 def test_fewer_images_than_frames(tmp_path, cli, moving):
     images = frames_of(tmp_path / "frames", 6)
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
-    status, printed, _ = cli("track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out")
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out"
+    )
     assert (status, "6 of 10 frames" in printed) == (0, True)
     assert {row[0] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == set(range(1, 11))
 
@@ -180,21 +213,28 @@ def test_missing_image(tmp_path, cli, moving):
     images = frames_of(tmp_path / "frames", 10)
     (images / "000004.png").unlink()
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
-    status, printed, _ = cli("track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out")
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out"
+    )
     assert (status, "9 of 10 frames" in printed) == (0, True)
     assert {row[1] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == {1, 2}
 
 
 def test_wrong_format(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
-    assert cli("track", tmp_path / "boxes.txt", "--format", "rrc", "--out", tmp_path / "out")[0] == 0
-    status, _, errors = cli("track", tmp_path / "boxes.txt", "--format", "mot", "--out", tmp_path / "out")
+    assert (
+        cli("track", tmp_path / "boxes.txt", "--format", "rrc", "--out", tmp_path / "out")[0] == 0
+    )
+    status, _, errors = cli(
+        "track", tmp_path / "boxes.txt", "--format", "mot", "--out", tmp_path / "out"
+    )
     assert (status, "mot" in errors) == (1, True)
 
 
 @pytest.fixture
 def with_embeddings(tmp_path):
-    """Two static people who change places while undetected for 8 frames, with their embeddings in feat.npy."""
+    """Two static people who change places while undetected for 8 frames, with their embeddings in
+    feat.npy."""
     rows, embeddings = [], []
     for f in range(30):
         for person, x in ((0, 100 if f < 10 else 130), (1, 130 if f < 10 else 100)):
@@ -210,13 +250,18 @@ def with_embeddings(tmp_path):
 
 def last_ids_by_position(path):
     """Ids in the last frame, from left to right."""
-    return [row[1] for row in sorted((row for row in rows_of(path) if row[0] == 30), key=lambda row: row[2])]
+    return [
+        row[1]
+        for row in sorted((row for row in rows_of(path) if row[0] == 30), key=lambda row: row[2])
+    ]
 
 
 def test_embeddings_next_to_the_boxes(tmp_path, cli, with_embeddings):
     ids = {}
     for tracker in ("deepsort", "sort"):
-        status, printed, _ = cli("track", tmp_path / "S", "--tracker", tracker, "--out", tmp_path / tracker)
+        status, printed, _ = cli(
+            "track", tmp_path / "S", "--tracker", tracker, "--out", tmp_path / tracker
+        )
         assert status == 0, printed
         ids[tracker] = last_ids_by_position(tmp_path / tracker / "mot/S.txt")
     assert ids == {"deepsort": [2, 1], "sort": [1, 2]}
@@ -241,7 +286,14 @@ def test_invalid_embeddings(tmp_path, cli, with_embeddings, write, word):
 def test_reid_needs_images_and_a_reid_network(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
     images = frames_of(tmp_path / "frames", 3)
-    arguments = ("track", tmp_path / "boxes.txt", "--out", tmp_path / "out", "--reid", tmp_path / "none.onnx")
+    arguments = (
+        "track",
+        tmp_path / "boxes.txt",
+        "--out",
+        tmp_path / "out",
+        "--reid",
+        tmp_path / "none.onnx",
+    )
     status, _, errors = cli(*arguments)
     assert (status, "--images" in errors) == (2, True)
     arguments = (*arguments, "--images", images)
@@ -321,10 +373,17 @@ def test_files_beside_motchallenge_folders_are_ignored(tmp_path, cli, moving):
 
 def test_boxes_outside_the_images_are_reported(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
-    wide, narrow = frames_of(tmp_path / "wide", 10), frames_of(tmp_path / "narrow", 10, hw=(64, 320))
-    status, printed, _ = cli("track", tmp_path / "boxes.txt", "--images", wide, "--out", tmp_path / "out")
+    wide, narrow = (
+        frames_of(tmp_path / "wide", 10),
+        frames_of(tmp_path / "narrow", 10, hw=(64, 320)),
+    )
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes.txt", "--images", wide, "--out", tmp_path / "out"
+    )
     assert (status, "outside the images" in printed) == (0, False)
-    status, printed, _ = cli("track", tmp_path / "boxes.txt", "--images", narrow, "--out", tmp_path / "out")
+    status, printed, _ = cli(
+        "track", tmp_path / "boxes.txt", "--images", narrow, "--out", tmp_path / "out"
+    )
     assert (status, "9 of 19 boxes" in printed) == (0, True)
 
 
@@ -332,14 +391,18 @@ def test_layouts_of_images(tmp_path, cli, moving):
     (tmp_path / "one.txt").write_text(rrc_rows(*moving))
     frames_of(tmp_path / "sequence/img1", 6)
     frames_of(tmp_path / "named/one", 6)
-    video = cv2.VideoWriter(str(tmp_path / "one.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (480, 64))
+    video = cv2.VideoWriter(
+        str(tmp_path / "one.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (480, 64)
+    )
     for image in sorted((tmp_path / "named/one").iterdir()):
         video.write(cv2.imread(str(image)))
     video.release()
     (tmp_path / "camera").mkdir()
     (tmp_path / "one.mp4").rename(tmp_path / "camera/one.MP4")
     for name in ("sequence", "named", "camera"):
-        status, printed, _ = cli("track", tmp_path / "one.txt", "--images", tmp_path / name, "--out", tmp_path / "out")
+        status, printed, _ = cli(
+            "track", tmp_path / "one.txt", "--images", tmp_path / name, "--out", tmp_path / "out"
+        )
         assert (status, "6 of 10 frames" in printed) == (0, True), printed
 
 
@@ -366,16 +429,21 @@ def test_tracker_of_another_package(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
     ids = {}
     for name in ("tests.toys.toy_tracker:GreedyIouTracker", "sort"):
-        status, printed, _ = cli("track", tmp_path / "boxes.txt", "--tracker", name, "--out", tmp_path / "out")
+        status, printed, _ = cli(
+            "track", tmp_path / "boxes.txt", "--tracker", name, "--out", tmp_path / "out"
+        )
         assert status == 0, printed
         ids[name] = {row[1] for row in rows_of(tmp_path / "out/mot/boxes.txt")}
     assert ids == {"tests.toys.toy_tracker:GreedyIouTracker": {101, 102}, "sort": {1, 2}}
 
 
 @pytest.mark.parametrize(
-    ("name", "status"), [("none", 2), ("tests.none:X", 2), ("tests.toys.toy_tracker:NotATracker", 1)]
+    ("name", "status"),
+    [("none", 2), ("tests.none:X", 2), ("tests.toys.toy_tracker:NotATracker", 1)],
 )
 def test_wrong_tracker(tmp_path, cli, moving, name, status):
     (tmp_path / "boxes.txt").write_text(rrc_rows(*moving))
-    actual, _, errors = cli("track", tmp_path / "boxes.txt", "--tracker", name, "--out", tmp_path / "out")
+    actual, _, errors = cli(
+        "track", tmp_path / "boxes.txt", "--tracker", name, "--out", tmp_path / "out"
+    )
     assert (actual, name in errors) == (status, True), errors

@@ -56,7 +56,10 @@ def bucket(s3: str, request: pytest.FixtureRequest) -> Location:
 
     name = f"bucket-{abs(hash(request.node.nodeid))}"
     files = S3FileSystem(
-        endpoint_override=s3.partition("://")[2], scheme="http", region="us-east-1", allow_bucket_creation=True
+        endpoint_override=s3.partition("://")[2],
+        scheme="http",
+        region="us-east-1",
+        allow_bucket_creation=True,
     )
     files.create_dir(name)
     return Location.of(f"s3://{name}")
@@ -67,8 +70,12 @@ def web(tmp_path: Path) -> Iterator[tuple[str, Path]]:
     """Address of a web server, and the folder that it serves."""
     folder = tmp_path / "web"
     folder.mkdir()
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_QuietHandler, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+    server = ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(_QuietHandler, directory=str(folder))
+    )
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+    )
     thread.start()
     yield f"http://127.0.0.1:{server.server_address[1]}", folder
     server.shutdown()
@@ -78,7 +85,8 @@ def web(tmp_path: Path) -> Iterator[tuple[str, Path]]:
 
 @pytest.fixture
 def filled() -> Callable[..., Path]:
-    """Writes files of one byte or with given content: `filled(folder, "a.mp4", "b/c.mp4", **{"d.txt": b"..."})`."""
+    """Writes files of one byte or with given content: `filled(folder, "a.mp4", "b/c.mp4",
+    **{"d.txt": b"..."})`."""
 
     def write(folder: Path, *names: str, **contents: bytes) -> Path:
         for name, content in {**dict.fromkeys(names, b"x"), **contents}.items():

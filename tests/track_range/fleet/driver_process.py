@@ -1,4 +1,5 @@
-"""`python -m tests.track_range.fleet.driver_process OUT CLIPS N [ADDRESS]`: a driver of stub clips to be killed."""
+"""`python -m tests.track_range.fleet.driver_process OUT CLIPS N [ADDRESS]`: a driver of stub clips
+to be killed."""
 
 from __future__ import annotations
 
@@ -15,10 +16,14 @@ from track_range.foundation.errors import UserError
 
 def main(out: str, clips: str, n_clips: str, address: str | None = None) -> int:
     """Process N clips that take half a second each."""
-    settings = FleetSettings(recordings=("x",), out=out, workers=2, worker_memory="1GB", address=address)
+    settings = FleetSettings(
+        recordings=("x",), out=out, workers=2, worker_memory="1GB", address=address
+    )
     names = [f"slow-{number}" for number in range(int(n_clips))]
     try:
-        run_fleet(settings, {}, stub_clips(Path(clips), *names), process=process_stub, console=Console())
+        run_fleet(
+            settings, {}, stub_clips(Path(clips), *names), process=process_stub, console=Console()
+        )
     except UserError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_status

@@ -1,4 +1,5 @@
-"""Results of a fleet of three clips, one of them failed, with known figures; written without Ray."""
+"""Results of a fleet of three clips, one of them failed, with known figures; written without
+Ray."""
 
 from __future__ import annotations
 
@@ -37,8 +38,11 @@ DAWN_S = 1777881000.0
 STEP_S, N_ROWS = 0.1, 20
 
 
-def track_rows(track_id: int, name: str, *, near_m: float, x_m: float, utc_s: float | None, ttc: bool = True) -> Any:
-    """Rows of a track that approaches by 1 m per frame at 10 m/s, to `near_m`; stereo measures every other frame."""
+def track_rows(
+    track_id: int, name: str, *, near_m: float, x_m: float, utc_s: float | None, ttc: bool = True
+) -> Any:
+    """Rows of a track that approaches by 1 m per frame at 10 m/s, to `near_m`; stereo measures
+    every other frame."""
     n = np.arange(N_ROWS)
     distance_m = near_m + (N_ROWS - 1 - n) * 1.0
     stereo_m = np.where(n % 2 == 0, distance_m, np.nan)
@@ -74,7 +78,9 @@ def rows_table(*tracks: dict[str, Any]) -> pa.Table:
     for name, values in columns.items():
         if name == "class":
             codes = [ROAD_CLASSES.index(text) for text in values[order]]
-            arrays[name] = pa.DictionaryArray.from_arrays(pa.array(codes, pa.int8()), pa.array(ROAD_CLASSES))
+            arrays[name] = pa.DictionaryArray.from_arrays(
+                pa.array(codes, pa.int8()), pa.array(ROAD_CLASSES)
+            )
         else:
             arrays[name] = pa.array(values[order], from_pandas=True)
     return pa.table(arrays)
@@ -105,7 +111,11 @@ def done_record(name: str, **more: Any) -> ClipRecord:
 
 
 def write_clip(
-    out: Location, record: ClipRecord, table: pa.Table, scratch: Path, events: Sequence[Event] | None = None
+    out: Location,
+    record: ClipRecord,
+    table: pa.Table,
+    scratch: Path,
+    events: Sequence[Event] | None = None,
 ) -> None:
     """Publish a complete clip, as a worker does; None = as an earlier version, without events."""
     file = scratch / "tracks.parquet"
@@ -140,14 +150,25 @@ def write_fleet(out: Location, scratch: Path, *, is_compiled: bool = True) -> No
 
     noon = rows_table(track_rows(1, "car", near_m=30.0, x_m=0.0, utc_s=None))
     errors = {"fused": {"median_relative_error_pct": 4.0, "bias_pct": 3.0}}
-    later = {"start_utc": "2026-05-06T12:00:00Z", "alignment": {"row_offset_px": 0.5, "offset_px": -0.2}}
+    later = {
+        "start_utc": "2026-05-06T12:00:00Z",
+        "alignment": {"row_offset_px": 0.5, "offset_px": -0.2},
+    }
     write_clip(out, done_record(NOON, errors=errors, **later), noon, scratch)
 
     left = f"/recordings/{BROKEN}.mp4"
-    failed = ClipRecord(clip=BROKEN, status="failed", error=f"{left}: not a video.", error_kind="input", left=left)
+    failed = ClipRecord(
+        clip=BROKEN, status="failed", error=f"{left}: not a video.", error_kind="input", left=left
+    )
     publish_record(out, failed.row())
     if is_compiled:
         ClipTable(out).compile()
     FleetState(
-        state="finished", total=3, done=2, failed=1, started_s=DAWN_S, heartbeat_s=DAWN_S + 3600, options={"run": {}}
+        state="finished",
+        total=3,
+        done=2,
+        failed=1,
+        started_s=DAWN_S,
+        heartbeat_s=DAWN_S + 3600,
+        options={"run": {}},
     ).write(out)

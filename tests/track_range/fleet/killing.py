@@ -16,10 +16,11 @@ from track_range.fleet.storage.location import Location
 
 @contextmanager
 def killed_workers(out: Path, n: int, *, interval_s: float = 1.0) -> Iterator[list[int]]:
-    """Context in which random workers of the fleet are killed; yields the list of the processes killed so far.
+    """Context in which random workers of the fleet are killed; yields the list of the processes
+    killed so far.
 
-    The first clip to be interrupted is spared until a second one has been: if workers die with one clip only, it
-    fails after two attempts (`engine.driver`).
+    The first clip to be interrupted is spared until a second one has been: if workers die with one
+    clip only, it fails after two attempts (`engine.driver`).
     """
     stop = threading.Event()
     killed: list[int] = []
@@ -30,8 +31,14 @@ def killed_workers(out: Path, n: int, *, interval_s: float = 1.0) -> Iterator[li
         while len(killed) < n and not stop.wait(interval_s):
             state = read_state(Location.of(out))
             workers = () if state is None else state.workers
-            clips = {worker["pid"]: worker["clip"] for worker in workers if worker["clip"] and worker["pid"]}
-            pids = [pid for pid, clip in clips.items() if pid not in killed and interrupted != {clip}]
+            clips = {
+                worker["pid"]: worker["clip"]
+                for worker in workers
+                if worker["clip"] and worker["pid"]
+            }
+            pids = [
+                pid for pid, clip in clips.items() if pid not in killed and interrupted != {clip}
+            ]
             if pids:
                 killed.append(generator.choice(sorted(pids)))
                 interrupted.add(clips[killed[-1]])

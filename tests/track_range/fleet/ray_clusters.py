@@ -26,7 +26,8 @@ _VARIABLES = {
 }
 """Environment of Ray's processes.
 
-With Ray's niceness of 15, workers beside other busy processes get so little time that clips exceed their limits.
+With Ray's niceness of 15, workers beside other busy processes get so little time that clips exceed
+their limits.
 """
 
 
@@ -40,7 +41,11 @@ def ray_cluster(n_cpus: int = 4) -> Iterator[Any]:
         from ray.cluster_utils import Cluster
 
         logging.getLogger("ray").setLevel(logging.ERROR)
-        arguments = {"num_cpus": n_cpus, "object_store_memory": OBJECT_STORE_BYTES, "include_dashboard": False}
+        arguments = {
+            "num_cpus": n_cpus,
+            "object_store_memory": OBJECT_STORE_BYTES,
+            "include_dashboard": False,
+        }
         cluster = Cluster(initialize_head=True, head_node_args=arguments)
         try:
             ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)

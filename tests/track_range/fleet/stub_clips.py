@@ -1,4 +1,5 @@
-"""Clips without videos, and a processing of them in real workers that fails according to their names."""
+"""Clips without videos, and a processing of them in real workers that fails according to their
+names."""
 
 from __future__ import annotations
 
@@ -110,4 +111,5 @@ FAILURES: dict[str, Callable[[], None]] = {
     "raise": _raise,
     "full": _full,
 }
-"""What happens by the beginning of a clip's name; only in the first attempt if the name contains "once"."""
+"""What happens by the beginning of a clip's name; only in the first attempt if the name contains
+"once"."""

@@ -38,7 +38,17 @@ def finished(cli, cluster, drives, tmp_path_factory):
     """The output of a fleet with these drives, and what the command printed."""
     recordings, pattern = drives
     out = tmp_path_factory.mktemp("fleet") / "out"
-    arguments = ("fleet", "run", recordings, "--pattern", pattern, "--out", out, "--address", cluster.address)
+    arguments = (
+        "fleet",
+        "run",
+        recordings,
+        "--pattern",
+        pattern,
+        "--out",
+        out,
+        "--address",
+        cluster.address,
+    )
     return out, arguments, cli(*arguments, "--workers", 2, "--no-sgbm", "--worker-memory", "2GB")
 
 
@@ -46,7 +56,11 @@ def finished(cli, cluster, drives, tmp_path_factory):
 def test_corrupt_clip_is_one_row(finished):
     out, _, (status, stdout, stderr) = finished
     rows = {row["clip"]: row for row in read_clips(Location.of(out)).to_pylist()}
-    assert {name: row["status"] for name, row in rows.items()} == {"one": "done", "two": "done", "corrupt": "failed"}
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "one": "done",
+        "two": "done",
+        "corrupt": "failed",
+    }
     assert rows["corrupt"]["error_kind"] == "input"
     assert status == 3
     assert "corrupt" in stderr
@@ -62,9 +76,23 @@ def test_corrupt_clip_is_one_row(finished):
 def test_rows_equal_those_of_a_run(finished, drives, small_drive, tmp_path):
     out, _, _ = finished
     recordings, _ = drives
-    left, right = (recordings / "one" / video.name for video in (small_drive.left, small_drive.right))
-    command = [sys.executable, "-m", "track_range", "run", "--stereo", left, right, "--out", tmp_path, "--no-sgbm"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # the last digits depend on the threads of linear algebra
+    left, right = (
+        recordings / "one" / video.name for video in (small_drive.left, small_drive.right)
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "track_range",
+        "run",
+        "--stereo",
+        left,
+        right,
+        "--out",
+        tmp_path,
+        "--no-sgbm",
+    ]
+    # the last digits depend on the threads of linear algebra
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([*command, "--no-overlay"], check=True, env=environment, capture_output=True)
     ordinary = pyarrow.parquet.ParquetFile(tmp_path / "tracks.parquet").read()
     for name in ("one", "two"):
@@ -81,12 +109,24 @@ def test_killed_workers_leave_the_same_rows(cli, cluster, small_drive, tmp_path,
     for number in range(8):
         (tmp_path / "clips").mkdir(exist_ok=True)
         shutil.copy(small_drive.left, tmp_path / "clips" / f"clip-{number}.mp4")
-    arguments = ("--focal-px", 500, "--out", tmp_path / "out", "--address", cluster.address, "--workers", 2)
+    arguments = (
+        "--focal-px",
+        500,
+        "--out",
+        tmp_path / "out",
+        "--address",
+        cluster.address,
+        "--workers",
+        2,
+    )
     with killed_workers(tmp_path / "out", 4, interval_s=1.5) as killed:
         status, _, stderr = cli("fleet", "run", tmp_path / "clips", *arguments)
     assert (status, stderr) == (0, "")
     assert killed
-    tables = [pyarrow.parquet.ParquetFile(file).read() for file in (tmp_path / "out" / "tracks").rglob("*.parquet")]
+    tables = [
+        pyarrow.parquet.ParquetFile(file).read()
+        for file in (tmp_path / "out" / "tracks").rglob("*.parquet")
+    ]
     assert len(tables) == 8
     assert all(table.equals(tables[0]) for table in tables)
     rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
@@ -148,7 +188,13 @@ def test_options_that_a_fleet_refuses(cli, tmp_path, option):
 
 
 @pytest.mark.parametrize(
-    "options", [("--ego-speed", "speed.csv"), ("--min-score", "2"), ("--worker-memory", "much"), ("--classes", "cat")]
+    "options",
+    [
+        ("--ego-speed", "speed.csv"),
+        ("--min-score", "2"),
+        ("--worker-memory", "much"),
+        ("--classes", "cat"),
+    ],
 )
 def test_invalid_options_of_a_fleet(cli, tmp_path, options):
     (tmp_path / "a.mp4").touch()
@@ -162,9 +208,20 @@ def test_invalid_options_of_a_fleet(cli, tmp_path, options):
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", "127.0.0.1:99999", "host:"])
 def test_address_without_a_cluster(tmp_path, small_drive, address):
     """In another process, since this one may be connected to a cluster."""
-    command = [sys.executable, "-m", "track_range", "fleet", "run", small_drive.left, "--focal-px", "500"]
+    command = [
+        sys.executable,
+        "-m",
+        "track_range",
+        "fleet",
+        "run",
+        small_drive.left,
+        "--focal-px",
+        "500",
+    ]
     arguments = ["--out", tmp_path / "out", "--address", address]
-    ended = subprocess.run([*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(
+        [*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60
+    )
     assert ended.returncode == 1
     assert "--address" in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
@@ -173,9 +230,20 @@ def test_address_without_a_cluster(tmp_path, small_drive, address):
 @pytest.mark.slow
 def test_address_of_another_server(tmp_path, small_drive, web):
     address = web[0].removeprefix("http://")
-    command = [sys.executable, "-m", "track_range", "fleet", "run", small_drive.left, "--focal-px", "500"]
+    command = [
+        sys.executable,
+        "-m",
+        "track_range",
+        "fleet",
+        "run",
+        small_drive.left,
+        "--focal-px",
+        "500",
+    ]
     arguments = ["--out", tmp_path / "out", "--address", address]
-    ended = subprocess.run([*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(
+        [*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60
+    )
     assert (ended.returncode, len(ended.stderr.splitlines())) == (1, 1)
     assert address in ended.stderr
 
@@ -195,9 +263,19 @@ def test_settings_of_an_earlier_run(cli, film, tmp_path):
     film(tmp_path / "clips" / "a.mp4", [0, 0.1])
     file = tmp_path / "settings.yaml"
     file.write_text(
-        "track_range_settings: 1\nrun: {mono: x.mp4, out: y, focal_px: 50, overlay: true, classes: [car]}\n"
+        "track_range_settings: 1\nrun: {mono: x.mp4, out: y, focal_px: 50, overlay: true, classes: "
+        "[car]}\n"
     )
-    arguments = ("fleet", "run", tmp_path / "clips", "--out", tmp_path / "out", "--dry-run", "--settings", file)
+    arguments = (
+        "fleet",
+        "run",
+        tmp_path / "clips",
+        "--out",
+        tmp_path / "out",
+        "--dry-run",
+        "--settings",
+        file,
+    )
     status, stdout, _ = cli(*arguments)
     assert (status, "focal length" in stdout) == (0, True)
     assert common_options(file) == {"focal_px": 50, "classes": ["car"]}
@@ -212,11 +290,23 @@ def test_anonymized_fleet_names_no_folders(cli, cluster, small_drive, tmp_path):
     folder.mkdir()
     shutil.copy(small_drive.left, folder / "good.mp4")
     (folder / "bad.mp4").write_text("no video")
-    options = ("--out", tmp_path / "out", "--address", cluster.address, "--workers", 1, "--focal-px", 500)
+    options = (
+        "--out",
+        tmp_path / "out",
+        "--address",
+        cluster.address,
+        "--workers",
+        1,
+        "--focal-px",
+        500,
+    )
     status, _, _ = cli("fleet", "run", folder, *options, "--anonymize", "--no-sgbm")
     assert status == 3
     rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
-    assert [(row["status"], row["left"]) for row in rows] == [("failed", "bad.mp4"), ("done", "good.mp4")]
+    assert [(row["status"], row["left"]) for row in rows] == [
+        ("failed", "bad.mp4"),
+        ("done", "good.mp4"),
+    ]
     assert rows[0]["error"].startswith("bad.mp4")
     assert "j.doe" not in f"{rows}{(tmp_path / 'out' / 'fleet.json').read_text()}"
 
@@ -227,16 +317,22 @@ def test_web_server_as_output(cli, tmp_path):
     assert (status, "--out" in stderr) == (1, True)
 
 
-@pytest.mark.parametrize("option", ["--reid", "--curves", "--align", "--lanes", "--detector", "--names"])
+@pytest.mark.parametrize(
+    "option", ["--reid", "--curves", "--align", "--lanes", "--detector", "--names"]
+)
 def test_missing_shared_file(cli, tmp_path, option):
     (tmp_path / "a.mp4").touch()
-    status, _, stderr = cli("fleet", "run", tmp_path, "--out", tmp_path / "out", option, tmp_path / "missing.txt")
+    status, _, stderr = cli(
+        "fleet", "run", tmp_path, "--out", tmp_path / "out", option, tmp_path / "missing.txt"
+    )
     assert status in (1, 2)
     assert "missing.txt" in stderr
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("text", "n_bytes"), [("2GB", 2e9), ("1.5 gb", 1.5e9), ("300MB", 3e8), ("7", 7)])
+@pytest.mark.parametrize(
+    ("text", "n_bytes"), [("2GB", 2e9), ("1.5 gb", 1.5e9), ("300MB", 3e8), ("7", 7)]
+)
 def test_size_bytes(text, n_bytes):
     assert size_bytes(text) == n_bytes
 

@@ -12,7 +12,13 @@ import pytest
 import yaml
 
 from tests.documentation.documented_commands import PAGES, PROJECT, python_blocks
-from tests.track_range.fleet.fleet_results import done_record, rows_table, track_rows, write_clip, write_fleet
+from tests.track_range.fleet.fleet_results import (
+    done_record,
+    rows_table,
+    track_rows,
+    write_clip,
+    write_fleet,
+)
 from tests.track_range.results.events.event_builder import event
 from track_range.fleet.inputs.clip import CLIP_SETTINGS
 from track_range.fleet.inputs.listing import clips_of
@@ -63,7 +69,9 @@ def test_duckdb_queries(results):
 def test_queries_of_events(results, tmp_path):
     pytest.importorskip("duckdb")
     out = Location.of("results")
-    write_clip(out, done_record("quiet", labels={"vehicle": "bus"}), rows_table(TRACK), tmp_path, [])
+    write_clip(
+        out, done_record("quiet", labels={"vehicle": "bus"}), rows_table(TRACK), tmp_path, []
+    )
     ClipTable(out).compile()
     van, bus = run_block("warnings = duckdb")["warnings"].fetchall()
     assert (van[0], *van[2:]) == ("van", "0002", 0.75)
@@ -86,7 +94,10 @@ def test_page_of_queries(results, capsys):
     for code in python_blocks(PAGES["docs/how-to/duckdb.md"]):
         exec(compile(code, "duckdb.md", "exec"), names)  # noqa: S102 - our own text
     closest = {row[0]: row[1:3] for row in names["closest"].fetchall()}
-    assert closest["car"] == (min(row["distance_m"] for row in results["closest"]), results["closest"][0]["clip"])
+    assert closest["car"] == (
+        min(row["distance_m"] for row in results["closest"]),
+        results["closest"][0]["clip"],
+    )
     first, *others = names["compared"].fetchall()
     assert (first[0], first[2] - first[1], first[6]) == ("0001", 3, 2.0)
     assert others
@@ -133,26 +144,44 @@ def test_columns_are_documented():
 
 
 def test_kuberay_manifest():
-    """Required fields of KubeRay's API ray.io/v1 (RayJobSpec, RayClusterSpec, HeadGroupSpec, WorkerGroupSpec)."""
+    """Required fields of KubeRay's API ray.io/v1 (RayJobSpec, RayClusterSpec, HeadGroupSpec,
+    WorkerGroupSpec)."""
     job = yaml.safe_load((EXAMPLES / "fleet-kuberay.yaml").read_text())
     assert (job["apiVersion"], job["kind"]) == ("ray.io/v1", "RayJob")
     assert re.fullmatch(r"[a-z0-9]([-a-z0-9]{0,45}[a-z0-9])?", job["metadata"]["name"])
     spec = job["spec"]
     assert spec.keys() <= {
-        *("entrypoint", "backoffLimit", "shutdownAfterJobFinishes", "ttlSecondsAfterFinished", "rayClusterSpec"),
+        *(
+            "entrypoint",
+            "backoffLimit",
+            "shutdownAfterJobFinishes",
+            "ttlSecondsAfterFinished",
+            "rayClusterSpec",
+        ),
     }
     cluster = spec["rayClusterSpec"]
     assert cluster.keys() == {"rayVersion", "headGroupSpec", "workerGroupSpecs"}
     (workers,) = cluster["workerGroupSpecs"]
-    assert workers.keys() == {"groupName", "replicas", "minReplicas", "maxReplicas", "rayStartParams", "template"}
-    assert all(isinstance(workers[name], int) for name in ("replicas", "minReplicas", "maxReplicas"))
+    assert workers.keys() == {
+        "groupName",
+        "replicas",
+        "minReplicas",
+        "maxReplicas",
+        "rayStartParams",
+        "template",
+    }
+    assert all(
+        isinstance(workers[name], int) for name in ("replicas", "minReplicas", "maxReplicas")
+    )
     for group in (cluster["headGroupSpec"], workers):
         assert all(isinstance(value, str) for value in group["rayStartParams"].values())
         (container,) = group["template"]["spec"]["containers"]
         assert {"name", "image", "resources"} <= container.keys()
         assert container["resources"]["limits"] == container["resources"]["requests"]
         mounted = {mount["name"] for mount in container.get("volumeMounts", ())}
-        assert mounted == {volume["name"] for volume in group["template"]["spec"].get("volumes", ())}
+        assert mounted == {
+            volume["name"] for volume in group["template"]["spec"].get("volumes", ())
+        }
 
 
 def test_vm_configuration():

@@ -12,7 +12,9 @@ from track_range.tracking.tracks import Tracks
 
 N = 4
 DETECTIONS = Detections.of(np.tile([0.0, 0.0, 1.0, 1.0], (N, 1)), np.arange(N) / 10, np.arange(N))
-TRACKS = Tracks(np.arange(N), DETECTIONS.xyxy_px, DETECTIONS.class_id, DETECTIONS.score, np.ones(N, np.bool_))
+TRACKS = Tracks(
+    np.arange(N), DETECTIONS.xyxy_px, DETECTIONS.class_id, DETECTIONS.score, np.ones(N, np.bool_)
+)
 
 SELECTIONS = [
     [],
@@ -38,7 +40,16 @@ def test_selected_rows_are_those_of_numpy(rows: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "rows", [np.ones(N - 1, bool), np.ones(N + 1, bool), np.zeros(0, bool), [True], np.array([N]), [-N - 1], [0.5]]
+    "rows",
+    [
+        np.ones(N - 1, bool),
+        np.ones(N + 1, bool),
+        np.zeros(0, bool),
+        [True],
+        np.array([N]),
+        [-N - 1],
+        [0.5],
+    ],
 )
 def test_rows_that_do_not_exist(rows: Any) -> None:
     for select in (DETECTIONS.select, TRACKS.select):

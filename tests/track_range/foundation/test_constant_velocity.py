@@ -42,13 +42,19 @@ def test_two_half_steps_equal_one_step():
 
 
 def test_invalid_measurements_are_ignored():
-    state = states(2).update(np.array([1.0, np.nan]), np.array([2.0, np.nan]), valid=np.array([True, False]))
+    state = states(2).update(
+        np.array([1.0, np.nan]), np.array([2.0, np.nan]), valid=np.array([True, False])
+    )
     assert [array[1] for array in arrays(state)] == list(START)
     assert state.x[0] == pytest.approx(3.0 + 4.0 / 6.0)
 
 
 def test_shared_covariance():
     value, shared = np.array([[1.0, 2.0, 3.0]]), np.ones((1, 1))
-    state = ConstantVelocity(value, value, shared, 0 * shared, shared).predict(1.0, q=0.0).update(np.ones((1, 3)), 2.0)
+    state = (
+        ConstantVelocity(value, value, shared, 0 * shared, shared)
+        .predict(1.0, q=0.0)
+        .update(np.ones((1, 3)), 2.0)
+    )
     assert state.P_xx.shape == (1, 1)
     assert state.x == pytest.approx(np.array([[2.5, 4.5, 6.5]]))

@@ -29,15 +29,24 @@ def only(monkeypatch):
     ("found", "opencv", "words"),
     [
         ({"opencv-python-headless": "5.0"}, ["opencv-python-headless"], None),
-        ({"opencv-contrib-python": "5.0", "onnxruntime-gpu": "1.31"}, ["opencv-contrib-python"], None),
+        (
+            {"opencv-contrib-python": "5.0", "onnxruntime-gpu": "1.31"},
+            ["opencv-contrib-python"],
+            None,
+        ),
         ({"numpy": "2.0"}, [], None),
         (
             {"opencv-python": "4.9", "opencv-python-headless": "5.0"},
             ["opencv-python-headless", "opencv-python"],
-            "opencv-python-headless 5.0 and opencv-python 4.9 are installed and overwrite each other's files: "
-            "pip uninstall -y opencv-python-headless opencv-python, then pip install the package that you need.",
+            "opencv-python-headless 5.0 and opencv-python 4.9 are installed and overwrite each "
+            "other's files: pip uninstall -y opencv-python-headless opencv-python, then pip "
+            "install the package that you need.",
         ),
-        ({"onnxruntime": "1.32", "onnxruntime-openvino": "1.24"}, [], "onnxruntime 1.32 and onnxruntime-openvino 1.24"),
+        (
+            {"onnxruntime": "1.32", "onnxruntime-openvino": "1.24"},
+            [],
+            "onnxruntime 1.32 and onnxruntime-openvino 1.24",
+        ),
     ],
 )
 def test_distributions_of_one_package(only, found, opencv, words):

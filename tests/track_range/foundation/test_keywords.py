@@ -30,13 +30,22 @@ class Recipe(Options):
         ),
         ("give --book or --oven, not both", "give book= or oven_c=, not both"),
         ("--two-pots needs --heat high", "two_pots=True needs heat=high"),
-        ("not with --no-two-pots, --two-pots or --salt off.", "not with two_pots=False, two_pots=True or salt=off."),
+        (
+            "not with --no-two-pots, --two-pots or --salt off.",
+            "not with two_pots=False, two_pots=True or salt=off.",
+        ),
         ("--oven 300: too hot", "oven_c=300: too hot"),
         ("--book a,b: expected one", "book=a,b: expected one"),
         ("use --book FILE, --book 'x y' or --book=z", "use book=FILE, book='x y' or book=z"),
         ("run `cook --oven 3` with --oven.", "run `cook --oven 3` with oven_c=."),
-        ("run track-range calibrate --book FILE --oven 3.", "run track-range calibrate --book FILE --oven 3."),
-        ("--spoon and --ovens are unknown; x--oven is no flag", "--spoon and --ovens are unknown; x--oven is no flag"),
+        (
+            "run track-range calibrate --book FILE --oven 3.",
+            "run track-range calibrate --book FILE --oven 3.",
+        ),
+        (
+            "--spoon and --ovens are unknown; x--oven is no flag",
+            "--spoon and --ovens are unknown; x--oven is no flag",
+        ),
         ("DISH: expected a name", "DISH: expected a name"),
     ],
 )

@@ -95,7 +95,8 @@ def test_error_is_raised_in_the_caller(depth: int) -> None:
     assert list(itertools.islice(ahead, 5)) == [0, 1, 2, 3, 4]
     with pytest.raises(LookupError, match="item 5") as raised:
         next(ahead)
-    assert any(entry.name == "items" for entry in raised.traceback)  # the traceback contains the origin
+    # the traceback contains the origin
+    assert any(entry.name == "items" for entry in raised.traceback)
     assert next(ahead, "over") == "over"
     assert not prefetch_threads()
 
@@ -214,7 +215,9 @@ def test_only_the_thread_gets_a_lower_priority() -> None:
         thread.start()
         thread.join()
     """
-    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=PROJECT)
+    printed = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=PROJECT
+    )
     niceness = [int(text) for text in printed.stdout.split()]
     before = os.getpriority(os.PRIO_PROCESS, 0)
     assert len(niceness) > 2

@@ -48,7 +48,9 @@ def without_quota(monkeypatch: pytest.MonkeyPatch) -> None:
         ("0::/\n", {}, math.inf),
     ],
 )
-def test_quota_of_a_container(tmp_path: Path, groups: str, files: dict[str, str], quota: float) -> None:
+def test_quota_of_a_container(
+    tmp_path: Path, groups: str, files: dict[str, str], quota: float
+) -> None:
     """Version 1 has a period of 100 ms in each group."""
     for name, text in {
         "proc/self/cgroup": groups,
@@ -65,7 +67,13 @@ def test_quota_of_a_container(tmp_path: Path, groups: str, files: dict[str, str]
 def test_cores_of_a_quota(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)), raising=False)
-    for quota, n_usable, n_limited in ((0.5, 1, 1), (2.5, 3, 3), (63.9, 64, 0), (100.0, 64, 0), (math.inf, 64, 0)):
+    for quota, n_usable, n_limited in (
+        (0.5, 1, 1),
+        (2.5, 3, 3),
+        (63.9, 64, 0),
+        (100.0, 64, 0),
+        (math.inf, 64, 0),
+    ):
         monkeypatch.setattr(processes, "_quota_cores", lambda quota=quota: quota)
         assert (n_usable_cores(), n_limited_cores()) == (n_usable, n_limited)
 
@@ -101,7 +109,9 @@ def test_opencv_threads_are_restored_after_an_error() -> None:
 
 
 @pytest.mark.usefixtures("without_quota")
-@pytest.mark.parametrize(("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)])
+@pytest.mark.parametrize(
+    ("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)]
+)
 def test_threads_of_opencv(
     n_cores: int, has_dense_stereo: bool, n_threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

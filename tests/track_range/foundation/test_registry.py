@@ -1,4 +1,5 @@
-"""Registry: names and precedence of built-in, registered and installed things, and what is imported."""
+"""Registry: names and precedence of built-in, registered and installed things, and what is
+imported."""
 
 import shutil
 from contextlib import suppress

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma, median_of, weighted_median
+from track_range.foundation.robust_statistics import (
+    jackknife_sigma,
+    mad_sigma,
+    median_of,
+    weighted_median,
+)
 
 
 def test_mad_sigma_of_a_normal_distribution_with_outliers() -> None:
@@ -35,8 +40,11 @@ def test_weighted_median_with_equal_weights() -> None:
 
 
 def test_weighted_median_with_unequal_weights() -> None:
-    assert weighted_median(np.array([3.0, 1.0, 2.0]), np.array([100.0, 1.0, 1.0])) == pytest.approx(3.0, abs=0.02)
-    assert weighted_median(np.array([1.0, 2.0]), np.array([1.0, 3.0])) == pytest.approx(1.75)  # 0.5, 2.5; half is 2
+    assert weighted_median(np.array([3.0, 1.0, 2.0]), np.array([100.0, 1.0, 1.0])) == pytest.approx(
+        3.0, abs=0.02
+    )
+    # 0.5, 2.5; half is 2
+    assert weighted_median(np.array([1.0, 2.0]), np.array([1.0, 3.0])) == pytest.approx(1.75)
 
 
 def test_jackknife_sigma_is_the_standard_error() -> None:

@@ -2,7 +2,12 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.foundation.sparse_flow import BackgroundFlow, isotropy, masked_cells, ranked_corners
+from track_range.foundation.sparse_flow import (
+    BackgroundFlow,
+    isotropy,
+    masked_cells,
+    ranked_corners,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.camera_motion import CameraMotion

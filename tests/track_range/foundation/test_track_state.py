@@ -5,7 +5,11 @@ from track_range.foundation.track_state import TrackState
 
 def test_put_and_get():
     state = TrackState(np.array([0.0, -1.0]))
-    state.put(np.array([5, 2, 9]), np.array([[50.0, 20.0, 90.0], [5.5, 2.5, 9.5]]), keep_known=np.zeros(0, bool))
+    state.put(
+        np.array([5, 2, 9]),
+        np.array([[50.0, 20.0, 90.0], [5.5, 2.5, 9.5]]),
+        keep_known=np.zeros(0, bool),
+    )
     columns = state.get(np.array([9, 1, 5]))
     assert columns.tolist() == [[90.0, 0.0, 50.0], [9.5, -1.0, 5.5]]
     assert state.known[0].tolist() == [50.0, 20.0, 90.0]

@@ -18,7 +18,9 @@ class Camera:
     first_time_s: float
 
 
-def meter_of(times_s: list[float], frames: list[tuple[int, float]], live: Camera | None = None) -> FrameMeter:
+def meter_of(
+    times_s: list[float], frames: list[tuple[int, float]], live: Camera | None = None
+) -> FrameMeter:
     now = iter(times_s)
     meter = FrameMeter(live, now_s=lambda: next(now))
     results = [result([], index=index, time_s=time_s) for index, time_s in frames]
@@ -49,7 +51,10 @@ def test_live_run_reports_latency_and_drops() -> None:
     (note,) = meter.notes
     assert "200 ms" in note
     assert "250 ms" in note
-    assert meter.summary() == {"latency_ms": {"p50": 200.0, "p95": 245.0, "max": 250.0}, "frames_dropped": 2}
+    assert meter.summary() == {
+        "latency_ms": {"p50": 200.0, "p95": 245.0, "max": 250.0},
+        "frames_dropped": 2,
+    }
     assert meter.status == "latency 200 ms, p95 245 ms, 2 dropped"
 
 

@@ -38,7 +38,13 @@ class NumberingTracker:
 
     def update(self, detections: Detections, time_s: float, image: Image) -> Tracks:
         n = len(detections)
-        return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
+        return Tracks(
+            np.arange(1, n + 1),
+            detections.xyxy_px,
+            detections.class_id,
+            detections.score,
+            np.ones(n, bool),
+        )
 
 
 class ExactRanger(Ranger):
@@ -53,13 +59,19 @@ def test_car_ahead_has_a_time_to_collision_and_oncoming_car_passes() -> None:
         tracker=NumberingTracker(),
         ranging=RangingStage({"mono": ExactRanger()}),
     )
-    results: list[FrameResult] = list(run_in_threads(pipeline, (Frame(i, i / 10, IMAGE, None) for i in range(20))))
+    results: list[FrameResult] = list(
+        run_in_threads(pipeline, (Frame(i, i / 10, IMAGE, None) for i in range(20)))
+    )
     last = results[-1]
     assert (last.ttc_s < 2).all()
     assert last.warnings is not None
     assert last.safety is not None
     np.testing.assert_allclose(last.warnings.path_offset_m, X_M, atol=0.3)
-    np.testing.assert_allclose(last.safety.ttc_front_s, [(z_m_at(1.9)[0] - 1.5) / 10.0, np.nan], atol=0.1)
+    np.testing.assert_allclose(
+        last.safety.ttc_front_s, [(z_m_at(1.9)[0] - 1.5) / 10.0, np.nan], atol=0.1
+    )
     known = [result.safety for result in results[5:] if result.safety is not None]
     assert len(known) == 15
-    assert all(np.isfinite(safety.ttc_front_s[0]) and np.isnan(safety.ttc_front_s[1]) for safety in known)
+    assert all(
+        np.isfinite(safety.ttc_front_s[0]) and np.isnan(safety.ttc_front_s[1]) for safety in known
+    )

@@ -36,7 +36,13 @@ class OneTrack:
 
     def update(self, detections, time_s, image):
         n = len(detections)
-        return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
+        return Tracks(
+            np.arange(1, n + 1),
+            detections.xyxy_px,
+            detections.class_id,
+            detections.score,
+            np.ones(n, bool),
+        )
 
 
 class Falling(Ranger):
@@ -69,23 +75,33 @@ def test_frames_in_order_with_all_methods():
     assert last.ranges["fused"].distance_m == pytest.approx([21.0])
     assert last.closing_mps == pytest.approx([10.0], abs=0.3)
     assert last.ttc_s == pytest.approx([2.1], abs=0.1)
-    np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])  # box centre 10 px right, 30 px below
+    # box centre 10 px right, 30 px below
+    np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])
 
 
 def test_clock_counts_the_stages_that_ran():
     loop = pipeline()
     list(run_in_threads(loop, frames(30)))
-    assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {"detect", "track", "mono", "fuse"}
+    assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {
+        "detect",
+        "track",
+        "mono",
+        "fuse",
+    }
 
 
 def test_shared_error_increases_every_sigma():
     plain, doubtful = pipeline(), pipeline()
     doubtful.shared_sigma = 0.25
-    for one, other in zip(run_in_threads(plain, frames(3)), run_in_threads(doubtful, frames(3)), strict=True):
+    for one, other in zip(
+        run_in_threads(plain, frames(3)), run_in_threads(doubtful, frames(3)), strict=True
+    ):
         assert set(one.ranges) == set(other.ranges)
         for name, ranges in one.ranges.items():
             assert other.ranges[name].distance_m == pytest.approx(ranges.distance_m)
-            assert other.ranges[name].sigma_m == pytest.approx(np.hypot(ranges.sigma_m, 0.25 * ranges.distance_m))
+            assert other.ranges[name].sigma_m == pytest.approx(
+                np.hypot(ranges.sigma_m, 0.25 * ranges.distance_m)
+            )
 
 
 class LinesTo:
@@ -100,7 +116,12 @@ class LinesTo:
     def find(self, image, time_s):
         self.looked_s.append(time_s)
         left, right = (
-            LaneLine(np.array([49.5 - slope * self.y_px, slope, 0.0]), np.diag([0.01, 0.0, 0.0]), 50.0, 79.0)
+            LaneLine(
+                np.array([49.5 - slope * self.y_px, slope, 0.0]),
+                np.diag([0.01, 0.0, 0.0]),
+                50.0,
+                79.0,
+            )
             for slope in (-1.0, 1.0)
         )
         return LaneLines(left, right)
@@ -130,7 +151,12 @@ class Listening(Falling):
 
 def test_every_hook_of_a_ranger_is_called():
     loop, ranger = pipeline(), Listening()
-    loop.ranging.rangers = {"mono": Falling(), "sgbm": Falling(), "stereo": Falling(), "lane": ranger}
+    loop.ranging.rangers = {
+        "mono": Falling(),
+        "sgbm": Falling(),
+        "stereo": Falling(),
+        "lane": ranger,
+    }
     loop.detection.lane_finder = LinesTo(40.0)
     list(run_in_threads(loop, frames(3)))
     assert ranger.started == [0, 1, 2]
@@ -191,7 +217,11 @@ def test_closing_early_stops_reading():
 def test_receding_track_has_no_ttc():
     class Rising(Ranger):
         def measure(self, tracks, frame):
-            return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
+            return Ranges(
+                tracks.track_id,
+                np.full(len(tracks), 20 + 5 * frame.time_s),
+                np.full(len(tracks), 0.2),
+            )
 
     loop = pipeline()
     loop.ranging.rangers = {"mono": Rising()}
@@ -254,15 +284,23 @@ def test_ranger_without_ranges(made_of, word):
 def test_invalid_distances_become_nan(distance_m, sigma_m, systematic_m):
     values = np.array([[distance_m, 30.0], [sigma_m, 1.0], [systematic_m, 0.5]])
     loop = pipeline(
-        lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2])
+        lambda frame: Detections.of(
+            [[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2]
+        )
     )
-    loop.ranging.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
+    loop.ranging.rangers = {
+        "mono": Falling(),
+        "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values)),
+    }
     (result,) = run_in_threads(loop, frames(1))
     ground = result.ranges["ground"]
-    for column, value in zip((ground.distance_m, ground.sigma_m, ground.sigma_systematic_m), values, strict=True):
+    for column, value in zip(
+        (ground.distance_m, ground.sigma_m, ground.sigma_systematic_m), values, strict=True
+    ):
         np.testing.assert_array_equal(column, [np.nan, value[1]])
     assert result.ranges["fused"].distance_m[0] == pytest.approx(50.0)
-    np.testing.assert_array_equal(values[:, 0], [distance_m, sigma_m, systematic_m])  # the ranger's own arrays
+    # the ranger's own arrays
+    np.testing.assert_array_equal(values[:, 0], [distance_m, sigma_m, systematic_m])
 
 
 def test_tracker_and_detector_without_results():
@@ -296,7 +334,9 @@ def test_detector_with_invalid_boxes():
     assert isinstance(raised.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("errors", [3, {"car": (0.1,)}, {"plane": (0, 0.1, 0, 0.1)}, {"car": (10**400, 0.1, 0, 0.1)}])
+@pytest.mark.parametrize(
+    "errors", [3, {"car": (0.1,)}, {"plane": (0, 0.1, 0, 0.1)}, {"car": (10**400, 0.1, 0, 0.1)}]
+)
 def test_detector_with_invalid_box_errors(errors):
     with pytest.raises(DetectorError, match=r"SimpleNamespace, box_errors: expected \[log_height"):
         boxes_of(SimpleNamespace(detect=None, box_errors=errors))
@@ -310,7 +350,9 @@ class FixedDisparity:
 
     def match(self, left, right, xyxy_px, prior_px, by_size=None):
         n = len(xyxy_px)
-        return PatchMatches.of(np.full(n, self.disparity_px), np.full(n, 0.05), np.zeros(n, np.int64))
+        return PatchMatches.of(
+            np.full(n, self.disparity_px), np.full(n, 0.05), np.zeros(n, np.int64)
+        )
 
 
 def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():

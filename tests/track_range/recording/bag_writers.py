@@ -1,4 +1,5 @@
-"""Bags with images of one or two cameras, written with the libraries mcap and rosbags, and with Foxglove's schemas."""
+"""Bags with images of one or two cameras, written with the libraries mcap and rosbags, and with
+Foxglove's schemas."""
 
 from __future__ import annotations
 
@@ -43,10 +44,12 @@ def ros_messages(
     encoding: str = "",
     info: str = "camera_info",
 ) -> list[tuple[int, str, str, Any]]:
-    """(time, topic, type, message) of images and calibrations; raw images if `encoding` is given."""
+    """(time, topic, type, message) of images and calibrations; raw images if `encoding` is
+    given."""
     types, ros1 = (
         store.types,
-        "std_msgs/msg/Header" in store.types and "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__,
+        "std_msgs/msg/Header" in store.types
+        and "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__,
     )
     messages = []
     for number, shown in enumerate(images):
@@ -58,7 +61,9 @@ def ros_messages(
             if encoding:
                 kind = "sensor_msgs/msg/Image"
                 rows = np.ascontiguousarray(image).reshape(image.shape[0], -1).view(np.uint8)
-                message = types[kind](header, *image.shape[:2], encoding, 0, rows.shape[1], rows.ravel())
+                message = types[kind](
+                    header, *image.shape[:2], encoding, 0, rows.shape[1], rows.ravel()
+                )
             else:
                 kind = "sensor_msgs/msg/CompressedImage"
                 message = types[kind](header, "png", np.frombuffer(jpeg(image), np.uint8))
@@ -68,13 +73,17 @@ def ros_messages(
             calibration = types["sensor_msgs/msg/CameraInfo"](
                 header, 48, 64, "plumb_bob", *(np.array(v) for v in ([0.0] * 5, K, R, projection(offset_m))), 0, 0, roi
             )  # fmt: skip
-            messages.append((recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration))
+            messages.append(
+                (recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration)
+            )
         text = types["std_msgs/msg/String"]("nothing")
         messages.append((stamp_ns, "/chatter", "std_msgs/msg/String", text))
     return messages
 
 
-def write_ros2(path: Path, names: Sequence[str], images: Images, *, storage: str, **options: Any) -> Path:
+def write_ros2(
+    path: Path, names: Sequence[str], images: Images, *, storage: str, **options: Any
+) -> Path:
     """A ROS 2 bag folder written with rosbags; `storage` = sqlite3 or mcap."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -90,7 +99,9 @@ def write_ros2(path: Path, names: Sequence[str], images: Images, *, storage: str
     return path
 
 
-def write_ros1(path: Path, names: Sequence[str], images: Images, *, compression: str = "", **options: Any) -> Path:
+def write_ros1(
+    path: Path, names: Sequence[str], images: Images, *, compression: str = "", **options: Any
+) -> Path:
     """A ROS 1 bag written with rosbags."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -109,7 +120,8 @@ def write_ros1(path: Path, names: Sequence[str], images: Images, *, compression:
 
 
 def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: Any) -> Path:
-    """An MCAP file with Foxglove's messages, encoded by foxglove-sdk and written with the library mcap."""
+    """An MCAP file with Foxglove's messages, encoded by foxglove-sdk and written with the library
+    mcap."""
     from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
     from mcap.writer import Writer
 
@@ -132,14 +144,24 @@ def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: 
             for side, (name, offset_m) in enumerate(cameras(names)):
                 image = shown if isinstance(shown, np.ndarray) else shown[side]
                 if is_raw:
-                    sizes = {"width": image.shape[1], "height": image.shape[0], "step": 3 * image.shape[1]}
+                    sizes = {
+                        "width": image.shape[1],
+                        "height": image.shape[0],
+                        "step": 3 * image.shape[1],
+                    }
                     raw = RawImage(timestamp=stamp, encoding="bgr8", data=image.tobytes(), **sizes)
                     add(f"{name}/image", raw, time_ns)
                 else:
-                    add(f"{name}/image", CompressedImage(timestamp=stamp, data=jpeg(image), format="png"), time_ns)
+                    add(
+                        f"{name}/image",
+                        CompressedImage(timestamp=stamp, data=jpeg(image), format="png"),
+                        time_ns,
+                    )
                 add(
                     f"{name}/calibration",
-                    CameraCalibration(timestamp=stamp, width=64, height=48, K=K, R=R, P=projection(offset_m)),
+                    CameraCalibration(
+                        timestamp=stamp, width=64, height=48, K=K, R=R, P=projection(offset_m)
+                    ),
                     time_ns,
                 )
         writer.finish()

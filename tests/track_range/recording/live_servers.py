@@ -1,4 +1,5 @@
-"""Simulated cameras: local TCP streams of grey images with a level that encodes the image's number."""
+"""Simulated cameras: local TCP streams of grey images with a level that encodes the image's
+number."""
 
 from __future__ import annotations
 
@@ -70,11 +71,20 @@ class Camera:
         with av.open(sent, "w", format="nut") as container:
             stream = container.add_stream("libx264", rate=self._rate_hz, options=options)
             height, width = (self._images[0] if self._images else level_image(0)).shape[:2]
-            stream.width, stream.height, stream.pix_fmt, stream.gop_size = width, height, "yuv420p", 5
+            stream.width, stream.height, stream.pix_fmt, stream.gop_size = (
+                width,
+                height,
+                "yuv420p",
+                5,
+            )
             for number in range(self.n_images):
                 if self.unplugged.wait(self.interval_s):
                     break
-                image = self._images[number % len(self._images)] if self._images else level_image(number)
+                image = (
+                    self._images[number % len(self._images)]
+                    if self._images
+                    else level_image(number)
+                )
                 planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), np.uint8)
                 frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = number, Fraction(1, self._rate_hz)
@@ -103,7 +113,8 @@ def cameras(n: int, n_images: int = 10_000, *, is_torn: bool = False) -> Iterato
 
 @contextmanager
 def served(content: bytes, *, stays: bool = False) -> Iterator[str]:
-    """The address of a server that sends `content`, then closes the connection or, with `stays`, sends nothing more."""
+    """The address of a server that sends `content`, then closes the connection or, with `stays`,
+    sends nothing more."""
     over = threading.Event()
     server = socket.create_server(("127.0.0.1", 0))
 

@@ -1,6 +1,8 @@
-"""One drive in the forms in which people record both cameras: one row per kind, which writes its files to a folder.
+"""One drive in the forms in which people record both cameras: one row per kind, which writes its
+files to a folder.
 
-Images are those of a pair, whose times are a tenth of a second apart unless a row states another rate.
+Images are those of a pair, whose times are a tenth of a second apart unless a row states another
+rate.
 """
 
 from __future__ import annotations
@@ -52,10 +54,14 @@ PACKED: dict[str, Callable[[Image, Image], Image]] = {
 
 
 def packed(layout: str, pair: Pair, squeeze: tuple[int, int] = (1, 1)) -> list[Image]:
-    """Images of both cameras in one; `squeeze` is the factor by which each is made narrower and lower."""
+    """Images of both cameras in one; `squeeze` is the factor by which each is made narrower and
+    lower."""
     height, width = pair.left[0].shape[:2]
     size_px = width // squeeze[0], height // squeeze[1]
-    both = [[cv2.resize(image, size_px, interpolation=cv2.INTER_AREA) for image in images] for images in pair]
+    both = [
+        [cv2.resize(image, size_px, interpolation=cv2.INTER_AREA) for image in images]
+        for images in pair
+    ]
     return [PACKED[layout](*images) for images in zip(*both, strict=True)]
 
 
@@ -71,7 +77,9 @@ def write_video(
     **container_options: Any,
 ) -> Any:
     """A video of one or several tracks, without losses; the result is the path."""
-    with av.open(path if isinstance(path, BytesIO) else str(path), "w", **container_options) as container:
+    with av.open(
+        path if isinstance(path, BytesIO) else str(path), "w", **container_options
+    ) as container:
         if cover:
             art: Any = container.add_stream("mjpeg", rate=1)
             art.width, art.height, art.pix_fmt = 640, 480, "yuvj420p"
@@ -139,25 +147,35 @@ def with_box(path: Path, added: bytes) -> Path:
     grown = bytearray(content[:end] + added + content[end:])
     for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1"):
         size_at = content.index(name, moov) - 4
-        struct.pack_into(">I", grown, size_at, struct.unpack_from(">I", grown, size_at)[0] + len(added))
+        struct.pack_into(
+            ">I", grown, size_at, struct.unpack_from(">I", grown, size_at)[0] + len(added)
+        )
     path.write_bytes(grown)
     return path
 
 
-ST3D = box(b"st3d", bytes([0, 0, 0, 0, 2]))  # Google's Spherical Video V2: version and flags 0, then 2 = left-right
+# Google's Spherical Video V2: version and flags 0, then 2 = left-right
+ST3D = box(b"st3d", bytes([0, 0, 0, 0, 2]))
 VEXU = box(
-    b"vexu", box(b"eyes", box(b"stri", bytes([0, 0, 0, 0, 3]))) + box(b"pack", box(b"pkin", bytes(4) + b"over"))
+    b"vexu",
+    box(b"eyes", box(b"stri", bytes([0, 0, 0, 0, 3])))
+    + box(b"pack", box(b"pkin", bytes(4) + b"over")),
 )  # Apple's video extended usage: both eyes, over and under
 
 
-def folders(folder: Path, pair: Pair, *, names: tuple[str, str] = ("left/{n:06}.png", "right/{n:06}.png")) -> Written:
-    """A folder of images for each camera; the part of a name before the last slash is the folder."""
+def folders(
+    folder: Path, pair: Pair, *, names: tuple[str, str] = ("left/{n:06}.png", "right/{n:06}.png")
+) -> Written:
+    """A folder of images for each camera; the part of a name before the last slash is the
+    folder."""
     for images, name in zip(pair, names, strict=True):
         write_folder(folder, images, name)
     return Written(tuple(folder / name.rpartition("/")[0] for name in names), {})
 
 
-def timed_folders(folder: Path, pair: Pair, *, names: tuple[str, str], times: str, form: str) -> Written:
+def timed_folders(
+    folder: Path, pair: Pair, *, names: tuple[str, str], times: str, form: str
+) -> Written:
     """Folders with a file of times beside the images, whose lines have the form `form`."""
     written = folders(folder, pair, names=names)
     lines = [form.format(n=n, s=n / 10, **stamps(n)) for n in range(len(pair.left))]
@@ -175,8 +193,13 @@ def one_folder(folder: Path, pair: Pair, *, names: tuple[str, str]) -> Written:
 def deep(folder: Path, pair: Pair, *, n_bits: int, suffix: str) -> Written:
     """Images of one channel with more than 8 bits, or 8."""
     grey = [[cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in images] for images in pair]
-    stored = [[image if n_bits == 8 else image.astype(np.uint16) << (n_bits - 8) for image in side] for side in grey]
-    return folders(folder, Pair(*stored), names=(f"left/{{n:06}}.{suffix}", f"right/{{n:06}}.{suffix}"))
+    stored = [
+        [image if n_bits == 8 else image.astype(np.uint16) << (n_bits - 8) for image in side]
+        for side in grey
+    ]
+    return folders(
+        folder, Pair(*stored), names=(f"left/{{n:06}}.{suffix}", f"right/{{n:06}}.{suffix}")
+    )
 
 
 def bayer(folder: Path, pair: Pair) -> Written:
@@ -192,11 +215,19 @@ def bayer(folder: Path, pair: Pair) -> Written:
 
 
 def videos(
-    folder: Path, pair: Pair, *, suffix: str = "mp4", names: tuple[str, str] = ("left", "right"), **options: Any
+    folder: Path,
+    pair: Pair,
+    *,
+    suffix: str = "mp4",
+    names: tuple[str, str] = ("left", "right"),
+    **options: Any,
 ) -> Written:
     """Two videos."""
     both = zip(names, pair, strict=True)
-    return Written(tuple(write_video(folder / f"{name}.{suffix}", [side], **options) for name, side in both), {})
+    return Written(
+        tuple(write_video(folder / f"{name}.{suffix}", [side], **options) for name, side in both),
+        {},
+    )
 
 
 def one_file(
@@ -217,16 +248,22 @@ def one_file(
     return Written((path,), {"stereo_layout": option or layout})
 
 
-def tracks(folder: Path, pair: Pair, *, suffix: str = "mkv", option: str = "auto", preview: bool = False) -> Written:
+def tracks(
+    folder: Path, pair: Pair, *, suffix: str = "mkv", option: str = "auto", preview: bool = False
+) -> Written:
     """Both cameras in the tracks of one video, with a small preview first."""
     small = [[cv2.resize(image, (160, 48)) for image in pair.left]] if preview else []
-    return Written((write_video(folder / f"both.{suffix}", [*small, *pair]),), {"stereo_layout": option})
+    return Written(
+        (write_video(folder / f"both.{suffix}", [*small, *pair]),), {"stereo_layout": option}
+    )
 
 
 def previews(folder: Path, pair: Pair) -> Written:
     """Two videos with a small preview as their first track."""
     paths = [
-        write_video(folder / f"{side}.mp4", [[cv2.resize(image, (160, 48)) for image in images], images])
+        write_video(
+            folder / f"{side}.mp4", [[cv2.resize(image, (160, 48)) for image in images], images]
+        )
         for side, images in zip(("left", "right"), pair, strict=True)
     ]
     return Written(tuple(paths), {})
@@ -234,12 +271,15 @@ def previews(folder: Path, pair: Pair) -> Written:
 
 def chosen_track(folder: Path, pair: Pair) -> Written:
     """Both cameras in the images of the second track, which `track` names."""
-    path = write_video(folder / "both.mp4", [packed("top-bottom", pair), packed("side-by-side", pair)])
+    path = write_video(
+        folder / "both.mp4", [packed("top-bottom", pair), packed("side-by-side", pair)]
+    )
     return Written((path,), {"stereo_layout": "side-by-side", "track": 1})
 
 
 def joined(folder: Path, pair: Pair) -> Written:
-    """Two videos, each of two transport streams that are joined as bytes; the clock of the second is set back."""
+    """Two videos, each of two transport streams that are joined as bytes; the clock of the second
+    is set back."""
     n, paths = len(pair.left) // 2, []
     for side, images in zip(("left", "right"), pair, strict=True):
         parts = [
@@ -255,15 +295,22 @@ DATED = ("20260131_142530.mp4", "20260131_142531.mp4")
 
 
 def segments(folder: Path, pair: Pair, *, form: str = "folder") -> Written:
-    """Files of equal length, in folders, as lists, or with both cameras in each; the first one has a second."""
+    """Files of equal length, in folders, as lists, or with both cameras in each; the first one has
+    a second."""
     if form == "packed":
         both = packed("side-by-side", pair)
-        paths = [write_video(folder / name, [both[part]]) for name, part in zip(DATED, PARTS, strict=True)]
+        paths = [
+            write_video(folder / name, [both[part]])
+            for name, part in zip(DATED, PARTS, strict=True)
+        ]
         return Written((paths,), {"stereo_layout": "side-by-side"})
     names = []
     for side, images in zip(("left", "right"), pair, strict=True):
         (folder / side).mkdir()
-        paths = [write_video(folder / side / name, [images[part]]) for name, part in zip(DATED, PARTS, strict=True)]
+        paths = [
+            write_video(folder / side / name, [images[part]])
+            for name, part in zip(DATED, PARTS, strict=True)
+        ]
         names.append(paths if form == "lists" else folder / side)
     return Written(tuple(names), {})
 
@@ -275,10 +322,16 @@ def bag(folder: Path, pair: Pair, *, form: str) -> Written:
     """ROS bags and MCAP files, with topics of two cameras or of one with the images of both."""
     sides = list(zip(*pair, strict=True))
     if form == "mcap side by side":
-        return Written((write_foxglove(folder / "drive.mcap", ["/both"], packed("side-by-side", pair)),), ONE)
+        return Written(
+            (write_foxglove(folder / "drive.mcap", ["/both"], packed("side-by-side", pair)),), ONE
+        )
     if form == "ros2 side by side":
         path = write_ros2(
-            folder / "bag", ["/zed"], packed("side-by-side", pair), storage="sqlite3", topic="image_raw/compressed"
+            folder / "bag",
+            ["/zed"],
+            packed("side-by-side", pair),
+            storage="sqlite3",
+            topic="image_raw/compressed",
         )
         return Written((path,), ONE)
     if form == "mcap":
@@ -289,7 +342,9 @@ def bag(folder: Path, pair: Pair, *, form: str) -> Written:
         path = write_ros1(folder / "drive.bag", names, sides, topic=topic)
     else:
         names, topic = ["/camera/infra1", "/camera/infra2"], "image_raw"
-        path = write_ros2(folder / "bag", names, sides, storage="mcap", topic=topic, encoding="bgr8")
+        path = write_ros2(
+            folder / "bag", names, sides, storage="mcap", topic=topic, encoding="bgr8"
+        )
     return Written((path, path), {"topics": [f"{name}/{topic}" for name in names]})
 
 

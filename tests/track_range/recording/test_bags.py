@@ -35,7 +35,9 @@ from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, ri
 BOTH = ("/left", "/right")
 
 
-def write(path: Path, kind: str, names: tuple[str, ...], images: list[np.ndarray], **options: Any) -> Path:
+def write(
+    path: Path, kind: str, names: tuple[str, ...], images: list[np.ndarray], **options: Any
+) -> Path:
     if kind.startswith("foxglove"):
         return write_foxglove(path, names, images, is_raw=kind == "foxglove-raw", **options)
     options = {"topic": "image_raw/compressed", **options}
@@ -53,8 +55,12 @@ def topic_of(kind: str) -> str:
     return "image" if kind.startswith("foxglove") else "image_raw/compressed"
 
 
-@pytest.mark.parametrize("kind", ["foxglove", "foxglove-raw", "sqlite3", "mcap", "ros1", "ros1-BZ2", "ros1-LZ4"])
-def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], kind: str) -> None:
+@pytest.mark.parametrize(
+    "kind", ["foxglove", "foxglove-raw", "sqlite3", "mcap", "ros1", "ros1-BZ2", "ros1-LZ4"]
+)
+def test_pair_in_a_bag(
+    tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], kind: str
+) -> None:
     bag = write(tmp_path / "drive.bag", kind, BOTH, images)
     assert is_bag(bag)
     topics = [f"{side}/{topic_of(kind)}" for side in BOTH]
@@ -64,7 +70,9 @@ def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Call
     assert recording.camera.fx_px == 70.0
     frames = list(recording.frames)
     assert [frame.index for frame in frames] == list(range(12))
-    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert [frame.time_s for frame in frames] == pytest.approx(
+        [number / 10 for number in range(12)]
+    )
     assert [number_in(frame.left) for frame in frames] == list(range(12))
     assert frames[0].utc_s == pytest.approx(START_NS / 1e9)
     assert recording.fps == pytest.approx(10.0)
@@ -73,7 +81,9 @@ def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Call
 
 
 @pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
-def test_later_start_in_a_bag(tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any) -> None:
+def test_later_start_in_a_bag(
+    tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any
+) -> None:
     monkeypatch.setattr("track_range.recording.bags.bag_video._MAX_LATENCY_S", 0.05)
     bag = write(tmp_path / "drive.bag", kind, BOTH, images)
     reader = open_video(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
@@ -96,7 +106,9 @@ def test_raw_images(tmp_path: Path, encoding: str) -> None:
         "bayer_rggb8": bayer,
         "rgba8": np.dstack([bgr[..., ::-1], grey]),
     }[encoding]
-    bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
+    bag = write_ros1(
+        tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding
+    )
     frames = list(open_video(bag))
     expected = (90, 90, 90) if encoding.startswith("mono") else (40, 90, 200)
     assert len(frames) == 2
@@ -106,13 +118,18 @@ def test_raw_images(tmp_path: Path, encoding: str) -> None:
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
 def test_depth_images_are_refused(tmp_path: Path, encoding: str) -> None:
     stored = np.ones((48, 64), np.uint16 if encoding == "16UC1" else np.float32)
-    bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
+    bag = write_ros1(
+        tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding
+    )
     with pytest.raises(VideoError, match=rf"drive\.bag: .*depth.*{encoding}"):
         open_video(bag)
 
 
 def test_messages_compressed_one_by_one(
-    tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    images: list[np.ndarray],
+    number_in: Callable[..., int],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
 
@@ -127,7 +144,9 @@ def test_messages_compressed_one_by_one(
     assert [number_in(frame.image) for frame in open_video(bag)] == list(range(12))
 
 
-def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int]) -> None:
+def test_sqlite_bag_that_is_cut_off(
+    tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int]
+) -> None:
     bag = write(tmp_path / "drive", "sqlite3", ("/cam",), images * 20)
     file = next(bag.glob("*.db3"))
     content = file.read_bytes()
@@ -140,13 +159,18 @@ def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], nu
 
 
 def test_baseline_between_cameras_of_another_origin() -> None:
-    """KITTI's rectified frames have the origin of another camera: both projection matrices contain an offset."""
+    """KITTI's rectified frames have the origin of another camera: both projection matrices contain
+    an offset."""
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     left, right = (
-        CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]]))
+        CameraInfo(
+            (64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]])
+        )
         for offset_m in (0.06, -0.44)
     )
-    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
+    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(
+        0.5
+    )
 
 
 def test_uncalibrated_camera_has_no_calibration(
@@ -165,12 +189,16 @@ def test_rectified_cameras_that_contradict_each_other() -> None:
         CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([matrix, [offset, 0.0, 0.0]]))
         for matrix, offset in ((k, 0.0), (k, -35.0), (k * [[1.3], [1.3], [1.0]], -35.0))
     )
-    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
+    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(
+        0.5
+    )
     with pytest.raises(RigError, match=r"drive\.bag: .*focal lengths"):
         rig_of(left, longer, Path("drive.bag"), is_rectified=True)
 
 
-def test_video_messages(tmp_path: Path, film: Callable[..., Path], number_in: Callable[..., int]) -> None:
+def test_video_messages(
+    tmp_path: Path, film: Callable[..., Path], number_in: Callable[..., int]
+) -> None:
     import av
     from foxglove.messages import CompressedVideo, Timestamp
     from mcap.writer import Writer
@@ -185,7 +213,9 @@ def test_video_messages(tmp_path: Path, film: Callable[..., Path], number_in: Ca
             "/video", "protobuf", writer.register_schema(schema.name, schema.encoding, schema.data)
         )
         for number, packet in enumerate(packets):
-            message = CompressedVideo(timestamp=Timestamp(100, number * 10**8), data=packet, format="h264")
+            message = CompressedVideo(
+                timestamp=Timestamp(100, number * 10**8), data=packet, format="h264"
+            )
             writer.add_message(channel, number * 10**8, message.encode(), number * 10**8)
         writer.finish()
     reader = open_video(tmp_path / "drive.mcap")
@@ -203,16 +233,25 @@ def test_mono_needs_no_topic_if_there_is_one(tmp_path: Path, images: list[np.nda
 def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]) -> None:
     bag = write(tmp_path / "bag", "mcap", BOTH, images)
     for name in (BagTopic(bag, None), BagTopic(bag, "/left/image"), BagTopic(bag, "/chatter")):
-        with pytest.raises(VideoError, match=r"/left/image_raw/compressed \(sensor_msgs/Compre") as raised:
+        with pytest.raises(
+            VideoError, match=r"/left/image_raw/compressed \(sensor_msgs/Compre"
+        ) as raised:
             open_video(name)
         assert len(str(raised.value)) < 300 + len(str(bag))
 
 
 def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeypatch: Any) -> None:
-    monkeypatch.setattr("tests.track_range.recording.bag_writers.K", [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0])
+    monkeypatch.setattr(
+        "tests.track_range.recording.bag_writers.K",
+        [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0],
+    )
     bag = write(tmp_path / "bag", "sqlite3", BOTH, images)
     recording = open_recording(
-        bag, bag, topics=[f"{side}/image_raw/compressed" for side in BOTH], align="off", has_checks=False
+        bag,
+        bag,
+        topics=[f"{side}/image_raw/compressed" for side in BOTH],
+        align="off",
+        has_checks=False,
     )
     assert recording.rig is not None
     assert recording.rig.baseline_m == pytest.approx(0.5)
@@ -225,7 +264,8 @@ def test_bag_that_is_cut_off(
     tmp_path: Path, images: list[np.ndarray], kind: str, fraction: float, monkeypatch: Any
 ) -> None:
     noisy = [
-        np.random.default_rng(number).integers(0, 255, image.shape, np.uint8) for number, image in enumerate(images)
+        np.random.default_rng(number).integers(0, 255, image.shape, np.uint8)
+        for number, image in enumerate(images)
     ]
     if kind == "ros1":
         monkeypatch.setattr("rosbags.rosbag1.Writer.__init__", _with_small_chunks(Writer.__init__))
@@ -249,25 +289,41 @@ def _with_small_chunks(original: Callable[..., None]) -> Callable[..., None]:
 @pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
 def test_damaged_bags(tmp_path: Path, images: list[np.ndarray], kind: str) -> None:
     bag = write(tmp_path / "drive", kind, ("/cam",), images)
-    file = next(path for path in bag.iterdir() if path.suffix in (".db3", ".mcap")) if bag.is_dir() else bag
+    file = (
+        next(path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
+        if bag.is_dir()
+        else bag
+    )
     content = file.read_bytes()
     random, messages, n_frames = np.random.default_rng(4), list[str](), list[int]()
     for _ in range(30):
         damaged = bytearray(content)
         start = int(random.integers(len(damaged)))
-        damaged[start : start + 40] = random.integers(0, 256, 40, np.uint8).tobytes()[: len(damaged) - start]
-        file.write_bytes(bytes(damaged[: int(random.integers(1, len(damaged)))] if random.random() < 0.5 else damaged))
+        damaged[start : start + 40] = random.integers(0, 256, 40, np.uint8).tobytes()[
+            : len(damaged) - start
+        ]
+        file.write_bytes(
+            bytes(
+                damaged[: int(random.integers(1, len(damaged)))]
+                if random.random() < 0.5
+                else damaged
+            )
+        )
         try:
             frames = list(open_video(BagTopic(bag, f"/cam/{topic_of(kind)}")))
         except VideoError as error:
             messages.append(str(error))
         else:
             n_frames.append(len(frames))
-    assert all(message.startswith(str(bag)) and len(message) < 300 + len(str(bag)) for message in messages)
+    assert all(
+        message.startswith(str(bag)) and len(message) < 300 + len(str(bag)) for message in messages
+    )
     assert max(n_frames) <= 12
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"#ROSBAG V1.2\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP0\r\n", b"#ROSBAG V1.2\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"]
+)
 def test_empty_bags(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "drive.bag").write_bytes(content)
     with pytest.raises(VideoError, match=r"drive\.bag"):
@@ -288,14 +344,22 @@ def test_own_mcap_file_as_input(tmp_path: Path, images: list[np.ndarray], profil
     recording = open_recording(tmp_path / "run.mcap")
     assert recording.camera == camera
     frames = list(recording.frames)
-    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert [frame.time_s for frame in frames] == pytest.approx(
+        [number / 10 for number in range(12)]
+    )
     assert frames[3].utc_s == pytest.approx(START_NS / 1e9 + 0.3)
     assert np.abs(frames[5].left.astype(int) - images[5]).max() <= 4  # JPEG
 
 
-@pytest.mark.parametrize(("kind", "package"), [("foxglove", "mcap.stream_reader"), ("ros1", "rosbags.typesys")])
+@pytest.mark.parametrize(
+    ("kind", "package"), [("foxglove", "mcap.stream_reader"), ("ros1", "rosbags.typesys")]
+)
 def test_missing_package_is_named(
-    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, kind: str, package: str
+    tmp_path: Path,
+    images: list[np.ndarray],
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    package: str,
 ) -> None:
     bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
     message_reader.cache_clear()
@@ -306,7 +370,9 @@ def test_missing_package_is_named(
 
 
 def test_fisheye_model(tmp_path: Path) -> None:
-    message = CameraInfo((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
+    message = CameraInfo(
+        (64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4)
+    )
     assert camera_of(message, tmp_path, is_rectified=False).lens == "kannala-brandt"
     assert camera_of(message, tmp_path, is_rectified=True).lens == "pinhole"
 
@@ -318,10 +384,19 @@ def test_unknown_lens_model_is_refused(tmp_path: Path) -> None:
 
 
 def test_rotated_raw_pair() -> None:
-    turn = np.array([[np.cos(0.02), 0.0, np.sin(0.02)], [0.0, 1.0, 0.0], [-np.sin(0.02), 0.0, np.cos(0.02)]])
+    turn = np.array(
+        [[np.cos(0.02), 0.0, np.sin(0.02)], [0.0, 1.0, 0.0], [-np.sin(0.02), 0.0, np.cos(0.02)]]
+    )
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     p = np.column_stack([k, [-35.0, 0.0, 0.0]])
-    left = CameraInfo((64, 48), "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0), k, np.eye(3), np.column_stack([k, [0, 0, 0]]))
+    left = CameraInfo(
+        (64, 48),
+        "plumb_bob",
+        (0.1, 0.0, 0.0, 0.0, 0.0),
+        k,
+        np.eye(3),
+        np.column_stack([k, [0, 0, 0]]),
+    )
     right = CameraInfo((64, 48), "plumb_bob", (0.0,) * 5, k, turn, p)
     rig = rig_of(left, right, Path("drive.bag"), is_rectified=False)
     # a point in the rectified frames: x' = R x, and the right frame is 0.5 m to the right
@@ -331,11 +406,15 @@ def test_rotated_raw_pair() -> None:
     assert rig.left.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bag_in_several_files(
+    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "trip"
     folder.mkdir()
     for number in range(2):
-        monkeypatch.setattr("tests.track_range.recording.bag_writers.START_NS", START_NS + number * 1_200_000_000)
+        monkeypatch.setattr(
+            "tests.track_range.recording.bag_writers.START_NS", START_NS + number * 1_200_000_000
+        )
         write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
     reader = open_video(BagTopic(folder, "/cam/image"))
     assert [frame.index for frame in reader] == list(range(24))
@@ -394,7 +473,9 @@ def test_depth_images_beside_those_of_the_camera(tmp_path: Path, images: list[np
     bag = write_ros1(tmp_path / "drive.bag", names, images[:2], topic="image_raw", encoding="bgr8")
     reader = open_video(bag)
     assert str(reader.path) == str(bag)
-    assert any("depth images (/camera/depth/image_raw) are left out" in note for note in reader.notes)
+    assert any(
+        "depth images (/camera/depth/image_raw) are left out" in note for note in reader.notes
+    )
     chosen = open_video(BagTopic(bag, "/camera/depth/image_raw"))
     assert not any("left out" in note for note in chosen.notes)
 
@@ -412,5 +493,7 @@ def test_recording_of_a_zed_camera(tmp_path: Path) -> None:
         writer.finish()
     (tmp_path / "old.svo").write_bytes(b"\x01" * 500)
     for file_name in ("drive.svo2", "old.svo"):
-        with pytest.raises(VideoError, match=rf"{file_name}: .*ZED.*--stereo-layout side-by-side.*SN\*\.conf"):
+        with pytest.raises(
+            VideoError, match=rf"{file_name}: .*ZED.*--stereo-layout side-by-side.*SN\*\.conf"
+        ):
             open_recording(tmp_path / file_name)

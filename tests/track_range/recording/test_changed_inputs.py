@@ -1,4 +1,5 @@
-"""Videos and folders of images that change while a run reads them: the finished frames are kept, the status is 1."""
+"""Videos and folders of images that change while a run reads them: the finished frames are kept,
+the status is 1."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def noise(tmp_path: Path, film: Film) -> Path:
 
 def noisy_film(path: Path, film: Film, seed: int = 0) -> Path:
     images = np.random.default_rng(seed).integers(0, 255, (N_FRAMES, 96, 128, 3)).astype(np.uint8)
-    return film(path, [number / 10 for number in range(N_FRAMES)], images=list(images), codec="mjpeg")
+    return film(
+        path, [number / 10 for number in range(N_FRAMES)], images=list(images), codec="mjpeg"
+    )
 
 
 def shortened(path: Path) -> None:
@@ -56,7 +59,8 @@ CHANGES = [shortened, replaced, overwritten]
 def test_finished_frames_are_kept(tmp_path: Path, noise: Path) -> None:
     detections = tmp_path / "detections.txt"
     detections.write_text(
-        "".join(f"{frame},-1,20,20,40,40,0.9,1,1\n" for frame in range(1, N_FRAMES + 1)), encoding="ascii"
+        "".join(f"{frame},-1,20,20,40,40,0.9,1,1\n" for frame in range(1, N_FRAMES + 1)),
+        encoding="ascii",
     )
     out = tmp_path / "out"
     run = Run.mono(noise, detections=detections, out=out, focal_px=100, overlay=False, lanes="off")
@@ -74,7 +78,9 @@ def test_finished_frames_are_kept(tmp_path: Path, noise: Path) -> None:
 
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_changed_video_of_a_pair(tmp_path: Path, film: Film, change: Callable[[Path], None], side: str) -> None:
+def test_changed_video_of_a_pair(
+    tmp_path: Path, film: Film, change: Callable[[Path], None], side: str
+) -> None:
     paths = {name: noisy_film(tmp_path / f"{name}.mkv", film) for name in ("left", "right")}
     pairs = iter(RecordedPair(open_video(paths["left"]), open_video(paths["right"])))
     indices = [next(pairs)[0].index]

@@ -11,8 +11,11 @@ def test_frame_index_counts_earlier_packets(stamps: list[int], first: int) -> No
     log = DecodeLog()
     for stamp in stamps:
         log.packet(stamp, is_corrupt=False)
-    decoded = sorted(stamps)[first::2]  # some are skipped at the start, and every other one cannot be decoded
-    assert [log.frame_index(stamp) for stamp in decoded] == [sum(s < stamp for s in stamps) for stamp in decoded]
+    # some are skipped at the start, and every other one cannot be decoded
+    decoded = sorted(stamps)[first::2]
+    assert [log.frame_index(stamp) for stamp in decoded] == [
+        sum(s < stamp for s in stamps) for stamp in decoded
+    ]
 
 
 def test_frames_without_timestamps_are_counted() -> None:

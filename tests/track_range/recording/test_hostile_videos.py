@@ -1,4 +1,5 @@
-"""Videos that are no files, playlists that name other files or addresses, and impossible sizes and rates."""
+"""Videos that are no files, playlists that name other files or addresses, and impossible sizes and
+rates."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ PLAYLISTS = {
     "hls.m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{target}\n#EXT-X-ENDLIST\n",
     "concat.ffconcat": "ffconcat version 1.0\nfile '{target}'\n",
     "concat.mp4": "ffconcat version 1.0\nfile '{target}'\n",
-    "session.sdp": "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 32\n",
+    "session.sdp": "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 "
+    "RTP/AVP 32\n",
     "list.xspf": "<playlist><trackList><track><location>{target}</location></track></trackList></playlist>",
     "list.mpd": '<?xml version="1.0"?><MPD><Period><AdaptationSet><Representation id="1"><BaseURL>{target}</BaseURL>'
     "</Representation></AdaptationSet></Period></MPD>",
@@ -75,7 +77,12 @@ def test_pipes_devices_and_folders_without_images(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mp4")
     (tmp_path / "zero.mp4").symlink_to("/dev/zero")
     (tmp_path / "loop").symlink_to("loop")
-    for name, words in (("pipe.mp4", "pipe.*udp:"), ("zero.mp4", "device"), ("loop", "loop"), ("no.mp4", "no such")):
+    for name, words in (
+        ("pipe.mp4", "pipe.*udp:"),
+        ("zero.mp4", "device"),
+        ("loop", "loop"),
+        ("no.mp4", "no such"),
+    ):
         with pytest.raises(VideoError, match=f"{name}: .*{words}") as error:
             open_video(tmp_path / name)
         assert len(str(error.value)) < 300 + len(str(tmp_path))

@@ -48,7 +48,12 @@ def test_images_are_sorted_by_number(folder: Path, level: Level, number_in: Numb
 def test_missing_number_is_a_dropped_frame(folder: Path, level: Level) -> None:
     fill(folder, level, [3, 4, 7, 8])
     reader = open_video(folder, folder_fps=20.0)
-    assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [(0, 0.15), (1, 0.2), (4, 0.35), (5, 0.4)]
+    assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [
+        (0, 0.15),
+        (1, 0.2),
+        (4, 0.35),
+        (5, 0.4),
+    ]
     (note,) = reader.notes
     assert note.startswith(f"{folder}: 2 numbers")
 
@@ -94,7 +99,9 @@ def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level
     assert note.startswith(f"{path}: ignored")
 
 
-@pytest.mark.parametrize("text", ["0.0\nnone\n", "0.1\n0.1\n", "2011-09-26 13:10:51.1\n2011-13-99 13:10:51.2\n"])
+@pytest.mark.parametrize(
+    "text", ["0.0\nnone\n", "0.1\n0.1\n", "2011-09-26 13:10:51.1\n2011-13-99 13:10:51.2\n"]
+)
 def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) -> None:
     fill(folder, level, [0, 1])
     path = folder / "timestamps.txt"

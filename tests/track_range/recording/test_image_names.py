@@ -25,7 +25,10 @@ def touch(folder: Path, names: list[str]) -> Path:
 
 
 TIMES = (  # names in the order of time, and the seconds between them
-    (["1403636579763555584.png", "1403636579813555456.png", "1403636579863555584.png"], [0.04999987, 0.05000013]),
+    (
+        ["1403636579763555584.png", "1403636579813555456.png", "1403636579863555584.png"],
+        [0.04999987, 0.05000013],
+    ),
     (
         [
             "n015-2018-07-24-11-22-45+0800__CAM_FRONT__1532402927612460.jpg",
@@ -33,15 +36,26 @@ TIMES = (  # names in the order of time, and the seconds between them
         ],
         [0.5],
     ),
-    (["1305031102.175304.png", "1305031102.211214.png", "1305031102.243211.png"], [0.03591, 0.031997]),
-    (["1305031102.75304.png", "1305031102.111214.png", "1305031102.143211.png"], [0.03591, 0.031997]),  # no zeros
+    (
+        ["1305031102.175304.png", "1305031102.211214.png", "1305031102.243211.png"],
+        [0.03591, 0.031997],
+    ),
+    # no zeros
+    (
+        ["1305031102.75304.png", "1305031102.111214.png", "1305031102.143211.png"],
+        [0.03591, 0.031997],
+    ),
     (["1532402927612.jpg", "1532402927712.jpg", "1532402927812.jpg"], [0.1, 0.1]),
     (["1532402927.jpg", "1532402928.jpg"], [1.0]),
-    (["img_35123456789.png", "img_35173456789.png", "img_35223456789.png"], [0.05, 0.05]),  # ns since the start
+    # ns since the start
+    (["img_35123456789.png", "img_35173456789.png", "img_35223456789.png"], [0.05, 0.05]),
     (["2026-01-31T14-25-30.900.png", "2026-01-31T14-25-31.000.png"], [0.1]),
     (["20260131_142530_900.png", "20260131_142531_000.png", "20260131_142531_100.png"], [0.1, 0.1]),
     (
-        ["2018-07-11-14-48-52_2018-07-11-15-33-43-123.jpg", "2018-07-11-14-48-52_2018-07-11-15-33-43-223.jpg"],
+        [
+            "2018-07-11-14-48-52_2018-07-11-15-33-43-123.jpg",
+            "2018-07-11-14-48-52_2018-07-11-15-33-43-223.jpg",
+        ],
         [0.1],
     ),
 )
@@ -59,7 +73,13 @@ def test_times_in_names(tmp_path, names, steps_s):
 NUMBERS = (  # names in their order, and the frame numbers
     (["0000000007.png", "0000000008.png", "0000000011.png"], [7, 8, 11]),  # KITTI raw
     (["aachen_000000_000019_leftImg8bit.png", "aachen_000001_000019_leftImg8bit.png"], [0, 1]),
-    (["stuttgart_00_000000_000009_leftImg8bit.png", "stuttgart_00_000000_000010_leftImg8bit.png"], [9, 10]),
+    (
+        [
+            "stuttgart_00_000000_000009_leftImg8bit.png",
+            "stuttgart_00_000000_000010_leftImg8bit.png",
+        ],
+        [9, 10],
+    ),
     (["000000_10.png", "000001_10.png", "000002_10.png"], [0, 1, 2]),  # KITTI 2015
     (["000000_10.png", "000000_11.png", "000001_10.png"], None),  # both of its images
     (["frame9.png", "frame10.png", "frame11.png"], [9, 10, 11]),
@@ -122,9 +142,13 @@ def test_left_and_right_of_one_folder(tmp_path, level: Level, number_in: NumberI
     pair = stereo_images(tmp_path)
     assert pair is not None
     for side, path in enumerate(pair):
-        assert [number_in(frame.image) for frame in open_video(path)] == [n + 4 * side for n in range(3)]
+        assert [number_in(frame.image) for frame in open_video(path)] == [
+            n + 4 * side for n in range(3)
+        ]
     recording = open_recording(tmp_path, stereo_layout="auto", has_checks=False)
-    assert [number_in(video.first_image) for video in recording.videos if video.first_image is not None] in ([], [4])
+    assert [
+        number_in(video.first_image) for video in recording.videos if video.first_image is not None
+    ] in ([], [4])
     assert any("the right images" in note for note in recording.notes)
     recording.close()
 
@@ -134,7 +158,9 @@ def test_one_camera_is_no_pair(tmp_path):
     assert stereo_images(touch(tmp_path / "b", ["road_1.png", "lane_2.png"])) is None
 
 
-@pytest.mark.parametrize(("n_bits", "suffix"), [(10, "png"), (12, "tiff"), (14, "pgm"), (16, "png")])
+@pytest.mark.parametrize(
+    ("n_bits", "suffix"), [(10, "png"), (12, "tiff"), (14, "pgm"), (16, "png")]
+)
 def test_bits_per_pixel(tmp_path, n_bits, suffix):
     stored = np.linspace(0, 2**n_bits - 1, 64).astype(np.uint16).reshape(8, 8)
     cv2.imwrite(str(tmp_path / f"0.{suffix}"), stored)

@@ -27,7 +27,8 @@ def test_cameras_and_streams(name: str, url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["left.mp4", "drive/left", "1234", "-1", "1a", "file:///x.mp4", "C://left.mp4", "a" * 5000]
+    "name",
+    ["left.mp4", "drive/left", "1234", "-1", "1a", "file:///x.mp4", "C://left.mp4", "a" * 5000],
 )
 def test_files_and_folders(name: str) -> None:
     assert live_address(name) is None
@@ -49,7 +50,11 @@ def test_credentials_are_hidden() -> None:
 
 @pytest.mark.parametrize(
     ("url", "stem"),
-    [("/dev/video0", "video0"), ("rtsp://u:p@10.0.0.7/stream1", "10-0-0-7-stream1"), ("tcp://", "live")],
+    [
+        ("/dev/video0", "video0"),
+        ("rtsp://u:p@10.0.0.7/stream1", "10-0-0-7-stream1"),
+        ("tcp://", "live"),
+    ],
 )
 def test_stem(url: str, stem: str) -> None:
     assert LiveAddress(url).stem == stem

@@ -1,4 +1,5 @@
-"""Tests of the clock of live streams: increasing times of this machine's clock, without network jitter."""
+"""Tests of the clock of live streams: increasing times of this machine's clock, without network
+jitter."""
 
 from __future__ import annotations
 
@@ -11,7 +12,11 @@ from track_range.recording.live.live_video import StreamClock
 
 def test_timestamps_of_this_machines_clock() -> None:
     clock = StreamClock()
-    assert [clock.time_s(stamp_s, stamp_s + 0.03) for stamp_s in (1000.0, 1000.1, 1000.2)] == [1000.0, 1000.1, 1000.2]
+    assert [clock.time_s(stamp_s, stamp_s + 0.03) for stamp_s in (1000.0, 1000.1, 1000.2)] == [
+        1000.0,
+        1000.1,
+        1000.2,
+    ]
     assert clock.is_shared
 
 
@@ -19,7 +24,9 @@ def test_offset_is_that_of_the_shortest_delay() -> None:
     clock = StreamClock()
     # Sent at 5000 + stamp, arriving 80, 20 and 60 ms later.
     arrivals = [(1.0, 5001.08), (1.1, 5001.12), (1.2, 5001.26)]
-    assert [clock.time_s(*arrival) for arrival in arrivals] == pytest.approx([5001.08, 5001.12, 5001.22])
+    assert [clock.time_s(*arrival) for arrival in arrivals] == pytest.approx(
+        [5001.08, 5001.12, 5001.22]
+    )
     assert clock.is_shared is False
 
 

@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.track_range.recording.live_servers import N_LEVELS, RATE_HZ, cameras, number_of, served, sound
+from tests.track_range.recording.live_servers import (
+    N_LEVELS,
+    RATE_HZ,
+    cameras,
+    number_of,
+    served,
+    sound,
+)
 from tests.track_range.views.overlay_results import result
 from track_range.recording.frame import VideoError
 from track_range.recording.live import live_video
@@ -33,10 +40,17 @@ def wait_for_frames(reader: LiveVideo, n: int) -> None:
 def test_frames_are_in_order_with_the_streams_time_steps() -> None:
     with cameras(1) as (camera,):
         reader = LiveVideo(LiveAddress(camera.url))
-        assert (reader.width_px, reader.height_px, reader.is_grey, reader.fps) == (64, 48, True, RATE_HZ)
+        assert (reader.width_px, reader.height_px, reader.is_grey, reader.fps) == (
+            64,
+            48,
+            True,
+            RATE_HZ,
+        )
         assert reader.n_frames is None
         frames = list(itertools.islice(reader, 6))
-    index, time_s = (np.array([getattr(frame, name) for frame in frames]) for name in ("index", "time_s"))
+    index, time_s = (
+        np.array([getattr(frame, name) for frame in frames]) for name in ("index", "time_s")
+    )
     assert (np.diff(index) > 0).all()
     assert (np.diff(time_s) > 0).all()
     shown = np.array([number_of(frame.image) for frame in frames])
@@ -195,7 +209,8 @@ def test_pair_is_the_newest_within_the_tolerance() -> None:
         pair.close()
     for left_frame, right_frame in (first, second):
         assert abs(left_frame.time_s - right_frame.time_s) <= pair.tolerance_s == 0.5 / RATE_HZ
-    assert second[0].index > first[0].index + 8  # not the next frame; the newest pair may lag behind the newest frame
+    # not the next frame; the newest pair may lag behind the newest frame
+    assert second[0].index > first[0].index + 8
     assert left.n_taken <= 4 < left.n_received
     assert "2 pairs" in pair.notes[0]
 
@@ -218,7 +233,8 @@ def test_pair_fails_with_one_stream() -> None:
 
 
 def test_pair_is_read_twice() -> None:
-    """First the frames for the alignment, then the run, which continues with the newest frames and times from 0."""
+    """First the frames for the alignment, then the run, which continues with the newest frames and
+    times from 0."""
     with cameras(2) as (one, other):
         pair = LivePair(*(LiveVideo(LiveAddress(camera.url)) for camera in (one, other)))
         first = list(itertools.islice(pair, 3))
@@ -231,7 +247,10 @@ def test_pair_is_read_twice() -> None:
 
 def test_part_of_a_pair() -> None:
     with cameras(2) as (one, other):
-        readers = (LiveVideo(LiveAddress(camera.url), start_s=0.1, duration_s=3.0) for camera in (one, other))
+        readers = (
+            LiveVideo(LiveAddress(camera.url), start_s=0.1, duration_s=3.0)
+            for camera in (one, other)
+        )
         pair = LivePair(*readers)
         times_s = np.array([left.time_s for left, _ in pair]) - pair.left.first_time_s
         pair.close()

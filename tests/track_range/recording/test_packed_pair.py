@@ -1,4 +1,5 @@
-"""Tests of one recording with the images of two cameras: the frames must be those of two recordings."""
+"""Tests of one recording with the images of two cameras: the frames must be those of two
+recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +15,14 @@ import pytest
 from tests.track_range.recording import recording_files
 from tests.track_range.recording.bag_writers import write_foxglove
 from tests.track_range.recording.live_servers import cameras
-from tests.track_range.recording.recording_files import PACKED, Pair, box, with_box, write_folder, write_video
+from tests.track_range.recording.recording_files import (
+    PACKED,
+    Pair,
+    box,
+    with_box,
+    write_folder,
+    write_video,
+)
 from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
 from track_range.recording.names import Half, VideoTrack
@@ -32,13 +40,24 @@ RIG = StereoRig.rectified(PinholeCamera(300.0, 300.0, 159.5, 79.5, WIDTH_PX, HEI
 
 
 def road_images(sign: int, n: int = 3) -> list[np.ndarray]:
-    """Images of a moving wall with coarse and fine noise, and of a road on which disparities grow downwards."""
+    """Images of a moving wall with coarse and fine noise, and of a road on which disparities grow
+    downwards."""
     noise = np.random.default_rng(0).integers(0, 255, (HEIGHT_PX, 700, 3), np.uint8)
     coarse = cv2.resize(noise[:8, :35], (700, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
-    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX) // 2 + coarse // 2
-    shift_px = 100 + sign * np.round(4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)).astype(int)
+    wall = (
+        cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX) // 2
+        + coarse // 2
+    )
+    shift_px = 100 + sign * np.round(
+        4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)
+    ).astype(int)
     return [
-        np.stack([row[s : s + WIDTH_PX] for row, s in zip(wall, (shift_px + 3 * number).tolist(), strict=True)])
+        np.stack(
+            [
+                row[s : s + WIDTH_PX]
+                for row, s in zip(wall, (shift_px + 3 * number).tolist(), strict=True)
+            ]
+        )
         for number in range(n)
     ]
 
@@ -75,14 +94,25 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> list[Frame]:
 
 @pytest.mark.parametrize("layout", PACKED)
 @pytest.mark.parametrize("option", ["given", "auto"])
-def test_frames_of_a_folder_are_those_of_two(tmp_path: Path, two: list[Frame], layout: str, option: str) -> None:
+def test_frames_of_a_folder_are_those_of_two(
+    tmp_path: Path, two: list[Frame], layout: str, option: str
+) -> None:
     folder = write_folder(tmp_path / "both", packed(layout))
-    recording = open_recording(folder, rig=RIG, align="off", stereo_layout=layout if option == "given" else "auto")
+    recording = open_recording(
+        folder, rig=RIG, align="off", stereo_layout=layout if option == "given" else "auto"
+    )
     assert isinstance(recording.source, PackedPair)
-    assert (recording.size_px, recording.n_frames, recording.fps) == ((WIDTH_PX, HEIGHT_PX), 3, 10.0)
+    assert (recording.size_px, recording.n_frames, recording.fps) == (
+        (WIDTH_PX, HEIGHT_PX),
+        3,
+        10.0,
+    )
     assert recording.sync is not None
     assert_equal(list(recording.frames), two)
-    assert any("as given" in note if option == "given" else "matching points" in note for note in recording.notes)
+    assert any(
+        "as given" in note if option == "given" else "matching points" in note
+        for note in recording.notes
+    )
 
 
 def test_part_of_a_recording(tmp_path: Path, two: list[Frame]) -> None:
@@ -93,10 +123,17 @@ def test_part_of_a_recording(tmp_path: Path, two: list[Frame]) -> None:
 
 
 @pytest.mark.parametrize(("layout", "squeeze"), [("side-by-side", (2, 1)), ("top-bottom", (1, 2))])
-def test_squeezed_images_are_recognised_by_the_rig(tmp_path: Path, layout: str, squeeze: tuple[int, int]) -> None:
+def test_squeezed_images_are_recognised_by_the_rig(
+    tmp_path: Path, layout: str, squeeze: tuple[int, int]
+) -> None:
     size_px = WIDTH_PX // squeeze[0], HEIGHT_PX // squeeze[1]
-    small = [[cv2.resize(im, size_px, interpolation=cv2.INTER_AREA) for im in images] for images in (LEFT, RIGHT)]
-    folder = write_folder(tmp_path / "half", [PACKED[layout](*pair) for pair in zip(*small, strict=True)])
+    small = [
+        [cv2.resize(im, size_px, interpolation=cv2.INTER_AREA) for im in images]
+        for images in (LEFT, RIGHT)
+    ]
+    folder = write_folder(
+        tmp_path / "half", [PACKED[layout](*pair) for pair in zip(*small, strict=True)]
+    )
     recording = open_recording(folder, rig=RIG, align="off", stereo_layout=layout)  # type: ignore[arg-type]
     assert recording.size_px == (WIDTH_PX, HEIGHT_PX)
     assert recording.rig is not None
@@ -153,7 +190,9 @@ def test_pairs_read_ahead_are_those_read_later(tmp_path: Path) -> None:
         ("both.mp4", "", {"x264-params": "frame-packing=4"}, "top-bottom"),
     ],
 )
-def test_stated_layouts(tmp_path: Path, name: str, stereo_mode: str, options: dict[str, str], layout: str) -> None:
+def test_stated_layouts(
+    tmp_path: Path, name: str, stereo_mode: str, options: dict[str, str], layout: str
+) -> None:
     grey = np.full((160, 320, 3), 90, np.uint8)  # nothing to match
     path = write_video(tmp_path / name, [[grey] * 2], stereo_mode=stereo_mode, options=options)
     recording = open_recording(path, stereo_layout="auto", focal_px=300.0)
@@ -174,7 +213,8 @@ def test_stated_layouts(tmp_path: Path, name: str, stereo_mode: str, options: di
             (
                 box(
                     b"vexu",
-                    box(b"eyes", box(b"stri", bytes([0, 0, 0, 0, 3]))) + box(b"pack", box(b"pkin", bytes(4) + kind)),
+                    box(b"eyes", box(b"stri", bytes([0, 0, 0, 0, 3])))
+                    + box(b"pack", box(b"pkin", bytes(4) + kind)),
                 ),
                 layout,
             )
@@ -184,7 +224,10 @@ def test_stated_layouts(tmp_path: Path, name: str, stereo_mode: str, options: di
 )
 def test_layouts_in_boxes_of_mp4(tmp_path: Path, added: bytes, layout: str) -> None:
     grey = [np.full((160, 320, 3), 90, np.uint8)] * 2
-    assert open_video(with_box(write_video(tmp_path / "both.mp4", [grey]), added)).stated_layout == layout
+    assert (
+        open_video(with_box(write_video(tmp_path / "both.mp4", [grey]), added)).stated_layout
+        == layout
+    )
 
 
 def test_second_view_of_spatial_video(tmp_path: Path) -> None:
@@ -196,7 +239,9 @@ def test_second_view_of_spatial_video(tmp_path: Path) -> None:
 
 def test_images_of_one_camera_are_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "left", LEFT)
-    with pytest.raises(VideoError, match=r"left: expected the images of two cameras.*--stereo-layout.*--mono"):
+    with pytest.raises(
+        VideoError, match=r"left: expected the images of two cameras.*--stereo-layout.*--mono"
+    ):
         open_recording(folder, stereo_layout="auto")
 
 
@@ -226,11 +271,15 @@ def test_largest_track_is_used(tmp_path: Path) -> None:
     video = open_video(path)
     assert (video.width_px, video.height_px) == (WIDTH_PX, HEIGHT_PX)
     assert np.abs(next(iter(video)).image.astype(int) - LEFT[0]).max() < 12
-    assert any("track 0 (80x40 px) is left out" in note and "--track" in note for note in video.notes)
+    assert any(
+        "track 0 (80x40 px) is left out" in note and "--track" in note for note in video.notes
+    )
     chosen = open_video(VideoTrack(path, 0))
     assert (chosen.width_px, chosen.height_px, chosen.notes) == (80, 40, ())
     assert open_recording(path, track=0).videos[0].width_px == 80
-    with pytest.raises(VideoError, match=r"drive\.mp4: expected video track 2, found 2 tracks.*--track"):
+    with pytest.raises(
+        VideoError, match=r"drive\.mp4: expected video track 2, found 2 tracks.*--track"
+    ):
         open_video(VideoTrack(path, 2))
 
 

@@ -17,11 +17,21 @@ RIG = StereoRig.rectified(PinholeCamera(400.0, 400.0, 239.5, 129.5, WIDTH_PX, HE
 
 @cache
 def road(sign, row_px=0):
-    """Image of a wall above a road: disparities of 8 px grow downwards below the middle, half of them per side."""
+    """Image of a wall above a road: disparities of 8 px grow downwards below the middle, half of
+    them per side."""
     noise = np.random.default_rng(7).normal(size=(HEIGHT_PX, 700))
-    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    shift_px = 100 + sign * np.round(4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)).astype(int)
-    image = np.stack([row[start : start + WIDTH_PX] for row, start in zip(texture, shift_px.tolist(), strict=True)])
+    texture = cv2.normalize(
+        cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX
+    ).astype(np.uint8)
+    shift_px = 100 + sign * np.round(
+        4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)
+    ).astype(int)
+    image = np.stack(
+        [
+            row[start : start + WIDTH_PX]
+            for row, start in zip(texture, shift_px.tolist(), strict=True)
+        ]
+    )
     return np.roll(image, row_px, axis=0)
 
 
@@ -69,7 +79,8 @@ def test_a_frame_is_checked_if_it_is_due():
     monitor = PairMonitor(RIG)
     assert notes_of(frames(30, step_s=0.02), monitor) == ()
     assert monitor.finding is None
-    assert monitor._evidence.n_pairs == 3  # at 0, 0.1 and 0.28 s: without motion the interval doubles
+    # at 0, 0.1 and 0.28 s: without motion the interval doubles
+    assert monitor._evidence.n_pairs == 3
 
 
 def test_pairs_without_texture_are_reported():

@@ -1,4 +1,5 @@
-"""Recordings whose pixels are not square: what the file states, what is usual, and calibrations of either size."""
+"""Recordings whose pixels are not square: what the file states, what is usual, and calibrations of
+either size."""
 
 import math
 from fractions import Fraction
@@ -26,7 +27,9 @@ def test_the_focal_length_is_that_of_square_pixels(video):
     recording = open_recording(video, focal_px=150.0)
     assert recording.camera == SQUARE
     assert next(recording.frames).left.shape == (48, 128, 3)
-    assert any("2 times as wide as high" in note and "128x48 px" in note for note in recording.notes)
+    assert any(
+        "2 times as wide as high" in note and "128x48 px" in note for note in recording.notes
+    )
     recording.close()
     recording = open_recording(video, video, focal_px=150.0)  # a pair without a calibration
     assert recording.camera == SQUARE
@@ -46,7 +49,9 @@ def test_calibrations_of_stored_and_of_square_pixels(video, tmp_path, calibrated
         assert recording.camera == SQUARE
         assert not any("doubt" in note for note in recording.notes)
         recording.close()
-    recording = open_recording(video, video, rig=tmp_path / "pair.yaml", align="off", has_checks=False)
+    recording = open_recording(
+        video, video, rig=tmp_path / "pair.yaml", align="off", has_checks=False
+    )
     assert recording.rig is not None
     assert (recording.rig.left, recording.rig.baseline_m) == (SQUARE, 0.5)
     recording.close()

@@ -1,4 +1,5 @@
-"""A raw pair (distorted, rotated cameras) with its rig gives the distances of the rectified videos."""
+"""A raw pair (distorted, rotated cameras) with its rig gives the distances of the rectified
+videos."""
 
 from pathlib import Path
 
@@ -25,7 +26,8 @@ N_FRAMES = 4
 
 
 def rotation(side):
-    """(3, 3) rotation from the ideal camera's frame to that of the raw camera, `side` "left" or "right"."""
+    """(3, 3) rotation from the ideal camera's frame to that of the raw camera, `side` "left" or
+    "right"."""
     return cv2.Rodrigues(np.array(ROTATIONS_RAD[side]))[0]
 
 
@@ -60,7 +62,9 @@ def folders(tmp_path_factory):
                 image = raw_image(image, camera, side) if kind == "raw" else image
                 cv2.imwrite(str(top / kind / side / f"{number:06d}.png"), image)
         save_rig(rig, top / kind / "rig.yaml")
-    return top, label_scene(renderer.scene, [number / 10 for number in range(N_FRAMES)], camera=IDEAL.left)
+    return top, label_scene(
+        renderer.scene, [number / 10 for number in range(N_FRAMES)], camera=IDEAL.left
+    )
 
 
 def opened(folder):
@@ -89,7 +93,13 @@ def test_raw_pair_gives_the_same_distances(folders):
     ideal_m, _ = measured_m(top / "ideal", boxes)
     rig = raw_rig()
     rectification = cv2.stereoRectify(
-        *(LEFT.matrix, np.array(LEFT.distortion), RIGHT.matrix, np.array(RIGHT.distortion), (1000, 340)),
+        *(
+            LEFT.matrix,
+            np.array(LEFT.distortion),
+            RIGHT.matrix,
+            np.array(RIGHT.distortion),
+            (1000, 340),
+        ),
         *(rig.right_from_left[:3, :3].copy(), rig.right_from_left[:3, 3:].copy()),
         alpha=0,
     )[0]
@@ -97,7 +107,9 @@ def test_raw_pair_gives_the_same_distances(folders):
     probe = opened(top / "raw")
     to_rectified = probe.camera.matrix @ rectified_from_ideal @ np.linalg.inv(IDEAL.left.matrix)
     probe.frames.close()
-    moved = [cv2.perspectiveTransform(b.reshape(-1, 1, 2), to_rectified).reshape(-1, 4) for b in boxes]
+    moved = [
+        cv2.perspectiveTransform(b.reshape(-1, 1, 2), to_rectified).reshape(-1, 4) for b in boxes
+    ]
     raw_m, recording = measured_m(top / "raw", moved)
     assert recording.rig.is_rectified
     centres = np.concatenate(boxes).reshape(-1, 2, 2).mean(axis=1)

@@ -19,7 +19,9 @@ Level = Callable[..., np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def view(tmp_path_factory: pytest.TempPathFactory, level: Level) -> Callable[[list[float]], RecordedVideo]:
+def view(
+    tmp_path_factory: pytest.TempPathFactory, level: Level
+) -> Callable[[list[float]], RecordedVideo]:
     """Makes a reader of an image folder with the given times, in seconds after 13:10:00."""
     image = cv2.imencode(".png", level(0, width_px=16, height_px=8))[1].tobytes()
 
@@ -47,7 +49,9 @@ def indices(video: RecordedPair) -> list[tuple[int, int]]:
 
 def n_unused(video: RecordedPair, side: str) -> int:
     """Number of frames of one side that the notes report as skipped."""
-    counts = (re.findall(rf"(\d+) (?:earlier |later )?{side} frames?\b", note) for note in video.notes)
+    counts = (
+        re.findall(rf"(\d+) (?:earlier |later )?{side} frames?\b", note) for note in video.notes
+    )
     return sum(int(n) for numbers in counts for n in numbers)
 
 
@@ -179,7 +183,9 @@ def test_start_offset_of_a_stream(tmp_path: Path, film: Callable[..., Path]) -> 
 
 def test_truncated_right_video(tmp_path: Path, film: Callable[..., Path]) -> None:
     images = list(np.random.default_rng(3).integers(0, 256, (40, 48, 64, 3), np.uint8))
-    left, right = (film(tmp_path / f"{side}.mkv", times(40), images=images) for side in ("left", "right"))
+    left, right = (
+        film(tmp_path / f"{side}.mkv", times(40), images=images) for side in ("left", "right")
+    )
     right.write_bytes(right.read_bytes()[: right.stat().st_size // 2])
     video = RecordedPair(open_video(left), open_video(right))
     n = len(indices(video))
@@ -189,7 +195,10 @@ def test_truncated_right_video(tmp_path: Path, film: Callable[..., Path]) -> Non
 
 
 def test_real_pair(shared_data: Path) -> None:
-    left, right = (open_video(shared_data / "kitti_stereo" / "0003" / f"{side}.mp4") for side in ("left", "right"))
+    left, right = (
+        open_video(shared_data / "kitti_stereo" / "0003" / f"{side}.mp4")
+        for side in ("left", "right")
+    )
     video = RecordedPair(left, right)
     pairs = list(video)
     assert [(a.index, b.index) for a, b in pairs] == [(number, number) for number in range(16)]

@@ -22,7 +22,9 @@ WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12
 CAMERA = PinholeCamera(300.0, 300.0, 159.5, 79.5, WIDTH_PX, HEIGHT_PX)
 
 
-def write_view(folder: Path, shift_px: int, *, n=3, size_px=(WIDTH_PX, HEIGHT_PX), row_px=0, is_grey=False) -> Path:
+def write_view(
+    folder: Path, shift_px: int, *, n=3, size_px=(WIDTH_PX, HEIGHT_PX), row_px=0, is_grey=False
+) -> Path:
     """Write images of a wall with smooth coloured noise, shifted to the left by the disparity."""
     noise = np.random.default_rng(0).integers(0, 255, (400, 700, 3), np.uint8)
     wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
@@ -30,17 +32,25 @@ def write_view(folder: Path, shift_px: int, *, n=3, size_px=(WIDTH_PX, HEIGHT_PX
         wall = np.repeat(wall[:, :, :1], 3, axis=2)
     folder.mkdir(parents=True)
     for number in range(n):
-        rows, columns = slice(40 + row_px, 40 + row_px + size_px[1]), slice(40 + shift_px, 40 + shift_px + size_px[0])
+        rows, columns = (
+            slice(40 + row_px, 40 + row_px + size_px[1]),
+            slice(40 + shift_px, 40 + shift_px + size_px[0]),
+        )
         cv2.imwrite(str(folder / f"{number:06d}.png"), wall[rows, columns])
     return folder
 
 
 def write_road(folder: Path, sign: int, *, n=3) -> Path:
-    """Write images of a road below the middle, on which disparities grow downwards, and of a wall above."""
+    """Write images of a road below the middle, on which disparities grow downwards, and of a wall
+    above."""
     noise = np.random.default_rng(0).integers(0, 255, (HEIGHT_PX, 700, 3), np.uint8)
     wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
-    shift_px = 100 + sign * np.round(4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)).astype(int)
-    image = np.stack([row[start : start + WIDTH_PX] for row, start in zip(wall, shift_px.tolist(), strict=True)])
+    shift_px = 100 + sign * np.round(
+        4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)
+    ).astype(int)
+    image = np.stack(
+        [row[start : start + WIDTH_PX] for row, start in zip(wall, shift_px.tolist(), strict=True)]
+    )
     folder.mkdir(parents=True)
     for number in range(n):
         cv2.imwrite(str(folder / f"{number:06d}.png"), image)
@@ -58,7 +68,11 @@ def test_rig_next_to_the_left_video_is_used(pair):
     frames = list(recording.frames)
     assert [(f.index, round(f.time_s, 6)) for f in frames] == [(0, 0.0), (1, 0.1), (2, 0.2)]
     assert (frames[0].left[:, SHIFT_PX:] == frames[0].right[:, :-SHIFT_PX]).all()
-    assert (recording.n_frames, recording.size_px, recording.camera) == (3, (WIDTH_PX, HEIGHT_PX), CAMERA)
+    assert (recording.n_frames, recording.size_px, recording.camera) == (
+        3,
+        (WIDTH_PX, HEIGHT_PX),
+        CAMERA,
+    )
     assert any("rig.yaml" in note for note in recording.notes)
 
 
@@ -91,7 +105,9 @@ def test_row_offset_is_corrected_and_reported(pair, tmp_path):
     assert recording.rig.alignment is recording.alignment
     frame = next(recording.frames)
     grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
-    assert np.median(np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])) <= 4
+    assert (
+        np.median(np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])) <= 4
+    )
     off = open_recording(pair[0], right, align="off")
     assert any("+4.0 px" in note and "corrected" not in note for note in off.notes)
 
@@ -111,7 +127,12 @@ def test_cameras_of_unequal_sizes(pair, tmp_path, scale):
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.5
     cameras = [
-        PinholeCamera(c.fx_px * scale, c.fy_px * scale, *((o + 0.5) * scale - 0.5 for o in (c.cx_px, c.cy_px)), *size)
+        PinholeCamera(
+            c.fx_px * scale,
+            c.fy_px * scale,
+            *((o + 0.5) * scale - 0.5 for o in (c.cx_px, c.cy_px)),
+            *size,
+        )
         for c, size in ((CAMERA, (320 * scale, 160 * scale)), (small, (200 * scale, 120 * scale)))
     ]
     save_rig(StereoRig(*cameras, right_from_left), tmp_path / "rig.yaml")
@@ -130,7 +151,11 @@ def test_cameras_of_unequal_sizes(pair, tmp_path, scale):
 def test_pair_without_rig_is_uncalibrated(pair, tmp_path):
     (tmp_path / "rig.yaml").unlink()
     recording = open_recording(*pair)
-    assert (recording.rig, recording.calibration.kind, recording.calibration.alignment) == (None, "estimated", None)
+    assert (recording.rig, recording.calibration.kind, recording.calibration.alignment) == (
+        None,
+        "estimated",
+        None,
+    )
     assert recording.camera.fx_px == pytest.approx(WIDTH_PX / 2 / np.tan(np.radians(75 / 2)))
     assert recording.calibration.assumed_rig is not None
     assert recording.calibration.focal_sigma == 0.3
@@ -156,7 +181,10 @@ def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
     middle = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
     for image in sorted(pair[1].iterdir()):
         rotation = cv2.getRotationMatrix2D(middle, 12.0, 1.0)
-        cv2.imwrite(str(rotated / image.name), cv2.warpAffine(cv2.imread(str(image)), rotation, (WIDTH_PX, HEIGHT_PX)))
+        cv2.imwrite(
+            str(rotated / image.name),
+            cv2.warpAffine(cv2.imread(str(image)), rotation, (WIDTH_PX, HEIGHT_PX)),
+        )
     recording = open_recording(pair[0], rotated)
     assert recording.calibration.assumed_rig is None
     assert any("needs a rig" in note for note in recording.notes)
@@ -166,7 +194,11 @@ def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
     (tmp_path / "rig.yaml").unlink()
     recording = open_recording(pair[0])
     calibration = recording.calibration
-    assert (calibration.kind, calibration.focal_sigma, len(calibration.guesses)) == ("estimated", 0.3, 1)
+    assert (calibration.kind, calibration.focal_sigma, len(calibration.guesses)) == (
+        "estimated",
+        0.3,
+        1,
+    )
     assert any("75 degrees" in note and "--known-distance" in note for note in recording.notes)
     recording.close()
 
@@ -174,7 +206,11 @@ def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
 def test_uncertain_focal_length_of_a_file(pair, tmp_path):
     camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
     mounting = Mounting(
-        focal_sigma=0.04, camera_height_m=1.4, camera_height_sigma_m=0.05, pitch_deg=1.5, pitch_sigma_deg=0.2
+        focal_sigma=0.04,
+        camera_height_m=1.4,
+        camera_height_sigma_m=0.05,
+        pitch_deg=1.5,
+        pitch_sigma_deg=0.2,
     )
     save_camera(camera, tmp_path / "rig.yaml", mounting=mounting)
     recording = open_recording(pair[0])
@@ -216,7 +252,9 @@ def test_one_camera(pair):
     assert next(by_rig.frames).right is None
 
 
-@pytest.mark.parametrize(("factor", "is_named"), [(1.0, False), (1.2, False), (1.5, True), (0.7, True)])
+@pytest.mark.parametrize(
+    ("factor", "is_named"), [(1.0, False), (1.2, False), (1.5, True), (0.7, True)]
+)
 def test_given_focal_length_against_metadata(tmp_path, factor, is_named):
     image = pytest.importorskip("PIL.Image").new("RGB", (64, 48))
     exif = image.getexif()
@@ -229,7 +267,10 @@ def test_given_focal_length_against_metadata(tmp_path, factor, is_named):
 
 
 def test_grey_pairs_use_kittis_grey_cameras(tmp_path):
-    lines = [f"P{i}: 300 0 159.5 {-300 * x} 0 300 79.5 0 0 0 1 0" for i, x in enumerate((0.0, 0.4, 0.06, 0.56))]
+    lines = [
+        f"P{i}: 300 0 159.5 {-300 * x} 0 300 79.5 0 0 0 1 0"
+        for i, x in enumerate((0.0, 0.4, 0.06, 0.56))
+    ]
     (tmp_path / "calib.txt").write_text("\n".join(lines))
     colour = write_view(tmp_path / "a" / "left", 0), write_view(tmp_path / "a" / "right", SHIFT_PX)
     grey = (
@@ -239,7 +280,9 @@ def test_grey_pairs_use_kittis_grey_cameras(tmp_path):
     rig = tmp_path / "calib.txt"
     assert open_recording(*colour, rig=rig).rig.baseline_m == pytest.approx(0.5)
     assert open_recording(*grey, rig=rig).rig.baseline_m == pytest.approx(0.4)
-    assert open_recording(*colour, rig=rig).calibration.left_from_reference_m[0] == pytest.approx(-0.06)
+    assert open_recording(*colour, rig=rig).calibration.left_from_reference_m[0] == pytest.approx(
+        -0.06
+    )
     assert open_recording(*grey, rig=rig).calibration.left_from_reference_m[0] == 0.0
 
 
@@ -298,7 +341,8 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
     monkeypatch.setattr(recorded_pair, "MAX_LOOK_AHEAD_BYTES", 3 * 2 * 1.5 * WIDTH_PX * HEIGHT_PX)
     reread = open_recording(left, right)
     frames = list(reread.frames)
-    assert (n_opened, len(opened_files) - n_opened) == (2, 4)  # the frames do not fit in the buffer: read twice
+    # the frames do not fit in the buffer: read twice
+    assert (n_opened, len(opened_files) - n_opened) == (2, 4)
     assert buffered.calibration.alignment.measured == reread.calibration.alignment.measured
     for a, b in zip(expected, frames, strict=True):
         assert (a.index, a.time_s) == (b.index, b.time_s)
@@ -312,7 +356,8 @@ def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
     n_buffered = len(recording.source._ahead)
     next(recording.frames)
-    assert (n_buffered, len(recording.source._ahead)) == (14, 13 - 2 * FRAMES_AHEAD)  # those that wait for later ones
+    # those that wait for later ones
+    assert (n_buffered, len(recording.source._ahead)) == (14, 13 - 2 * FRAMES_AHEAD)
     recording.close()
     assert len(recording.source._ahead) == 0
 

@@ -17,7 +17,12 @@ from track_range.recording.frame import VideoError
 from track_range.recording.names import Segments, natural_key
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.segments.segment_times import SegmentFacts, SegmentPlan, arranged, paired_starts_s
+from track_range.recording.segments.segment_times import (
+    SegmentFacts,
+    SegmentPlan,
+    arranged,
+    paired_starts_s,
+)
 from track_range.recording.utc import Stamp, stamp_in_name
 from track_range.run.settings_files import save_settings, settings_from
 
@@ -32,7 +37,12 @@ def trip(film: Film, level: Callable[..., np.ndarray]) -> Trip:
     """Writes files of one second: `trip(folder, names)`; their images have continuous numbers."""
 
     def write(
-        folder: Path, names: list[str], *, first_s: float = 0.0, step_s: float = 0.0, **options: object
+        folder: Path,
+        names: list[str],
+        *,
+        first_s: float = 0.0,
+        step_s: float = 0.0,
+        **options: object,
     ) -> list[Path]:
         folder.mkdir(exist_ok=True)
         return [
@@ -51,12 +61,16 @@ def trip(film: Film, level: Callable[..., np.ndarray]) -> Trip:
 NAMES = ["20260131_142530.mp4", "20260131_142531.mp4", "20260131_142532.mp4"]
 
 
-def test_files_of_a_folder_are_one_video(tmp_path: Path, trip: Trip, number_in: Callable[..., int]) -> None:
+def test_files_of_a_folder_are_one_video(
+    tmp_path: Path, trip: Trip, number_in: Callable[..., int]
+) -> None:
     trip(tmp_path / "trip", NAMES)
     reader = open_video(tmp_path / "trip")
     frames = list(reader)
     assert [frame.index for frame in frames] == list(range(30))
-    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(30)])
+    assert [frame.time_s for frame in frames] == pytest.approx(
+        [number / 10 for number in range(30)]
+    )
     assert [number_in(frame.image) for frame in frames] == list(range(30))
     assert (reader.n_frames, reader.notes) == (30, ())
     assert reader.utc is not None
@@ -65,9 +79,16 @@ def test_files_of_a_folder_are_one_video(tmp_path: Path, trip: Trip, number_in: 
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts"])
-@pytest.mark.parametrize(("start_s", "duration_s"), [(0.0, 0.5), (0.5, 1.0), (1.0, 1.0), (2.35, None), (2.9, None)])
+@pytest.mark.parametrize(
+    ("start_s", "duration_s"), [(0.0, 0.5), (0.5, 1.0), (1.0, 1.0), (2.35, None), (2.9, None)]
+)
 def test_part_of_a_recording(
-    tmp_path: Path, trip: Trip, number_in: Callable[..., int], suffix: str, start_s: float, duration_s: float | None
+    tmp_path: Path,
+    trip: Trip,
+    number_in: Callable[..., int],
+    suffix: str,
+    start_s: float,
+    duration_s: float | None,
 ) -> None:
     trip(tmp_path / "trip", [name.replace("mp4", suffix) for name in NAMES])
     whole = open_video(tmp_path / "trip")
@@ -78,7 +99,9 @@ def test_part_of_a_recording(
         if whole.first_time_s + start_s - 1e-6 <= frame.time_s < until_s
     ]
     part = open_video(tmp_path / "trip", start_s=start_s, duration_s=duration_s)
-    assert [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in part] == expected
+    assert [
+        (frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in part
+    ] == expected
     assert expected[0][0] == expected[0][2]
 
 
@@ -89,12 +112,16 @@ def test_gap_between_files(tmp_path: Path, trip: Trip) -> None:
     assert [frame.index for frame in frames] == list(range(20))
     assert frames[10].time_s == pytest.approx(31.0)
     assert "1 gap between the files, 30.0 s" in reader.notes[0]
-    assert [frame.index for frame in open_video(tmp_path / "trip", start_s=20.0)] == list(range(10, 20))
+    assert [frame.index for frame in open_video(tmp_path / "trip", start_s=20.0)] == list(
+        range(10, 20)
+    )
 
 
 def test_order_by_creation_times(tmp_path: Path, film: Film) -> None:
     for name, time in (("b.mp4", "2026-01-31T14:25:30Z"), ("a.mp4", "2026-01-31T14:25:31Z")):
-        film(tmp_path / name, [number / 10 for number in range(10)], metadata={"creation_time": time})
+        film(
+            tmp_path / name, [number / 10 for number in range(10)], metadata={"creation_time": time}
+        )
     reader = open_video(Segments((tmp_path / "a.mp4", tmp_path / "b.mp4")))
     assert [segment.path.name for segment in reader._segments] == ["b.mp4", "a.mp4"]  # type: ignore[union-attr]
     assert "order of the given files" in reader.notes[0]
@@ -125,7 +152,9 @@ def test_files_of_two_cameras(tmp_path: Path, trip: Trip) -> None:
     assert len(str(raised.value)) < 300 + 2 * len(str(tmp_path))
     front = open_video(tmp_path / "trip" / "*_F.mp4")
     assert [frame.index for frame in front] == list(range(20))
-    assert settings_from({"mono": str(tmp_path / "trip" / "*_F.mp4")}).out_dir == Path("trip-track-range")
+    assert settings_from({"mono": str(tmp_path / "trip" / "*_F.mp4")}).out_dir == Path(
+        "trip-track-range"
+    )
 
 
 def test_empty_and_damaged_files_are_skipped(tmp_path: Path, trip: Trip) -> None:
@@ -168,7 +197,9 @@ def test_copies_are_used_once(tmp_path: Path, trip: Trip) -> None:
     assert len(list(open_video(Segments((files[0], files[1], files[0]))))) == 20
 
 
-def test_files_that_do_not_fit(tmp_path: Path, film: Film, trip: Trip, level: Callable[..., np.ndarray]) -> None:
+def test_files_that_do_not_fit(
+    tmp_path: Path, film: Film, trip: Trip, level: Callable[..., np.ndarray]
+) -> None:
     trip(tmp_path / "trip", NAMES[:2])
     film(tmp_path / "trip" / "20260131_142533.mp4", [0.0], images=[level(0, width_px=96)])
     with pytest.raises(VideoError, match="96x48"):
@@ -189,7 +220,8 @@ def test_other_frame_rate_is_noted(tmp_path: Path, film: Film, trip: Trip) -> No
 
 def test_pair_in_several_files(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "left", [NAMES[0], "20260131_142601.mp4"])
-    trip(tmp_path / "right", [NAMES[0], "20260131_142602.mp4"])  # the dates are truncated to seconds
+    # the dates are truncated to seconds
+    trip(tmp_path / "right", [NAMES[0], "20260131_142602.mp4"])
     left = open_video(tmp_path / "left")
     pair = RecordedPair(left, open_video(tmp_path / "right", left=left))
     assert [(one.index, other.index) for one, other in pair] == [(n, n) for n in range(20)]
@@ -227,7 +259,10 @@ def facts(name: str, duration_s: float, *, created_s: float | None = None) -> Se
 
 
 def starts_s(plan: SegmentPlan) -> list[tuple[str, float]]:
-    return [(file.path.stem, round(start_s, 3)) for file, start_s in zip(plan.facts, plan.starts_s, strict=True)]
+    return [
+        (file.path.stem, round(start_s, 3))
+        for file, start_s in zip(plan.facts, plan.starts_s, strict=True)
+    ]
 
 
 def test_creation_times_of_the_ends() -> None:
@@ -250,7 +285,10 @@ def test_small_gaps_do_not_accumulate() -> None:
 
 
 def test_rounded_dates_are_no_gaps() -> None:
-    files = [facts(f"{number}", 59.97, created_s=float(int(1e9 + 59.97 * number))) for number in range(200)]
+    files = [
+        facts(f"{number}", 59.97, created_s=float(int(1e9 + 59.97 * number)))
+        for number in range(200)
+    ]
     plan = arranged(files, is_given_order=False)
     assert plan.notes == ()
     assert plan.starts_s == pytest.approx([59.97 * number for number in range(200)])
@@ -268,16 +306,24 @@ def test_contradictory_dates() -> None:
 
 def test_pair_with_dates_in_utc_and_in_local_time() -> None:
     left = arranged(
-        [facts("a", 60.0, created_s=1769869530.0), facts("b", 60.0, created_s=1769869690.0)], is_given_order=False
+        [facts("a", 60.0, created_s=1769869530.0), facts("b", 60.0, created_s=1769869690.0)],
+        is_given_order=False,
     )
-    right = arranged([facts("20260131_152530.mp4", 60.0), facts("20260131_152811.mp4", 60.0)], is_given_order=False)
+    right = arranged(
+        [facts("20260131_152530.mp4", 60.0), facts("20260131_152811.mp4", 60.0)],
+        is_given_order=False,
+    )
     assert right.starts_s == (0.0, 161.0)
     assert paired_starts_s(right, left) == left.starts_s == (0.0, 160.0)
 
 
 @given(
     st.lists(
-        st.tuples(st.floats(0.1, 300.0), st.one_of(st.none(), st.integers(0, 10_000)), st.floats(-10.0, 1e6)),
+        st.tuples(
+            st.floats(0.1, 300.0),
+            st.one_of(st.none(), st.integers(0, 10_000)),
+            st.floats(-10.0, 1e6),
+        ),
         min_size=1,
         max_size=8,
     )
@@ -285,7 +331,13 @@ def test_pair_with_dates_in_utc_and_in_local_time() -> None:
 @settings(max_examples=50)
 def test_times_increase(files: list[tuple[float, int | None, float]]) -> None:
     given_files = [
-        SegmentFacts(Path(f"{number}.mp4"), first_s, duration_s, None if at is None else Stamp(at, "header"), None)
+        SegmentFacts(
+            Path(f"{number}.mp4"),
+            first_s,
+            duration_s,
+            None if at is None else Stamp(at, "header"),
+            None,
+        )
         for number, (duration_s, at, first_s) in enumerate(files)
     ]
     try:
@@ -293,16 +345,24 @@ def test_times_increase(files: list[tuple[float, int | None, float]]) -> None:
     except VideoError as error:
         assert "one camera" in str(error)  # noqa: PT017
         return
-    assert sorted(file.path.name for file in plan.facts) == sorted(file.path.name for file in given_files)
+    assert sorted(file.path.name for file in plan.facts) == sorted(
+        file.path.name for file in given_files
+    )
     assert all(later_s > earlier_s for earlier_s, later_s in itertools.pairwise(plan.starts_s))
 
 
 def test_overlap_is_noted() -> None:
-    plan = arranged([facts("20260131_142530.mp4", 60.0), facts("20260131_142627.mp4", 60.0)], is_given_order=False)
+    plan = arranged(
+        [facts("20260131_142530.mp4", 60.0), facts("20260131_142627.mp4", 60.0)],
+        is_given_order=False,
+    )
     assert [start_s for _, start_s in starts_s(plan)] == [0.0, 57.0]
     assert "1 overlap" in plan.notes[0]
     with pytest.raises(VideoError, match="one camera"):
-        arranged([facts("cam0_20260131_142530", 60.0), facts("cam1_20260131_142531", 60.0)], is_given_order=False)
+        arranged(
+            [facts("cam0_20260131_142530", 60.0), facts("cam1_20260131_142531", 60.0)],
+            is_given_order=False,
+        )
 
 
 def test_thousand_files_are_arranged() -> None:
@@ -319,7 +379,10 @@ def copied(source: Path, target: Path, from_s: float, until_s: float) -> Path:
         copy = part.add_stream_from_template(stream)
         first = None
         for packet in whole.demux(stream):
-            if packet.pts is None or not from_s - 1e-6 <= float(packet.pts * packet.time_base) < until_s - 1e-6:
+            if (
+                packet.pts is None
+                or not from_s - 1e-6 <= float(packet.pts * packet.time_base) < until_s - 1e-6
+            ):
                 continue
             first = packet.dts if first is None else first
             packet.pts, packet.dts, packet.stream = packet.pts - first, packet.dts - first, copy
@@ -331,14 +394,18 @@ def copied(source: Path, target: Path, from_s: float, until_s: float) -> Path:
 def test_repeated_second_is_skipped(tmp_path: Path, film: Film, names: tuple[str, ...]) -> None:
     rng = np.random.default_rng(1)
     pictures = [rng.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(40)]
-    whole = film(tmp_path / "whole.mp4", [k / 10 for k in range(40)], images=pictures, codec="mjpeg")
+    whole = film(
+        tmp_path / "whole.mp4", [k / 10 for k in range(40)], images=pictures, codec="mjpeg"
+    )
     (tmp_path / "trip").mkdir()
     parts_s = ((0.0, 2.0), (1.0, 3.0), (2.0, 4.0))
     for name, (from_s, until_s) in zip(names, parts_s, strict=True):
         copied(whole, tmp_path / "trip" / name, from_s, until_s)
     reader = open_video(tmp_path / "trip")
     frames, expected = list(reader), list(open_video(whole))
-    assert [frame.time_s for frame in frames] == pytest.approx([frame.time_s for frame in expected], abs=1e-4)
+    assert [frame.time_s for frame in frames] == pytest.approx(
+        [frame.time_s for frame in expected], abs=1e-4
+    )
     assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, expected, strict=True))
     assert any("2 overlaps" in note for note in reader.notes)
 
@@ -356,7 +423,12 @@ def test_equal_frames_that_are_no_overlap(
     }[case]
     (tmp_path / "trip").mkdir()
     for name, images in (("1.mp4", one), ("2.mp4", other)):
-        film(tmp_path / "trip" / name, [k / 10 for k in range(len(images))], images=images, codec="mjpeg")
+        film(
+            tmp_path / "trip" / name,
+            [k / 10 for k in range(len(images))],
+            images=images,
+            codec="mjpeg",
+        )
     assert len(list(open_video(tmp_path / "trip"))) == 23
 
 

@@ -1,4 +1,5 @@
-"""The alignment of frames that come one by one: when it is estimated, also after a stop of the vehicle."""
+"""The alignment of frames that come one by one: when it is estimated, also after a stop of the
+vehicle."""
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ def test_estimates_after_a_stop(render_drive, n_static):
     """Frames of a stationary vehicle do not use up those from which the alignment is estimated."""
     drive = render_drive(seed=5, seconds=6.0)
     pairs = [
-        (left.image, right.image) for left, right in zip(open_video(drive.left), open_video(drive.right), strict=True)
+        (left.image, right.image)
+        for left, right in zip(open_video(drive.left), open_video(drive.right), strict=True)
     ]
     height_px, width_px = pairs[0][0].shape[:2]
     rig, _ = load_rig(drive.rig, size_px=(width_px, height_px))

@@ -1,4 +1,5 @@
-"""Tests of the check that left and right show the same moment, on a vehicle that approaches walls."""
+"""Tests of the check that left and right show the same moment, on a vehicle that approaches
+walls."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -28,7 +29,9 @@ GOOD = list(range(N))
 
 def frames(left: list[int], right: list[int], hz: float = 10.0) -> list[Frame]:
     n = min(len(left), len(right))
-    return [Frame(i, i / hz, approach(left[i]), approach(right[i], is_right=True)) for i in range(n)]
+    return [
+        Frame(i, i / hz, approach(left[i]), approach(right[i], is_right=True)) for i in range(n)
+    ]
 
 
 def errors(left: list[int], monitor: SyncMonitor, pairs: list[Frame]) -> list[int | None]:
@@ -89,7 +92,14 @@ def test_frozen_side_has_no_stereo_and_then_no_lag() -> None:
     assert "frame 14 (1.40 s)" in note
     assert "4 frames" in note
     assert monitor.summary()["synchronisation"] == [
-        {"frame": 14, "time_s": 1.4, "side": "right", "kind": "repeated", "lag_frames": 0, "frames": 4}
+        {
+            "frame": 14,
+            "time_s": 1.4,
+            "side": "right",
+            "kind": "repeated",
+            "lag_frames": 0,
+            "frames": 4,
+        }
         | {"action": "stereo off"}
     ]
 
@@ -100,7 +110,9 @@ def test_camera_without_a_signal_has_no_stereo_for_that_long() -> None:
         replace(frame, right=np.full_like(frame.right, 7)) if 14 <= frame.index < 20 else frame
         for frame in frames(GOOD, GOOD)
     ]
-    assert [frame.index for frame in monitor.paired(black) if frame.right is None] == list(range(14, 20))
+    assert [frame.index for frame in monitor.paired(black) if frame.right is None] == list(
+        range(14, 20)
+    )
     (note,) = monitor.notes
     assert "The right images are black or uniform" in note
     assert "from frame 14 (1.40 s) on, 6 frames" in note
@@ -119,7 +131,8 @@ def test_lag_that_ends() -> None:
     monitor = SyncMonitor(4)
     error = errors(GOOD, monitor, frames(GOOD, right))
     assert error[-4:] == [0] * 4
-    assert 5 <= sum(finding.frames for finding in monitor.findings if finding.kind == "lag") <= 18  # 11 of them
+    # 11 of them
+    assert 5 <= sum(finding.frames for finding in monitor.findings if finding.kind == "lag") <= 18
 
 
 def test_stream_has_no_stereo_while_the_right_side_is_late() -> None:
@@ -162,7 +175,10 @@ def test_recording_with_a_dropped_frame(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         for i, number in enumerate(numbers):
             path = tmp_path / name / f"{i:06d}.png"
-            cv2.imwrite(str(path), cv2.cvtColor(approach(number, is_right=name == "right"), cv2.COLOR_GRAY2BGR))
+            cv2.imwrite(
+                str(path),
+                cv2.cvtColor(approach(number, is_right=name == "right"), cv2.COLOR_GRAY2BGR),
+            )
     rig = StereoRig.rectified(PinholeCamera.of_focal_length(400.0, SIZE_PX), 0.5)
     recording = open_recording(tmp_path / "left", tmp_path / "right", rig=rig, align="off")
     frames = list(recording.frames)

@@ -56,7 +56,8 @@ def test_name_without_time(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "1904-01-01T00:00:00.000000Z", "1970-01-01T00:00:00Z", "2026", "2026-13-01T00:00:00Z"]
+    "text",
+    ["", "1904-01-01T00:00:00.000000Z", "1970-01-01T00:00:00Z", "2026", "2026-13-01T00:00:00Z"],
 )
 def test_implausible_header(text: str) -> None:
     assert stamp_in_header({"creation_time": text}) is None
@@ -64,7 +65,10 @@ def test_implausible_header(text: str) -> None:
 
 def test_header_of_a_phone_with_time_zone() -> None:
     stamp = stamp_in_header(
-        {"creation_time": "2026-01-31T13:25:31Z", "com.apple.quicktime.creationdate": "2026-01-31T14:25:30+0100"}
+        {
+            "creation_time": "2026-01-31T13:25:31Z",
+            "com.apple.quicktime.creationdate": "2026-01-31T14:25:30+0100",
+        }
     )
     assert stamp is not None
     assert stamp.time_s == seconds("2026-01-31T13:25:30")
@@ -76,7 +80,9 @@ def test_header_of_a_phone_with_time_zone() -> None:
 @pytest.mark.parametrize("later_s", [0.0, 60.0])
 def test_header_that_may_be_local_time(later_s: float) -> None:
     name = stamp_in_name("20260131_142530_F.mp4")
-    header = Stamp(seconds("2026-01-31T14:25:31") + later_s, "creation time of the video file", is_start=False)
+    header = Stamp(
+        seconds("2026-01-31T14:25:31") + later_s, "creation time of the video file", is_start=False
+    )
     start = start_of(header, name, 60.0)
     assert start is not None
     assert start.is_local
@@ -103,17 +109,28 @@ def test_name_decides_whether_the_header_states_the_end() -> None:
 def test_start_of_a_file_by_its_name(tmp_path: Path, film) -> None:  # type: ignore[no-untyped-def]
     utc = open_video(film(tmp_path / "20260131_142530.mp4", [0.0, 0.1])).utc
     assert utc is not None
-    assert utc.summary() == {"start": "2026-01-31T14:25:30.000Z", "source": "file name", "uncertainty_s": 50400.0}
+    assert utc.summary() == {
+        "start": "2026-01-31T14:25:30.000Z",
+        "source": "file name",
+        "uncertainty_s": 50400.0,
+    }
     assert "--start-utc" in (utc.note() or "")
     assert open_video(film(tmp_path / "film.mp4", [0.0, 0.1])).utc is None
 
 
 def test_time_of_a_run(tmp_path: Path, film) -> None:  # type: ignore[no-untyped-def]
-    clip = film(tmp_path / "film.mp4", [0.5, 0.6, 0.7], metadata={"creation_time": "2026-01-31T14:25:30Z"})
-    for options, start in (({}, "14:25:30"), ({"start_utc": "2026-01-31T15:00:00+01:00"}, "14:00:00")):
+    clip = film(
+        tmp_path / "film.mp4", [0.5, 0.6, 0.7], metadata={"creation_time": "2026-01-31T14:25:30Z"}
+    )
+    for options, start in (
+        ({}, "14:25:30"),
+        ({"start_utc": "2026-01-31T15:00:00+01:00"}, "14:00:00"),
+    ):
         recording = open_recording(clip, focal_px=70.0, start_s=0.1, **options)
         frames = list(recording.frames)
-        assert [frame.utc_s - seconds(f"2026-01-31T{start}") for frame in frames] == pytest.approx([0.1, 0.2], abs=1e-5)
+        assert [frame.utc_s - seconds(f"2026-01-31T{start}") for frame in frames] == pytest.approx(
+            [0.1, 0.2], abs=1e-5
+        )
     frames = list(open_recording(film(tmp_path / "other.mp4", [0.0, 0.1]), focal_px=70.0).frames)
     assert all(math.isnan(frame.utc_s) for frame in frames)
 
@@ -124,7 +141,11 @@ def test_time_of_an_image_folder(tmp_path: Path, level) -> None:  # type: ignore
     (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n")
     utc = open_video(tmp_path).utc
     assert utc is not None
-    assert (utc.start_s, utc.source, utc.is_local) == (seconds("2011-09-26T13:02:25.500"), "timestamps.txt", True)
+    assert (utc.start_s, utc.source, utc.is_local) == (
+        seconds("2011-09-26T13:02:25.500"),
+        "timestamps.txt",
+        True,
+    )
 
 
 def test_start_utc_option() -> None:

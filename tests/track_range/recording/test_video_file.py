@@ -18,7 +18,28 @@ from track_range.recording.recorded_video import RecordedVideo
 Film = Callable[..., Path]
 NumberIn = Callable[[np.ndarray], int]
 
-UNEVEN_S = [0.0, 0.1, 0.2, 0.35, 0.4, 0.5, 0.9, 1.0, 1.1, 1.2, 1.25, 1.3, 1.4, 1.5, 1.6, 1.8, 1.9, 2.0, 2.1, 2.5]
+UNEVEN_S = [
+    0.0,
+    0.1,
+    0.2,
+    0.35,
+    0.4,
+    0.5,
+    0.9,
+    1.0,
+    1.1,
+    1.2,
+    1.25,
+    1.3,
+    1.4,
+    1.5,
+    1.6,
+    1.8,
+    1.9,
+    2.0,
+    2.1,
+    2.5,
+]
 EVEN_S = [number / 10 for number in range(40)]
 
 
@@ -28,9 +49,13 @@ def frames_of(reader: RecordedVideo, number_in: NumberIn) -> list[tuple[int, flo
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "mov"])
-def test_times_and_order_with_b_frames(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str) -> None:
+def test_times_and_order_with_b_frames(
+    tmp_path: Path, film: Film, number_in: NumberIn, suffix: str
+) -> None:
     reader = open_video(film(tmp_path / f"film.{suffix}", UNEVEN_S))
-    assert frames_of(reader, number_in) == [(number, time_s, number) for number, time_s in enumerate(UNEVEN_S)]
+    assert frames_of(reader, number_in) == [
+        (number, time_s, number) for number, time_s in enumerate(UNEVEN_S)
+    ]
     assert (reader.width_px, reader.height_px) == (64, 48)
     (note,) = reader.notes
     assert note.startswith(f"{reader.path}: the timestamps have 2 gaps")
@@ -57,23 +82,33 @@ def test_start_offset_of_a_stream(tmp_path: Path, film: Film, suffix: str) -> No
     assert [frame.time_s for frame in reader] == pytest.approx([0.7, 0.8, 0.9])
     assert reader.first_time_s == pytest.approx(0.7)
     assert [frame.index for frame in reader] == [0, 1, 2]
-    assert (reader.n_frames, reader.notes) == (3, ())  # the time before the first frame is not a gap
+    # the time before the first frame is not a gap
+    assert (reader.n_frames, reader.notes) == (3, ())
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts", "avi"])
 @pytest.mark.parametrize("start_s", [0.0, 0.05, 0.3, 0.6, 1.15, 3.9])
-def test_later_start(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, start_s: float) -> None:
+def test_later_start(
+    tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, start_s: float
+) -> None:
     path = film(tmp_path / f"film.{suffix}", EVEN_S)
     whole = open_video(path)
-    rest = [frame for frame in frames_of(whole, number_in) if frame[1] >= whole.first_time_s + start_s - 1e-6]
+    rest = [
+        frame
+        for frame in frames_of(whole, number_in)
+        if frame[1] >= whole.first_time_s + start_s - 1e-6
+    ]
     assert frames_of(open_video(path, start_s=start_s), number_in) == rest
     assert len(rest) == 40 - round(np.ceil(10 * start_s))
 
 
 def test_frames_before_the_start_are_not_decoded(tmp_path: Path, film: Film) -> None:
-    path = film(tmp_path / "film.mp4", EVEN_S, images=noisy_images(40), options={"movflags": "faststart"})
+    path = film(
+        tmp_path / "film.mp4", EVEN_S, images=noisy_images(40), options={"movflags": "faststart"}
+    )
     stored = bytearray(path.read_bytes())
-    damaged = stored.index(b"mdat") + len(stored) // 5  # after the first keyframe, in the first of four seconds
+    # after the first keyframe, in the first of four seconds
+    damaged = stored.index(b"mdat") + len(stored) // 5
     stored[damaged : damaged + 1000] = bytes([255]) * 1000
     path.write_bytes(stored)
     assert open_video(path).first_time_s == 0
@@ -110,10 +145,14 @@ def test_reader_can_be_iterated_again(tmp_path: Path, film: Film, number_in: Num
 
 @pytest.mark.parametrize("flip", [(False, False), (True, False)])
 @pytest.mark.parametrize("degrees", [0, 90, 180, 270])
-def test_frames_are_upright(tmp_path: Path, film: Film, degrees: int, flip: tuple[bool, bool]) -> None:
+def test_frames_are_upright(
+    tmp_path: Path, film: Film, degrees: int, flip: tuple[bool, bool]
+) -> None:
     stored = np.zeros((48, 64, 3), np.uint8)
     stored[:24, :32], stored[:24, 32:], stored[24:, :32] = 220, 150, 80
-    reader = open_video(film(tmp_path / "turned.mp4", [0.0, 0.1], images=[stored] * 2, rotation=(degrees, *flip)))
+    reader = open_video(
+        film(tmp_path / "turned.mp4", [0.0, 0.1], images=[stored] * 2, rotation=(degrees, *flip))
+    )
     rotated = np.rot90(stored, degrees // 90)  # counterclockwise, as in the video's metadata
     expected = rotated[:, ::-1] if flip[0] else rotated
     for frame in reader:
@@ -140,7 +179,12 @@ def test_rotation_by_an_odd_angle_is_ignored(tmp_path: Path, film: Film) -> None
     ],
 )
 def test_pixel_aspect_as_the_file_states_it(
-    tmp_path: Path, film: Film, aspect: Fraction, quarter_turns: int, stated: float | None, shown_px: tuple[int, int]
+    tmp_path: Path,
+    film: Film,
+    aspect: Fraction,
+    quarter_turns: int,
+    stated: float | None,
+    shown_px: tuple[int, int],
 ) -> None:
     rotation = (quarter_turns, False, False) if quarter_turns else None
     reader = open_video(film(tmp_path / "wide.mp4", [0.0, 0.1], aspect=aspect, rotation=rotation))
@@ -161,7 +205,9 @@ def test_avi_with_b_frames_is_in_order(tmp_path: Path, film: Film, number_in: Nu
     assert frames_of(reader, number_in) == [(n, n / 10, n) for n in range(40)]
 
 
-def test_repeated_and_backward_times_are_skipped(tmp_path: Path, film: Film, number_in: NumberIn) -> None:
+def test_repeated_and_backward_times_are_skipped(
+    tmp_path: Path, film: Film, number_in: NumberIn
+) -> None:
     path = film(tmp_path / "film.avi", EVEN_S[:8], codec="mjpeg")
     retimed = retimed_copy(path, tmp_path / "film.mkv", [0, 100, 200, 200, 150, 300, 400, 500])
     reader = open_video(retimed)
@@ -178,7 +224,9 @@ def test_repeated_and_backward_times_are_skipped(tmp_path: Path, film: Film, num
 
 
 def test_frames_of_one_time_that_the_file_states_at_its_end(tmp_path: Path, film: Film) -> None:
-    path = retimed_copy(film(tmp_path / "film.avi", EVEN_S[:12], codec="mjpeg"), tmp_path / "film.mkv", [0] * 12)
+    path = retimed_copy(
+        film(tmp_path / "film.avi", EVEN_S[:12], codec="mjpeg"), tmp_path / "film.mkv", [0] * 12
+    )
     images = iter(open_video(path))
     next(images)
     with pytest.raises(VideoError, match="found 1 time for 12 frames"):
@@ -286,16 +334,23 @@ def test_file_is_deleted_between_readings(tmp_path: Path, film: Film) -> None:
 
 def test_start_after_the_end(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
-    with pytest.raises(VideoError, match=r"no frame from 4.00 s; .*the video starts at 0.00 s and ends at 4.00 s"):
+    with pytest.raises(
+        VideoError, match=r"no frame from 4.00 s; .*the video starts at 0.00 s and ends at 4.00 s"
+    ):
         list(open_video(path, start_s=4.0, duration_s=10.0))
     with pytest.raises(VideoError, match=r"film.mp4: there is no frame from 0.02 s to 0.07 s"):
         list(open_video(path, start_s=0.02, duration_s=0.05))
 
 
-def test_images_that_change_size(tmp_path: Path, film: Film, level: Callable[..., np.ndarray]) -> None:
+def test_images_that_change_size(
+    tmp_path: Path, film: Film, level: Callable[..., np.ndarray]
+) -> None:
     small = film(tmp_path / "small.ts", EVEN_S[:10])
     wide = film(
-        tmp_path / "wide.ts", [5 + t for t in EVEN_S[:10]], images=[level(n, width_px=96) for n in range(10)], gop=1
+        tmp_path / "wide.ts",
+        [5 + t for t in EVEN_S[:10]],
+        images=[level(n, width_px=96) for n in range(10)],
+        gop=1,
     )
     path = tmp_path / "both.ts"
     path.write_bytes(small.read_bytes() + wide.read_bytes())
@@ -324,9 +379,12 @@ FRAGMENTED = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
 
 
 @pytest.mark.parametrize(
-    ("suffix", "options"), [("mp4", {"movflags": "faststart"}), ("mp4", FRAGMENTED), ("mkv", {}), ("avi", {})]
+    ("suffix", "options"),
+    [("mp4", {"movflags": "faststart"}), ("mp4", FRAGMENTED), ("mkv", {}), ("avi", {})],
 )
-def test_truncated_file(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, options: dict[str, str]) -> None:
+def test_truncated_file(
+    tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, options: dict[str, str]
+) -> None:
     path = film(tmp_path / f"film.{suffix}", EVEN_S, images=noisy_images(40), options=options)
     whole = [frame.time_s for frame in open_video(path)]
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -334,7 +392,8 @@ def test_truncated_file(tmp_path: Path, film: Film, number_in: NumberIn, suffix:
     frames = [(frame.index, frame.time_s) for frame in reader]
     assert 10 <= len(frames) <= 30
     assert frames == list(enumerate(whole))[: len(frames)]
-    # A fragmented file does not state its duration, and FFmpeg's threads may or may not decode its damaged last frame.
+    # A fragmented file does not state its duration, and FFmpeg's threads may or may not decode its
+    # damaged last frame.
     texts = (f"after {len(frames)} frames", "1 damaged frame")
     assert any(text in note for text in texts for note in reader.notes)
 
@@ -351,7 +410,9 @@ def test_damage_in_the_middle(tmp_path: Path, film: Film, suffix: str) -> None:
     whole = {frame.index: frame.time_s for frame in open_video(path)}
     stored = bytearray(path.read_bytes())
     middle = len(stored) // 2
-    stored[middle : middle + 600] = np.random.default_rng(0).integers(0, 256, 600, np.uint8).tobytes()
+    stored[middle : middle + 600] = (
+        np.random.default_rng(0).integers(0, 256, 600, np.uint8).tobytes()
+    )
     path.write_bytes(stored)
     reader = open_video(path)
     frames = [(frame.index, frame.time_s) for frame in reader]
@@ -362,7 +423,9 @@ def test_damage_in_the_middle(tmp_path: Path, film: Film, suffix: str) -> None:
     assert 30 <= len(frames) < 40
     if suffix == "mkv":  # lost packets are visible only as a gap in the times
         assert "1 gap" in reader.notes[0]
-        assert [time_s for _, time_s in frames] == sorted({time_s for _, time_s in frames} & set(whole.values()))
+        assert [time_s for _, time_s in frames] == sorted(
+            {time_s for _, time_s in frames} & set(whole.values())
+        )
     elif suffix == "avi":  # not visible at all without timestamps: later frames move up
         assert [time_s for _, time_s in frames] == list(whole.values())[: len(frames)]
     else:
@@ -410,13 +473,25 @@ def test_real_videos(shared_data: Path, name: str, n: int, fps: int) -> None:
 
 def test_real_grey_video(shared_data: Path) -> None:
     reader = open_video(shared_data / "kitti_odometry/gray51/left.mp4")
-    assert (reader.width_px, reader.height_px, reader.n_frames, reader.is_grey) == (1226, 370, 51, True)
+    assert (reader.width_px, reader.height_px, reader.n_frames, reader.is_grey) == (
+        1226,
+        370,
+        51,
+        True,
+    )
 
 
-def test_clock_that_is_set_back(tmp_path: Path, film: Film, level: Callable[..., np.ndarray]) -> None:
+def test_clock_that_is_set_back(
+    tmp_path: Path, film: Film, level: Callable[..., np.ndarray]
+) -> None:
     """Joined transport streams: the second one begins at the time of the first one."""
     parts = [
-        film(tmp_path / f"{first}.ts", EVEN_S[:12], images=[level(first + n) for n in range(12)], gop=1)
+        film(
+            tmp_path / f"{first}.ts",
+            EVEN_S[:12],
+            images=[level(first + n) for n in range(12)],
+            gop=1,
+        )
         for first in (0, 12)
     ]
     path = tmp_path / "joined.ts"
@@ -426,15 +501,20 @@ def test_clock_that_is_set_back(tmp_path: Path, film: Film, level: Callable[...,
     assert 22 <= len(time_s) <= 24  # packets at the joint count as damaged
     assert time_s[-1] - time_s[0] == pytest.approx(2.3, abs=0.02)
     assert (np.diff(time_s) > 0.09).all()
-    assert "set back 1 time, first after 1.1" in reader.notes[0] or "first after 2." in reader.notes[0]
+    assert (
+        "set back 1 time, first after 1.1" in reader.notes[0] or "first after 2." in reader.notes[0]
+    )
     reader.select(2.0)
-    assert [round(frame.time_s - time_s[0], 2) for frame in reader] == pytest.approx([2.0, 2.1, 2.2, 2.3], abs=0.02)
+    assert [round(frame.time_s - time_s[0], 2) for frame in reader] == pytest.approx(
+        [2.0, 2.1, 2.2, 2.3], abs=0.02
+    )
 
 
 def test_clock_that_continues_after_wrong_times(tmp_path: Path, film: Film) -> None:
     parts = [
         film(tmp_path / f"{first_s}.ts", [first_s + n / 10 for n in range(n_frames)], gop=1)
-        for first_s, n_frames in ((0.0, 15), (0.1, 3), (1.8, 12))  # 1.3 s back: more than frames out of order
+        # 1.3 s back: more than frames out of order
+        for first_s, n_frames in ((0.0, 15), (0.1, 3), (1.8, 12))
     ]
     path = tmp_path / "joined.ts"
     path.write_bytes(b"".join(part.read_bytes() for part in parts))
@@ -450,7 +530,11 @@ def test_repeated_images(
 ) -> None:
     """A conversion from 5 to 10 frames/s repeats every image; a stop repeats one many times."""
     images = [level(number // n_each % 40) for number in range(40)] + [level(0)] * 20
-    reader = open_video(film(tmp_path / "film.mp4", [n / 10 for n in range(60)], images=images, options={"crf": "0"}))
+    reader = open_video(
+        film(
+            tmp_path / "film.mp4", [n / 10 for n in range(60)], images=images, options={"crf": "0"}
+        )
+    )
     list(reader)
     notes = [note for note in reader.notes if "repeat the previous image" in note]
     assert [f" {n_repeated} frames of 60" in note for note in notes] == [True] * bool(n_repeated)
@@ -458,11 +542,14 @@ def test_repeated_images(
 
 def test_rounded_times_of_matroska(tmp_path: Path, film: Film) -> None:
     reader = open_video(film(tmp_path / "film.mkv", [n / 30 for n in range(40)], rate=30))
-    assert [frame.time_s for frame in reader] == pytest.approx([n / 30 for n in range(40)], abs=1e-9)
+    assert [frame.time_s for frame in reader] == pytest.approx(
+        [n / 30 for n in range(40)], abs=1e-9
+    )
 
 
 def test_stream_without_a_container(tmp_path: Path, film: Film) -> None:
-    assumed = open_video(film(tmp_path / "film.h264", EVEN_S[:12]))  # states 90 000 frames/s, those of its clock
+    # states 90 000 frames/s, those of its clock
+    assumed = open_video(film(tmp_path / "film.h264", EVEN_S[:12]))
     assert assumed.fps == 25.0
     assert "25 frames/s are assumed" in assumed.notes[0]
     import av

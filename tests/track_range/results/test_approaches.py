@@ -8,7 +8,8 @@ NAN = np.nan
 
 
 def rows(*values):
-    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma, TTC)."""
+    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma,
+    TTC)."""
     names = (
         *("time_s", "track_id", "class", "observed", "fused_kf_m", "fused_kf_sigma_m"),
         *("closing_mps", "closing_sigma_mps", "ttc_front_s"),
@@ -29,7 +30,11 @@ COLUMNS = rows(
 
 def test_detected_and_certain_rows_count():
     person, car, bus = closest_approaches(COLUMNS)  # nearest first, unknown last
-    assert (person["track_id"], person["min_distance_m"], person["min_distance_sigma_m"]) == (2, 8.5, None)
+    assert (person["track_id"], person["min_distance_m"], person["min_distance_sigma_m"]) == (
+        2,
+        8.5,
+        None,
+    )
     assert person["max_closing_mps"] is None  # it goes away
     assert car == {
         "track_id": 1,
@@ -51,9 +56,18 @@ def test_extremes_of_all_tracks():
 
 
 def test_fused_distance_without_a_filter():
-    columns = {"time_s": np.zeros(2), "track_id": np.ones(2), "class": np.array(["car", "car"]), "fused_m": [NAN, 7.0]}
+    columns = {
+        "time_s": np.zeros(2),
+        "track_id": np.ones(2),
+        "class": np.array(["car", "car"]),
+        "fused_m": [NAN, 7.0],
+    }
     (row,) = closest_approaches({name: np.asarray(values) for name, values in columns.items()})
-    assert (row["min_distance_m"], row["min_distance_sigma_m"], row["min_ttc_front_s"]) == (7.0, None, None)
+    assert (row["min_distance_m"], row["min_distance_sigma_m"], row["min_ttc_front_s"]) == (
+        7.0,
+        None,
+        None,
+    )
 
 
 def test_no_rows():

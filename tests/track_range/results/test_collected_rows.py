@@ -44,7 +44,9 @@ def test_events_in_progress_are_those_of_the_end() -> None:
     assert rows.seconds == 0.0  # the duration of the only frame is unknown
 
 
-def test_frame_that_cannot_be_stored_is_not_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frame_that_cannot_be_stored_is_not_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     rows = RunRows(table=RunTable(rows_per_batch=4), finder=SeenFinder(2))
     rows.add(at(0))

@@ -1,4 +1,5 @@
-"""Damaged files in folders of runs and of images: they are read without what is missing, or refused in one sentence."""
+"""Damaged files in folders of runs and of images: they are read without what is missing, or refused
+in one sentence."""
 
 from __future__ import annotations
 
@@ -21,8 +22,19 @@ from track_range.results.columns import column_names
 from track_range.results.events.files import events_text
 from track_range.results.folder import read_run_folder
 
-SUMMARY = {"frames": 3, "wall_s": 1.5, "starts_s": 0.0, "notes": ["A note."], "tracks": {"n": 1}, "focal_px": 700.0}
-SETTINGS = {"track_range_settings": 1, "run": {"mono": "a.mp4", "focal_px": 700.0}, "found": {"fps": 10.0}}
+SUMMARY = {
+    "frames": 3,
+    "wall_s": 1.5,
+    "starts_s": 0.0,
+    "notes": ["A note."],
+    "tracks": {"n": 1},
+    "focal_px": 700.0,
+}
+SETTINGS = {
+    "track_range_settings": 1,
+    "run": {"mono": "a.mp4", "focal_px": 700.0},
+    "found": {"fps": 10.0},
+}
 ROW = ["0", "0.0", "3", "car", "0.9", "1", "10", "20", "30", "40"]
 TIMES = "".join(f"2011-09-26 13:10:51.{number}00000000\n" for number in range(3))
 

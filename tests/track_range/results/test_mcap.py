@@ -1,4 +1,5 @@
-"""run.mcap in both profiles, read back message by message with other libraries; kills, full disks, missing packages."""
+"""run.mcap in both profiles, read back message by message with other libraries; kills, full disks,
+missing packages."""
 
 from __future__ import annotations
 
@@ -57,11 +58,14 @@ def frame(index: int) -> Any:
         return given
     tracks = given.tracks.select(np.array([1]))
     rows = {
-        name: getattr(given, name)[1:] for name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s", "xyz_m")
+        name: getattr(given, name)[1:]
+        for name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s", "xyz_m")
     }
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
-    return replace(given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows)
+    return replace(
+        given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows
+    )
 
 
 def write(folder: Path, about: RunInfo, n_frames: int = 4) -> Path:
@@ -76,7 +80,9 @@ def messages(path: Path) -> dict[str, list[tuple[str, int, Any]]]:
     """(schema, time, decoded message) by topic, as other libraries read them."""
     by_topic = defaultdict(list)
     with path.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[ProtobufDecoders(), Ros2Decoders(), JsonDecoders()])
+        reader = make_reader(
+            file, decoder_factories=[ProtobufDecoders(), Ros2Decoders(), JsonDecoders()]
+        )
         for schema, channel, message, decoded in reader.iter_decoded_messages():
             assert message.publish_time == message.log_time
             by_topic[channel.topic].append((schema.name, message.log_time, decoded))
@@ -89,14 +95,18 @@ class JsonDecoders:
 
 
 def times_ns(n_frames: int) -> list[int]:
-    return [round((START_S % 1) * 1e9) + int(START_S) * 10**9 + round(i * PERIOD_S * 1e9) for i in range(n_frames)]
+    return [
+        round((START_S % 1) * 1e9) + int(START_S) * 10**9 + round(i * PERIOD_S * 1e9)
+        for i in range(n_frames)
+    ]
 
 
 def stamp_ns(stamp: Any) -> int:
     return stamp.seconds * 10**9 + stamp.nanos
 
 
-# -- Foxglove -------------------------------------------------------------------------------------------------------
+# -- Foxglove
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +144,11 @@ def test_foxglove_calibration_and_transform(foxglove: dict[str, Any]) -> None:
         assert list(message.P) == [700.0, 0, 20.0, 0, 0, 710.0, 30.0, 0, 0, 0, 1, 0]
         assert list(message.R) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
     vehicle, transform = foxglove["/tf"][0][2].transforms
-    assert (vehicle.parent_frame_id, vehicle.child_frame_id, vehicle.translation.x) == ("map", "vehicle", 8.0)
+    assert (vehicle.parent_frame_id, vehicle.child_frame_id, vehicle.translation.x) == (
+        "map",
+        "vehicle",
+        8.0,
+    )
     assert (transform.parent_frame_id, transform.child_frame_id) == ("vehicle", "camera")
     rotation = transform.rotation
     assert (rotation.x, rotation.y, rotation.z, rotation.w) == VEHICLE_FROM_CAMERA_XYZW
@@ -144,8 +158,14 @@ def test_vehicle_axes() -> None:
     """The camera's forward, right and down are the vehicle's x, -y and -z."""
     x, y, z, w = VEHICLE_FROM_CAMERA_XYZW
     axis = np.array([x, y, z])
-    for camera, vehicle in (((0, 0, 1), (1, 0, 0)), ((1, 0, 0), (0, -1, 0)), ((0, 1, 0), (0, 0, -1))):
-        turned = np.array(camera) + 2 * np.cross(axis, np.cross(axis, camera) + w * np.array(camera))
+    for camera, vehicle in (
+        ((0, 0, 1), (1, 0, 0)),
+        ((1, 0, 0), (0, -1, 0)),
+        ((0, 1, 0), (0, 0, -1)),
+    ):
+        turned = np.array(camera) + 2 * np.cross(
+            axis, np.cross(axis, camera) + w * np.array(camera)
+        )
         np.testing.assert_allclose(turned, vehicle, atol=1e-12)
 
 
@@ -159,9 +179,18 @@ def test_foxglove_images(foxglove: dict[str, Any]) -> None:
 def test_foxglove_annotations(foxglove: dict[str, Any]) -> None:
     message = foxglove["/camera/annotations"][0][2]
     car, light = message.points
-    assert [(point.x, point.y) for point in car.points] == [(1.5, 2.5), (3.5, 2.5), (3.5, 5.0), (1.5, 5.0)]
+    assert [(point.x, point.y) for point in car.points] == [
+        (1.5, 2.5),
+        (3.5, 2.5),
+        (3.5, 5.0),
+        (1.5, 5.0),
+    ]
     figures, predicted = ({pair.key: pair.value for pair in box.metadata} for box in (car, light))
-    assert (figures["distance_m"], figures["class"], figures["observed"]) == ("12.000", "car", "true")
+    assert (figures["distance_m"], figures["class"], figures["observed"]) == (
+        "12.000",
+        "car",
+        "true",
+    )
     assert predicted["observed"] == "false"
     assert car.outline_color.a == 1.0
     assert light.outline_color.a < 1.0  # predicted
@@ -171,7 +200,12 @@ def test_foxglove_annotations(foxglove: dict[str, Any]) -> None:
 
 def test_foxglove_scene(foxglove: dict[str, Any]) -> None:
     scenes = [message for _, _, message in foxglove["/tracks/scene"]]
-    assert [[entity.id for entity in scene.entities] for scene in scenes] == [["track 3"], ["track 3"], [], ["track 3"]]
+    assert [[entity.id for entity in scene.entities] for scene in scenes] == [
+        ["track 3"],
+        ["track 3"],
+        [],
+        ["track 3"],
+    ]
     assert [[gone.id for gone in scene.deletions] for scene in scenes] == [[], [], ["track 3"], []]
     (entity,) = scenes[0].entities
     (cube,) = entity.cubes
@@ -194,7 +228,8 @@ def test_foxglove_ranges(foxglove: dict[str, Any]) -> None:
     assert [row["id"] for row in rows[2]] == [7]
 
 
-# -- ROS 2 ----------------------------------------------------------------------------------------------------------
+# -- ROS 2
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -223,16 +258,29 @@ def test_ros2_topics(ros2: dict[str, Any]) -> None:
 def test_ros2_messages(ros2: dict[str, Any]) -> None:
     calibration = ros2["/camera/camera_info"][0][2]
     assert list(calibration.k) == [700.0, 0, 20.0, 0, 710.0, 30.0, 0, 0, 1]
-    assert (calibration.width, calibration.height, calibration.distortion_model) == (50, 50, "plumb_bob")
+    assert (calibration.width, calibration.height, calibration.distortion_model) == (
+        50,
+        50,
+        "plumb_bob",
+    )
     image = ros2["/camera/image/compressed"][3][2]
-    np.testing.assert_allclose(cv2.imdecode(np.frombuffer(bytes(image.data), np.uint8), 1), 24, atol=2)
+    np.testing.assert_allclose(
+        cv2.imdecode(np.frombuffer(bytes(image.data), np.uint8), 1), 24, atol=2
+    )
     flat = ros2["/camera/detections"][0][2].detections
-    assert [(d.id, d.results[0].hypothesis.class_id, d.results[0].hypothesis.score) for d in flat] == [
+    assert [
+        (d.id, d.results[0].hypothesis.class_id, d.results[0].hypothesis.score) for d in flat
+    ] == [
         ("3", "car", 0.5),
         ("7", "traffic light", 0.25),
     ]
     box = flat[1].bbox
-    assert (box.center.position.x, box.center.position.y, box.size_x, box.size_y) == (20.0, 30.0, 20.0, 20.0)
+    assert (box.center.position.x, box.center.position.y, box.size_x, box.size_y) == (
+        20.0,
+        30.0,
+        20.0,
+        20.0,
+    )
     (solid,) = ros2["/tracks/detections"][0][2].detections
     (expected, _) = track_objects(frame(0), CAMERA)
     assert (solid.id, solid.results[0].pose.covariance[14]) == ("3", 0.25)
@@ -258,11 +306,13 @@ def test_ros2_header(tmp_path: Path) -> None:
         assert make_reader(file).get_header().profile == "ros2"
 
 
-# -- times, provenance, discarded frames ----------------------------------------------------------------------------
+# -- times, provenance, discarded frames
+# ----------------------------------------------------------------------------
 
 
 def test_frames_without_rows_and_start(tmp_path: Path) -> None:
-    """Replayed frames without rows have times between those of others; without a start, times count from 1970."""
+    """Replayed frames without rows have times between those of others; without a start, times count
+    from 1970."""
     with RunTable() as table:
         for index in (1, 3):
             table.append(frame(index))
@@ -325,7 +375,8 @@ def test_provenance_and_index(tmp_path: Path) -> None:
         assert 2 <= len(summary.chunk_indexes) <= 5
 
 
-# -- failures -------------------------------------------------------------------------------------------------------
+# -- failures
+# -------------------------------------------------------------------------------------------------------
 
 
 def complete_times_s(path: Path) -> Iterator[float]:
@@ -350,7 +401,9 @@ def test_killed_process(tmp_path: Path) -> None:
         "    writers.write(frame(index))\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program, str(tmp_path)], cwd=Path(__file__).parents[3], check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)], cwd=Path(__file__).parents[3], check=False
+    )
     assert ended.returncode == -9
     times = list(complete_times_s(tmp_path / "run.mcap"))
     assert times == pytest.approx([index * PERIOD_S for index in range(len(times))])
@@ -390,7 +443,9 @@ def test_missing_package(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
 
 
 def test_options() -> None:
-    settings = settings_from({"mono": "a.mp4", "write": "mcap", "mcap_profile": "ros2", "mcap_images": True})
+    settings = settings_from(
+        {"mono": "a.mp4", "write": "mcap", "mcap_profile": "ros2", "mcap_images": True}
+    )
     assert (settings.mcap_profile, settings.mcap_images) == ("ros2", True)
     with pytest.raises(UserError, match="mcap"):
         settings_from({"mono": "a.mp4", "mcap_profile": "ros1"})
@@ -419,7 +474,8 @@ def test_layout(foxglove: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_export_of_a_killed_run(tmp_path: Path, inputs) -> None:  # noqa: F811
-    """All rows of a run of which only settings.yaml and tracks.arrows remain, in the full precision of the run."""
+    """All rows of a run of which only settings.yaml and tracks.arrows remain, in the full precision
+    of the run."""
     run = inputs(tmp_path, overlay=False, write="parquet,mcap")
     frames = iter(run)
     for _ in range(12):
@@ -431,10 +487,14 @@ def test_export_of_a_killed_run(tmp_path: Path, inputs) -> None:  # noqa: F811
     list(frames)
     export(ExportSettings(source=killed, to="mcap", out=tmp_path / "recovered.mcap"))
     export(ExportSettings(source=killed, to="parquet", out=tmp_path / "recovered.parquet"))
-    whole, recovered = (messages(tmp_path / name)["/tracks/ranges"] for name in ("run.mcap", "recovered.mcap"))
+    whole, recovered = (
+        messages(tmp_path / name)["/tracks/ranges"] for name in ("run.mcap", "recovered.mcap")
+    )
     assert [row[2] for row in recovered] == [row[2] for row in whole[: len(recovered)]]
     assert len(recovered) >= 12
-    tables = [parquet.read_table(tmp_path / name) for name in ("tracks.parquet", "recovered.parquet")]
+    tables = [
+        parquet.read_table(tmp_path / name) for name in ("tracks.parquet", "recovered.parquet")
+    ]
     assert tables[1].equals(tables[0].slice(0, tables[1].num_rows))
     for key in (b"track_range.settings_hash", b"track_range.schema_version", b"track_range.model"):
         assert tables[1].schema.metadata[key] == tables[0].schema.metadata[key]

@@ -19,7 +19,9 @@ from track_range.results.formats.openscenario_file import OpenScenarioWriter
 @pytest.fixture(scope="module")
 def schema():
     xmlschema = pytest.importorskip("xmlschema", reason="xmlschema is not installed (extra dev)")
-    schemas = pytest.importorskip("schemas", reason="scenariogeneration is not installed (extra dev)")
+    schemas = pytest.importorskip(
+        "schemas", reason="scenariogeneration is not installed (extra dev)"
+    )
     return xmlschema.XMLSchema(Path(next(iter(schemas.__path__))) / "OpenSCENARIO_1_2.xsd")
 
 
@@ -32,7 +34,9 @@ def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0):
         pair([float(MOTION_STATES.index(state)), np.nan]),
     )  # fmt: skip
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
-    return replace(given, frame=replace(given.frame, time_s=index / 10), motion=motion, ego_pose=pose)
+    return replace(
+        given, frame=replace(given.frame, time_s=index / 10), motion=motion, ego_pose=pose
+    )
 
 
 def written(folder, frames):
@@ -63,13 +67,18 @@ def test_valid_with_the_positions_of_the_rows(tmp_path, schema):
     ego, car = vertices(root, "ego"), vertices(root, "car-3")
     np.testing.assert_allclose(ego, [[0.1 * i, 2.0 + i, 0.0, 0.0] for i in range(5)], atol=1e-3)
     bearing = np.arctan2(2.0, 30.0)
-    np.testing.assert_allclose(car[:, 1], 32.0 + np.arange(5) + 2.1 * math.cos(bearing), atol=2e-3)  # half the length
+    # half the length
+    np.testing.assert_allclose(car[:, 1], 32.0 + np.arange(5) + 2.1 * math.cos(bearing), atol=2e-3)
     np.testing.assert_allclose(car[:, 2], 2.0 + 2.1 * math.sin(bearing), atol=2e-3)
-    assert [given.get("name") for given in root.iter("ScenarioObject")] == ["ego", "car-3"]  # no traffic light
+    # no traffic light
+    assert [given.get("name") for given in root.iter("ScenarioObject")] == ["ego", "car-3"]
 
 
 def test_parked_objects_do_not_move_and_crossing_ones_are_as_deep_as_wide(tmp_path):
-    parked = [moved(i, state="parked", x_m=(30.0 + 0.5 * (-1) ** i, 60.0), heading_deg=np.nan) for i in range(5)]
+    parked = [
+        moved(i, state="parked", x_m=(30.0 + 0.5 * (-1) ** i, 60.0), heading_deg=np.nan)
+        for i in range(5)
+    ]
     assert np.ptp(vertices(root_of(written(tmp_path, parked)), "car-3")[:, 1:3], axis=0).max() == 0
     crossing = [moved(i, state="crossing", heading_deg=90.0) for i in range(3)]
     first = vertices(root_of(written(tmp_path, crossing)), "car-3")[0]
@@ -77,11 +86,18 @@ def test_parked_objects_do_not_move_and_crossing_ones_are_as_deep_as_wide(tmp_pa
 
 
 def test_objects_appear_and_disappear(tmp_path, schema):
-    frames = [replace(frame(2), ego_pose=EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))), moved(4), moved(5)]
+    frames = [
+        replace(frame(2), ego_pose=EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))),
+        moved(4),
+        moved(5),
+    ]
     path = written(tmp_path, frames)
     schema.validate(path)
     root = root_of(path)
-    events = {event.get("name"): event.find(".//SimulationTimeCondition").get("value") for event in root.iter("Event")}
+    events = {
+        event.get("name"): event.find(".//SimulationTimeCondition").get("value")
+        for event in root.iter("Event")
+    }
     start_s = frames[0].time_s
     assert float(events["car-3 appears"]) == pytest.approx(0.4 - start_s, abs=1e-3)
     assert float(events["car-3 disappears"]) == pytest.approx(0.5 - start_s, abs=1e-3)

@@ -57,7 +57,9 @@ def test_values_and_schema(run_file: Path) -> None:
         assert (field.metadata or {}).get(b"unit", b"").decode() == column.unit
         if column.kind == "name":
             assert pa.types.is_dictionary(field.type)
-            assert values.to_pylist()[6:8] == (["car", "traffic light"] if column.name == "class" else [None, "parked"])
+            assert values.to_pylist()[6:8] == (
+                ["car", "traffic light"] if column.name == "class" else [None, "parked"]
+            )
         else:
             expected = np.asarray(column.read(frame), np.float64)
             np.testing.assert_array_equal(np.asarray(values.to_numpy(), np.float64)[6:8], expected)
@@ -99,7 +101,8 @@ def test_last_frame_is_discarded(tmp_path: Path) -> None:
 
 
 def test_full_disk(tmp_path: Path) -> None:
-    """The frames before the failure are in tracks.parquet; without space for it, in tracks.arrows."""
+    """The frames before the failure are in tracks.parquet; without space for it, in
+    tracks.arrows."""
     for limit in (18_000, 26_345):
         with writing(tmp_path, ("csv", "parquet")) as rows, file_size_limit(limit):
             with pytest.raises(OutputError, match=ARROWS):  # noqa: PT012
@@ -107,8 +110,13 @@ def test_full_disk(tmp_path: Path) -> None:
                     rows.write(result(index))
                     n_frames = index + 1
             assert n_frames > 1
-        for columns in (read_tracks_csv(tmp_path / "tracks.csv"), read_tracks_parquet(tmp_path / PARQUET)):
-            assert columns["frame"].tolist() == [index for index in range(n_frames) for _ in range(2)]
+        for columns in (
+            read_tracks_csv(tmp_path / "tracks.csv"),
+            read_tracks_parquet(tmp_path / PARQUET),
+        ):
+            assert columns["frame"].tolist() == [
+                index for index in range(n_frames) for _ in range(2)
+            ]
     (tmp_path / PARQUET).unlink()
     with writing(tmp_path, ("parquet",)) as rows:
         rows.write(result(0))
@@ -128,9 +136,13 @@ def test_killed_process(tmp_path: Path) -> None:
         "        rows.write(result(index))\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program, str(tmp_path)], cwd=Path(__file__).parents[3], check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)], cwd=Path(__file__).parents[3], check=False
+    )
     assert ended.returncode == -9
-    assert read_tracks_arrows(tmp_path / ARROWS)[0]["frame"].tolist() == [index for index in range(7) for _ in range(2)]
+    assert read_tracks_arrows(tmp_path / ARROWS)[0]["frame"].tolist() == [
+        index for index in range(7) for _ in range(2)
+    ]
     report([tmp_path], None)
     assert (tmp_path / "report.html").exists()
 
@@ -179,7 +191,8 @@ def test_newer_schema_version(run_file: Path) -> None:
 
 
 def test_rows_as_labels(run_file: Path) -> None:
-    """Parquet is binary, also where readers look at the first line of text: as detections and as tracks."""
+    """Parquet is binary, also where readers look at the first line of text: as detections and as
+    tracks."""
     frames = read_detections(run_file).frame
     assert frames.tolist() == list(range(5))  # predicted boxes are no detections
     truth = run_file.with_name("truth.csv")
@@ -233,7 +246,11 @@ def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
     metadata = parquet.read_schema(alone / PARQUET).metadata
     run = read_yaml(alone / "settings.yaml", OutputError, "settings")["run"]
     summary = json.loads((alone / "summary.json").read_text())
-    assert metadata[b"track_range.settings_hash"].decode() == summary["settings_hash"] == settings_hash(run)
+    assert (
+        metadata[b"track_range.settings_hash"].decode()
+        == summary["settings_hash"]
+        == settings_hash(run)
+    )
     export(ExportSettings(source=alone, to="parquet", out=tmp_path / "exported"))
     assert parquet.read_schema(tmp_path / "exported").metadata == metadata
     assert summary["schema_version"] == SCHEMA_VERSION
@@ -242,7 +259,8 @@ def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
 
 
 def test_settings_hash() -> None:
-    """It depends on the inputs and options, not on the order of the keys and on the output files."""
+    """It depends on the inputs and options, not on the order of the keys and on the output
+    files."""
     run = {"mono": "/a.mp4", "focal_px": 900.0, "sgbm_options": {"a": 1, "b": [1, 2]}}
     written = {
         "sgbm_options": {"b": [1, 2], "a": 1},
@@ -269,8 +287,14 @@ def test_rows_written_after_the_iteration(tmp_path: Path, inputs) -> None:  # no
 @pytest.mark.parametrize("page", ["README.md", "docs/reference/results.md"])
 def test_documented_queries(run_file: Path, page: str) -> None:
     """The DuckDB and pandas lines of the documentation give the closest approach of each track."""
-    blocks = [code for code in python_blocks(PAGES[page]) if "closest_m" in code or "groupby" in code]
-    text = "\n".join(blocks).replace("DIR/", f"{run_file.parent}/").replace("results/", f"{run_file.parent}/")
+    blocks = [
+        code for code in python_blocks(PAGES[page]) if "closest_m" in code or "groupby" in code
+    ]
+    text = (
+        "\n".join(blocks)
+        .replace("DIR/", f"{run_file.parent}/")
+        .replace("results/", f"{run_file.parent}/")
+    )
     text = text.replace("left-track-range/", f"{run_file.parent}/").replace("print(", "(")
     names: dict[str, object] = {}
     results = []

@@ -40,12 +40,18 @@ def write(folder: Path, n_frames: int = 4, **values: Any) -> Path:
 
 
 def rows_of(path: Path) -> Rows:
-    """Rows of each entity in the order of the frames, static ones first, with the columns that are not null."""
+    """Rows of each entity in the order of the frames, static ones first, with the columns that are
+    not null."""
     rows = defaultdict(list)
     for chunk in rr.chunk.RrdReader(path).stream().to_chunks():
         for row in chunk.to_record_batch().to_pylist():
-            rows[chunk.entity_path].append({name: value for name, value in row.items() if value is not None})
-    return {entity: sorted(given, key=lambda row: row.get("frame", -1)) for entity, given in rows.items()}
+            rows[chunk.entity_path].append(
+                {name: value for name, value in row.items() if value is not None}
+            )
+    return {
+        entity: sorted(given, key=lambda row: row.get("frame", -1))
+        for entity, given in rows.items()
+    }
 
 
 def values(rows: Rows, entity: str, component: str) -> list[Any]:
@@ -58,13 +64,21 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Rows:
 
 
 def test_entities(recording: Rows) -> None:
-    expected = {"/camera/image/boxes", "/world/tracks", "/birds_eye/tracks", "/distance/track_3", "/log"}
+    expected = {
+        "/camera/image/boxes",
+        "/world/tracks",
+        "/birds_eye/tracks",
+        "/distance/track_3",
+        "/log",
+    }
     assert expected <= set(recording)
     assert values(recording, "/log", ":text") == [["a note"], ["another note"]]
     assert values(recording, "/distance/track_3", ":scalars") == [[12.0], [12.0], [12.0]]
     assert values(recording, "/closing_speed/track_3", ":scalars") == [[2.0], [2.0], [2.0]]
     assert [row["frame"] for row in recording["/distance/track_3"] if "frame" in row] == [0, 1, 3]
-    assert "/distance/track_7" not in recording or not values(recording, "/distance/track_7", ":scalars")
+    assert "/distance/track_7" not in recording or not values(
+        recording, "/distance/track_7", ":scalars"
+    )
 
 
 def test_scene(recording: Rows) -> None:
@@ -76,11 +90,15 @@ def test_scene(recording: Rows) -> None:
         2 * np.array(values(recording, "/world/tracks", ":half_sizes")[0][0]), car.size_m, rtol=1e-6
     )
     np.testing.assert_allclose(
-        values(recording, "/birds_eye/tracks", ":positions")[0][0], [car.centre_m[0], -car.centre_m[2]]
+        values(recording, "/birds_eye/tracks", ":positions")[0][0],
+        [car.centre_m[0], -car.centre_m[2]],
     )
     boxes = values(recording, "/camera/image/boxes", ":centers")
     np.testing.assert_allclose(boxes[0], [[2.5, 3.75], [20.5, 30.5]])
-    assert values(recording, "/camera/image/boxes", ":labels")[0] == ["car 3  12.0 ± 0.5 m", "traffic light 7"]
+    assert values(recording, "/camera/image/boxes", ":labels")[0] == [
+        "car 3  12.0 ± 0.5 m",
+        "traffic light 7",
+    ]
 
 
 def test_map(recording: Rows) -> None:
@@ -104,7 +122,9 @@ def test_stores_and_provenance(tmp_path: Path) -> None:
     assert [str(SCHEMA_VERSION)] in [
         value for row in rows[entity] for name, value in row.items() if "schema_version" in name
     ]
-    assert rows["/distance/track_3"][-1]["time"].timestamp() == pytest.approx(START_S + 0.3, abs=1e-3)
+    assert rows["/distance/track_3"][-1]["time"].timestamp() == pytest.approx(
+        START_S + 0.3, abs=1e-3
+    )
 
 
 def test_last_frame_is_discarded(tmp_path: Path) -> None:
@@ -171,7 +191,13 @@ def test_viewer_makes_no_connection(tmp_path: Path) -> None:
     calls = ("strace", "-f", "-e", "trace=connect,bind,sendto,sendmmsg", "-o", str(log))
     environment = {**os.environ, **VIEWER_VARIABLES, "HOME": str(tmp_path)}
     with suppress(subprocess.TimeoutExpired):
-        subprocess.run([*calls, *command, "--headless"], env=environment, timeout=20, capture_output=True, check=False)
+        subprocess.run(
+            [*calls, *command, "--headless"],
+            env=environment,
+            timeout=20,
+            capture_output=True,
+            check=False,
+        )
     addresses = re.findall(r"sin6?_addr.*?[\"]([0-9a-f.:]+)[\"]", log.read_text())
     assert addresses
     assert set(addresses) <= {"127.0.0.1", "::1"}

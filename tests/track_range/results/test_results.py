@@ -64,7 +64,17 @@ def result(frame=4):
         ttc_sigma_s=np.array([1.5, nan]),
         xyz_m=xyz_m,
         motion=ObjectMotion(
-            *(np.array(pair) for pair in ((8.5, nan), (0.4, nan), (-12.5, nan), (20.25, nan), (-3.5, nan), (nan, 0.0)))
+            *(
+                np.array(pair)
+                for pair in (
+                    (8.5, nan),
+                    (0.4, nan),
+                    (-12.5, nan),
+                    (20.25, nan),
+                    (-3.5, nan),
+                    (nan, 0.0),
+                )
+            )
         ),
         ego_pose=EgoPose(8.0, -1.0, -0.5, np.diag([0.04, 0.01, 0.0001])),
         ego_mps=10.0,
@@ -74,7 +84,9 @@ def result(frame=4):
 @contextmanager
 def writing(folder, names=("csv", "mot")):
     camera = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480)
-    with OpenWriters(names, RunInfo(camera=camera, rig=None, fps=10.0, settings={}), folder) as opened:
+    with OpenWriters(
+        names, RunInfo(camera=camera, rig=None, fps=10.0, settings={}), folder
+    ) as opened:
         yield opened
 
 
@@ -93,8 +105,11 @@ def test_fixed_columns():
 def test_sigmas_follow_their_values():
     names = column_names()
     sigmas = [name for name in names if "_sigma_" in name]
-    assert len(sigmas) == 13  # of nine distances, closing speed, two times to collision, and speed over ground
-    assert [names[names.index(sigma) - 1] for sigma in sigmas] == [sigma.replace("_sigma", "") for sigma in sigmas]
+    # of nine distances, closing speed, two times to collision, and speed over ground
+    assert len(sigmas) == 13
+    assert [names[names.index(sigma) - 1] for sigma in sigmas] == [
+        sigma.replace("_sigma", "") for sigma in sigmas
+    ]
 
 
 def test_columns_of_further_methods_are_appended(tmp_path):
@@ -124,7 +139,12 @@ def test_only_distances_of_methods_are_distances():
 
 
 def test_every_built_in_method_has_columns():
-    names = {f"{method.name}{end}" for method in methods() if method.measures_distance for end in ("_m", "_sigma_m")}
+    names = {
+        f"{method.name}{end}"
+        for method in methods()
+        if method.measures_distance
+        for end in ("_m", "_sigma_m")
+    }
     assert names <= set(CONTRACT)
     assert "expansion_m" not in CONTRACT
     assert "expansion" not in methods_with_sigma()
@@ -137,13 +157,20 @@ def test_rows_by_hand(tmp_path):
         first, second = csv.DictReader(file)
     assert first["frame"] == "4"
     assert (first["track_id"], first["class"], first["observed"]) == ("3", "car", "1")
-    assert (first["mono_m"], first["fused_m"], first["ttc_s"], first["x_m"]) == ("12.346", "12.000", "6.000", "1.000")
+    assert (first["mono_m"], first["fused_m"], first["ttc_s"], first["x_m"]) == (
+        "12.346",
+        "12.000",
+        "6.000",
+        "1.000",
+    )
     assert (first["stereo_m"], first["lane_m"], first["ground_m"]) == ("", "", "")
     assert (second["class"], second["observed"], second["fused_m"], second["fused_kf_m"]) == (
         *("traffic light", "0", ""),
         "8.000",
     )
-    assert (tmp_path / "mot.txt").read_text().splitlines()[0].startswith("5,3,2.00,3.00,2.00,2.50,0.5")
+    assert (
+        (tmp_path / "mot.txt").read_text().splitlines()[0].startswith("5,3,2.00,3.00,2.00,2.50,0.5")
+    )
 
 
 def test_mot_file_counts_frames_from_1(tmp_path):
@@ -200,7 +227,9 @@ def test_table_equals_tracks_csv(tmp_path_factory, values, times_s):
     folder = tmp_path_factory.mktemp("run")
     with writing(folder) as rows, RunTable(rows_per_batch=3) as table:
         for index, time_s in enumerate(times_s):
-            frame = replace(result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1]))
+            frame = replace(
+                result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1])
+            )
             frame = replace(frame, frame=replace(frame.frame, time_s=time_s))
             rows.write(frame)
             table.append(frame)
@@ -219,7 +248,8 @@ def test_table_of_many_batches():
             assert table.to_arrow().num_rows == 2 * (index + 1)
         arrow = table.to_arrow()
         assert arrow.equals(whole.to_arrow())
-    assert arrow.column("frame").to_pylist() == [index for index in range(10) for _ in range(2)]  # outlives its file
+    # outlives its file
+    assert arrow.column("frame").to_pylist() == [index for index in range(10) for _ in range(2)]
     assert arrow.column("mono_m").to_pylist()[:2] == [12.346, None]
     assert arrow.column("class").to_pylist()[:2] == ["car", "traffic light"]
     assert arrow.schema.field("closing_mps").metadata == {b"unit": b"m/s"}
@@ -249,7 +279,8 @@ def test_table_keeps_its_rows_if_results_change(n_frames):
 
 
 def test_table_of_sparse_frames(tmp_path, monkeypatch):
-    """Memory stays flat if most frames have few rows: after some hundreds of frames they are stored."""
+    """Memory stays flat if most frames have few rows: after some hundreds of frames they are
+    stored."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with RunTable() as table:
         for index in range(FRAMES_PER_BATCH - 1):

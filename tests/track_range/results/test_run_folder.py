@@ -30,7 +30,8 @@ Cli = Callable[..., tuple[int, str, str]]
 
 
 def write_run(folder: Path, **run: Any) -> Path:
-    """A run with a static car 20 m ahead and 4 m long: its rear is at 18 m, and fused measures 18.9 m, 5 % too much."""
+    """A run with a static car 20 m ahead and 4 m long: its rear is at 18 m, and fused measures 18.9
+    m, 5 % too much."""
     folder.mkdir(parents=True)
     (folder / "truth.txt").write_text(
         "".join(
@@ -45,10 +46,26 @@ def write_run(folder: Path, **run: Any) -> Path:
             box = {"x1_px": 280, "y1_px": 140, "x2_px": 360, "y2_px": 220}
             ranged = {"fused_m": 18.9, "fused_sigma_m": 0.5}
             time = {"frame": frame, "time_s": frame / 10}
-            rows.writerow({**time, "track_id": 1, "class": "car", "score": 0.9, "observed": 1, **box, **ranged})
+            rows.writerow(
+                {
+                    **time,
+                    "track_id": 1,
+                    "class": "car",
+                    "score": 0.9,
+                    "observed": 1,
+                    **box,
+                    **ranged,
+                }
+            )
     settings = {
         "track_range_settings": 1,
-        "run": {"mono": "drive.mp4", "truth": str(folder / "truth.txt"), "out": str(folder), "classes": [], **run},
+        "run": {
+            "mono": "drive.mp4",
+            "truth": str(folder / "truth.txt"),
+            "out": str(folder),
+            "classes": [],
+            **run,
+        },
         "found": {
             "rig": None,
             "focal_px": 1000.0,
@@ -59,7 +76,13 @@ def write_run(folder: Path, **run: Any) -> Path:
     }
     (folder / "settings.yaml").write_text(yaml.safe_dump(settings))
     (folder / "overlay.mp4").write_bytes(b"a film")
-    summary = {"frames": 9, "methods": {}, "files": {"overlay": "overlay.mp4"}, "notes": ["a note"], "truth": "t"}
+    summary = {
+        "frames": 9,
+        "methods": {},
+        "files": {"overlay": "overlay.mp4"},
+        "notes": ["a note"],
+        "truth": "t",
+    }
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
 
@@ -76,7 +99,9 @@ def test_complete_run(run: Path) -> None:
     assert read.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
     assert read.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
     assert read.summary["focal_px"] == 1000.0
-    assert read.summary["settings"] == {key: value for key, value in read.settings.items() if key != "classes"}
+    assert read.summary["settings"] == {
+        key: value for key, value in read.settings.items() if key != "classes"
+    }
 
 
 @pytest.mark.parametrize(("old", "new"), [("Car", "Van"), (" 20.0 ", " 120.0 ")])
@@ -91,7 +116,9 @@ def test_unscored_truth_is_shown(run: Path, old: str, new: str) -> None:
 def test_truth_without_labels(run: Path) -> None:
     columns = read_run_folder(run).columns
     nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
-    assert bool(np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all())
+    assert bool(
+        np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all()
+    )
 
 
 def test_truth_in_a_csv(run: Path) -> None:
@@ -135,7 +162,8 @@ def test_killed_run_of_each_second_frame(tmp_path: Path) -> None:
     summary = read_run_folder(run).summary
     assert summary["frames"] == 3
     assert (summary["tracks"]["mota"], summary["tracks"]["hota"]) == pytest.approx((100.0, 100.0))
-    (run / "tracks.csv").write_text("\n".join([header, rows[0], rows[4]]) + "\n")  # frame 2 is missed, 1 and 3 are not
+    # frame 2 is missed, 1 and 3 are not
+    (run / "tracks.csv").write_text("\n".join([header, rows[0], rows[4]]) + "\n")
     assert read_run_folder(run).summary["tracks"]["mota"] == pytest.approx(200 / 3, abs=1e-3)
 
 
@@ -179,19 +207,25 @@ def test_run_without_rows_is_refused(run: Path, tmp_path: Path, cli: Cli) -> Non
     page = report([run]).page
     before = page.read_bytes()
     (run / "tracks.csv").unlink()
-    for arguments in (("report", run), ("export", run, "--to", "coco", "--out", tmp_path / "boxes.json")):
+    for arguments in (
+        ("report", run),
+        ("export", run, "--to", "coco", "--out", tmp_path / "boxes.json"),
+    ):
         status, _, stderr = cli(*arguments)
         assert status == 1
         assert "found neither; restore" in stderr
     (run / "truth.txt").unlink()
-    with pytest.raises(LabelFileError, match=r"rows of the run in .*tracks\.csv, found no such file"):
+    with pytest.raises(
+        LabelFileError, match=r"rows of the run in .*tracks\.csv, found no such file"
+    ):
         find_sequences(run, "det")
     assert page.read_bytes() == before
     assert not (tmp_path / "boxes.json").exists()
 
 
 def test_clip_of_a_fleet(run: Path, tmp_path: Path, cli: Cli) -> None:
-    """The rows of a clip are in tracks/clip=NAME; the files of the clip, in runs/clip=NAME, have no settings.yaml."""
+    """The rows of a clip are in tracks/clip=NAME; the files of the clip, in runs/clip=NAME, have no
+    settings.yaml."""
     tracks, runs = tmp_path / "fleet" / "tracks" / "clip=a", tmp_path / "fleet" / "runs" / "clip=a"
     tracks.mkdir(parents=True)
     runs.parent.mkdir()
@@ -201,8 +235,14 @@ def test_clip_of_a_fleet(run: Path, tmp_path: Path, cli: Cli) -> None:
     boxes = tmp_path / "boxes.json"
     report([runs])
     assert len(read_run_folder(runs).columns["frame"]) == N_FRAMES
-    assert cli("export", runs, "--to", "coco", "--out", boxes)[1].rstrip().endswith(f"{N_FRAMES} boxes")
-    assert [sequence.path for sequence in find_sequences(runs, "det")] == [tracks / "tracks.parquet"]
+    assert (
+        cli("export", runs, "--to", "coco", "--out", boxes)[1]
+        .rstrip()
+        .endswith(f"{N_FRAMES} boxes")
+    )
+    assert [sequence.path for sequence in find_sequences(runs, "det")] == [
+        tracks / "tracks.parquet"
+    ]
     before = (runs / "report.html").read_bytes()
     (tracks / "tracks.parquet").unlink()
     with pytest.raises(OutputError, match=r"clip=a/tracks\.parquet, found no such file"):
@@ -285,7 +325,9 @@ def test_settings_of_wrong_types(run: Path, part: dict[str, Any], name: str | No
     (run / "settings.yaml").write_text(yaml.safe_dump(settings))
     read = read_run_folder(run)
     sentences = [sentence for sentence in read.missing if "unexpected types" in sentence]
-    assert [sentence.rpartition(": ")[2] for sentence in sentences] == ([] if name is None else [f"{name}."])
+    assert [sentence.rpartition(": ")[2] for sentence in sentences] == (
+        [] if name is None else [f"{name}."]
+    )
 
 
 def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:

@@ -7,7 +7,13 @@ import pytest
 from track_range.foundation.files.output_files import write_json
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
-from track_range.results.summary import frame_spans, matched_truth, range_scores, stage_times_ms, track_scores
+from track_range.results.summary import (
+    frame_spans,
+    matched_truth,
+    range_scores,
+    stage_times_ms,
+    track_scores,
+)
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
@@ -15,16 +21,35 @@ BOX = np.array([10.0, 10.0, 40.0, 40.0])
 def columns_of(n=10, *, fused=20.0, name="car"):
     """One track over n frames; mono only every other frame."""
     columns = {key: np.full(n, np.nan) for key in column_names()}
-    columns |= {"frame": np.arange(n, dtype=float), "track_id": np.ones(n), "class": np.full(n, name)}
-    columns |= {f"{edge}_px": np.full(n, value) for edge, value in zip(("x1", "y1", "x2", "y2"), BOX, strict=True)}
-    columns |= {"fused_m": np.full(n, fused), "fused_sigma_m": np.ones(n), "mono_sigma_m": np.ones(n)}
+    columns |= {
+        "frame": np.arange(n, dtype=float),
+        "track_id": np.ones(n),
+        "class": np.full(n, name),
+    }
+    columns |= {
+        f"{edge}_px": np.full(n, value)
+        for edge, value in zip(("x1", "y1", "x2", "y2"), BOX, strict=True)
+    }
+    columns |= {
+        "fused_m": np.full(n, fused),
+        "fused_sigma_m": np.ones(n),
+        "mono_sigma_m": np.ones(n),
+    }
     return columns | {"mono_m": np.where(np.arange(n) % 2, np.nan, 22.0)}
 
 
 def truth_of(n=10, *, kitti_type="Car", class_id=2, distance_m=20.0, closing_mps=np.nan):
     metres, speeds = np.full(n, distance_m), np.full(n, closing_mps)
     ones = np.ones(n, np.int64)
-    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres, speeds)
+    return Truth(
+        np.arange(n),
+        ones,
+        np.full(n, kitti_type),
+        class_id * ones,
+        np.tile(BOX, (n, 1)),
+        metres,
+        speeds,
+    )
 
 
 def test_methods_and_common_coverage():
@@ -39,9 +64,14 @@ def test_methods_and_common_coverage():
 
 
 def test_closing_speed_against_truth():
-    columns = columns_of() | {"closing_mps": np.full(10, 3.0), "closing_sigma_mps": np.full(10, 0.4)}
+    columns = columns_of() | {
+        "closing_mps": np.full(10, 3.0),
+        "closing_sigma_mps": np.full(10, 0.4),
+    }
     columns["closing_mps"][:5] = np.nan
-    closing = range_scores(columns, matched_truth(columns, truth_of(closing_mps=2.5)), ("fused",))["closing"]
+    closing = range_scores(columns, matched_truth(columns, truth_of(closing_mps=2.5)), ("fused",))[
+        "closing"
+    ]
     assert (closing["coverage"], closing["n"]) == (0.5, 5)
     assert (closing["median_error_mps"], closing["bias_mps"]) == (0.5, 0.5)
     assert (closing["within_1_sigma"], closing["within_2_sigma"]) == (0.0, 1.0)
@@ -52,12 +82,15 @@ def test_closing_speed_against_truth():
     [
         truth_of(),  # without speeds
         truth_of(closing_mps=2.5, class_id=-1),  # of no road class
-        truth_of(closing_mps=2.5, distance_m=4.0),  # too near for distances to be scored, so for speeds too
+        # too near for distances to be scored, so for speeds too
+        truth_of(closing_mps=2.5, distance_m=4.0),
         truth_of(closing_mps=2.5, distance_m=np.nan),
     ],
 )
 def test_no_closing_speed_where_nothing_is_scored(truth):
-    assert "closing" not in range_scores(columns_of(), matched_truth(columns_of(), truth), ("fused",))
+    assert "closing" not in range_scores(
+        columns_of(), matched_truth(columns_of(), truth), ("fused",)
+    )
 
 
 def test_coverage_without_truth():
@@ -80,7 +113,11 @@ def test_objects_below_25_px_do_not_count():
     low = replace(truth_of(), xyxy_px=np.array([[10.0, 10.0, 40.0, 34.9]] * 5 + [BOX] * 5))
     tracked = track_scores(columns_of(), low, np.arange(10))
     assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (5, 0, 0)
-    stray = columns_of() | {"x1_px": np.full(10, 100.0), "x2_px": np.full(10, 120.0), "y2_px": np.full(10, 34.9)}
+    stray = columns_of() | {
+        "x1_px": np.full(10, 100.0),
+        "x2_px": np.full(10, 120.0),
+        "y2_px": np.full(10, 34.9),
+    }
     assert track_scores(stray, truth_of(), np.arange(10))["fp"] == 0
     assert track_scores(stray | {"y2_px": np.full(10, 35.1)}, truth_of(), np.arange(10))["fp"] == 10
 
@@ -125,4 +162,6 @@ def test_truth_without_rows():
     ],
 )
 def test_spans_of_processed_frames(frames, every, spans):
-    assert frame_spans(np.array(frames, np.int64), every) == ({} if spans is None else {"processed_frames": spans})
+    assert frame_spans(np.array(frames, np.int64), every) == (
+        {} if spans is None else {"processed_frames": spans}
+    )

@@ -11,12 +11,20 @@ from track_range.results.columns import TEXT_COLUMNS, column_names
 from track_range.results.summary_shape import valid_summary
 from track_range.views.report.page import report_page
 
-NO_ROWS = {name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()}
+NO_ROWS = {
+    name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()
+}
 WHOLE: dict[str, Any] = {
     "frames": 3,
     "wall_s": 1.5,
     "stages_ms": {"read": 2.0},
-    "methods": {"mono": {"n": 3, "bands": [{"from_m": 5.0, "to_m": 10.0, "n": 1}], "by_class": {"Car": {"n": 3}}}},
+    "methods": {
+        "mono": {
+            "n": 3,
+            "bands": [{"from_m": 5.0, "to_m": 10.0, "n": 1}],
+            "by_class": {"Car": {"n": 3}},
+        }
+    },
     "common": {},
     "tracks": {"n": 1, "mota": None, "classes": ["car"]},
     "alignment": {"offset_px": 0.1, "source": "this drive", "is_applied": True},
@@ -89,7 +97,9 @@ def test_huge_figures_are_omitted(part: dict[str, Any], name: str) -> None:
     assert "<html" in report_page(summary, NO_ROWS)
 
 
-@pytest.mark.parametrize("part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}])
+@pytest.mark.parametrize(
+    "part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}]
+)
 def test_page_of_impossible_figures(part: dict[str, Any]) -> None:
     summary, _ = valid_summary(WHOLE | part)
     assert "<html" in report_page(summary, NO_ROWS)

@@ -9,7 +9,15 @@ import pytest
 from rich.console import Console
 
 from track_range.cli.console import print_grid, print_summary
-from track_range.views.report.tables import SIGMA, Cell, Grid, frames_per_s, grids, markdown, method_grid
+from track_range.views.report.tables import (
+    SIGMA,
+    Cell,
+    Grid,
+    frames_per_s,
+    grids,
+    markdown,
+    method_grid,
+)
 
 STEREO = {
     "coverage": 0.984,
@@ -68,7 +76,9 @@ def test_closing_speed_table() -> None:
         "median_sigma_mps": 0.7,
     }
     closing_grids = [
-        grid for grid in grids({**SUMMARY, "closing": closing}) if grid.title == "Error of the closing speed"
+        grid
+        for grid in grids({**SUMMARY, "closing": closing})
+        if grid.title == "Error of the closing speed"
     ]
     assert closing_grids[0].columns == (
         "method",
@@ -80,14 +90,25 @@ def test_closing_speed_table() -> None:
         f"\u22641{SIGMA} %",
         f"{SIGMA} m/s",
     )
-    assert texts(closing_grids[0].rows) == [["fused_kf", "69", "308", "0.40", "0.22", "+0.01", "90", "0.70"]]
+    assert texts(closing_grids[0].rows) == [
+        ["fused_kf", "69", "308", "0.40", "0.22", "+0.01", "90", "0.70"]
+    ]
     assert not any(grid.title == "Error of the closing speed" for grid in grids(SUMMARY))
 
 
 def test_method_rows_by_hand() -> None:
     grid = method_grid("Distance", {"mono": MONO, "stereo": STEREO})
     assert grid.columns == (
-        *("method", "coverage %", "n", "mean %", "median %", "bias %", "\u22641\u03c3 %", "\u22642\u03c3 %"),
+        *(
+            "method",
+            "coverage %",
+            "n",
+            "mean %",
+            "median %",
+            "bias %",
+            "\u22641\u03c3 %",
+            "\u22642\u03c3 %",
+        ),
         "10-20 m",
     )
     assert texts(grid.rows) == [
@@ -107,7 +128,9 @@ def test_best_bias_is_nearest_to_zero() -> None:
 
 
 def test_equal_texts_are_equally_good() -> None:
-    grid = method_grid("Distance", {"a": {"mean_relative_error_pct": 2.01}, "b": {"mean_relative_error_pct": 2.04}})
+    grid = method_grid(
+        "Distance", {"a": {"mean_relative_error_pct": 2.01}, "b": {"mean_relative_error_pct": 2.04}}
+    )
     assert bests(grid.rows) == [["2.0"], ["2.0"]]
 
 
@@ -119,24 +142,38 @@ def test_missing_values_and_empty_columns() -> None:
     methods = {"mono": MONO, "sgbm": {"coverage": float("nan"), **UNMEASURED, "bands": []}}
     grid = method_grid("Distance", methods)
     assert texts(grid.rows)[1] == ["sgbm"] + ["-"] * 8
-    without_truth = method_grid("Distance", {"mono": {"coverage": 0.5, **UNMEASURED, "bands": None}})
+    without_truth = method_grid(
+        "Distance", {"mono": {"coverage": 0.5, **UNMEASURED, "bands": None}}
+    )
     assert without_truth.columns == ("method", "coverage %")
     assert texts(without_truth.rows) == [["mono", "50"]]
 
 
 def test_uncertainty_and_run_time_without_truth() -> None:
     summary = {
-        "methods": {"mono": {"median_sigma_pct": 7.31}, "fused": {"median_sigma_pct": 4.0}, "lane": {"coverage": 0.0}},
+        "methods": {
+            "mono": {"median_sigma_pct": 7.31},
+            "fused": {"median_sigma_pct": 4.0},
+            "lane": {"coverage": 0.0},
+        },
         "stages_ms": {"mono": 0.104, "fuse": 1.0, "lane": 0.0},
     }
     table = grids(summary)[1]
     assert table.columns == ("method", "\u03c3 %", "ms/frame")
-    assert texts(table.rows) == [["mono", "7.3", "0.10"], ["fused", "4.0", "1.00"], ["lane", "-", "-"]]
+    assert texts(table.rows) == [
+        ["mono", "7.3", "0.10"],
+        ["fused", "4.0", "1.00"],
+        ["lane", "-", "-"],
+    ]
 
 
 def test_speed_rows() -> None:
     speed = grids(SUMMARY)[2]
-    assert texts(speed.rows) == [["read", "2.00", "500.0"], ["detect", "62.50", "16.0"], ["whole run", "125.00", "8.0"]]
+    assert texts(speed.rows) == [
+        ["read", "2.00", "500.0"],
+        ["detect", "62.50", "16.0"],
+        ["whole run", "125.00", "8.0"],
+    ]
 
 
 def test_frame_rate_of_a_run() -> None:
@@ -155,7 +192,9 @@ def test_titles() -> None:
     assert texts(grids(SUMMARY)[3].rows) == [["all", "5", "88.1", "91.0", "0"]]
 
 
-@pytest.mark.parametrize("empty", [{}, {"methods": {}, "common": None, "tracks": None, "stages_ms": {}}])
+@pytest.mark.parametrize(
+    "empty", [{}, {"methods": {}, "common": None, "tracks": None, "stages_ms": {}}]
+)
 def test_empty_summary_has_no_tables(empty: dict[str, Any]) -> None:
     assert grids(empty) == []
     assert printed(empty, width=80) == ""
@@ -200,7 +239,11 @@ def test_rich_markup_in_a_name_is_literal() -> None:
 
 def wide_grid(n_columns: int) -> Grid:
     columns = tuple(f"figure{i:02d}" for i in range(n_columns))
-    return Grid("Many", ("method", *columns), ((Cell("mono"), *(Cell(f"{i}.12345") for i in range(n_columns))),))
+    return Grid(
+        "Many",
+        ("method", *columns),
+        ((Cell("mono"), *(Cell(f"{i}.12345") for i in range(n_columns))),),
+    )
 
 
 @pytest.mark.parametrize(("width", "n_parts"), [(30, 6), (80, 2), (200, 1)])

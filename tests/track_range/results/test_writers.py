@@ -27,7 +27,9 @@ from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BUILT_IN = ("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd", "openscenario")
-INFO = RunInfo(camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={})
+INFO = RunInfo(
+    camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={}
+)
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
 
 
@@ -51,9 +53,26 @@ def mono_run(tmp_path, cli, film):
     (tmp_path / "boxes.txt").write_text(ROW)
 
     def run(*settings, out="out"):
-        (tmp_path / "settings.yaml").write_text("\n".join(["track_range_settings: 1", "run:", *settings]) + "\n")
-        inputs = ("--mono", video, "--detections", tmp_path / "boxes.txt", "--focal-px", 60, "--lanes", "off")
-        options = ("--no-overlay", "--settings", tmp_path / "settings.yaml", "--out", tmp_path / out)
+        (tmp_path / "settings.yaml").write_text(
+            "\n".join(["track_range_settings: 1", "run:", *settings]) + "\n"
+        )
+        inputs = (
+            "--mono",
+            video,
+            "--detections",
+            tmp_path / "boxes.txt",
+            "--focal-px",
+            60,
+            "--lanes",
+            "off",
+        )
+        options = (
+            "--no-overlay",
+            "--settings",
+            tmp_path / "settings.yaml",
+            "--out",
+            tmp_path / out,
+        )
         return cli(*inputs, *options)
 
     return run
@@ -63,11 +82,16 @@ def test_toy_writer_in_a_run(tmp_path, mono_run):
     with registered_writer(NAME, JsonLinesWriter):
         status, printed, complaint = mono_run("  write: [csv, jsonl]")
         assert status == 0, complaint
-        assert "report.html, events.csv, events.parquet, tracks.csv, frames.jsonl, summary.json" in printed
+        assert (
+            "report.html, events.csv, events.parquet, tracks.csv, frames.jsonl, summary.json"
+            in printed
+        )
         names = {path.name for path in (tmp_path / "out").iterdir()}
         always = {"events.csv", "events.parquet", "summary.json", "settings.yaml", "report.html"}
         assert names == {"tracks.csv", "frames.jsonl", *always}
-        lines = [json.loads(line) for line in (tmp_path / "out/frames.jsonl").read_text().splitlines()]
+        lines = [
+            json.loads(line) for line in (tmp_path / "out/frames.jsonl").read_text().splitlines()
+        ]
         assert [line.get("frame") for line in lines] == [0, 1, 2, None]
         assert lines[-1] == {"focal_px": 60.0, "fps": pytest.approx(10.0), "frames": 3}
         assert mono_run("  write: [mot]")[0] == 0
@@ -81,7 +105,9 @@ def test_summary_does_not_depend_on_the_writers(tmp_path, mono_run):
     for number, names in enumerate(("[csv, mot]", "[mot]")):
         assert mono_run(f"  write: {names}", out=f"out{number}")[0] == 0
         summary = json.loads((tmp_path / f"out{number}/summary.json").read_text())
-        summaries.append({key: value for key, value in summary.items() if key in ("frames", "methods", "tracks")})
+        summaries.append(
+            {key: value for key, value in summary.items() if key in ("frames", "methods", "tracks")}
+        )
     assert summaries[0] == summaries[1]
 
 
@@ -104,7 +130,10 @@ def test_unknown_and_unusable_writers():
         create_writer("nothing")
     with pytest.raises(WriterError, match="csv"):
         register_writer("csv", JsonLinesWriter)
-    with registered_writer("gone", "tests.toys.toy_writer:Gone"), pytest.raises(WriterError, match="gone"):
+    with (
+        registered_writer("gone", "tests.toys.toy_writer:Gone"),
+        pytest.raises(WriterError, match="gone"),
+    ):
         create_writer("gone")
 
 
@@ -135,7 +164,9 @@ def test_writers_left_open_are_closed(tmp_path):
     with registered_writer(NAME, JsonLinesWriter):
         with OpenWriters(["jsonl"], INFO, tmp_path) as opened:
             opened.write(result())
-        assert json.loads((tmp_path / "frames.jsonl").read_text().splitlines()[-1])["frames"] is None
+        assert (
+            json.loads((tmp_path / "frames.jsonl").read_text().splitlines()[-1])["frames"] is None
+        )
 
 
 def writer_of(*files):

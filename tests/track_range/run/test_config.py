@@ -46,16 +46,23 @@ def test_settings_file_and_overriding_options(tmp_path, monkeypatch):
     assert again.stereo == (tmp_path / "left.mp4", tmp_path / "right.mp4")
     assert (again.classes, again.sgbm, again.duration_s) == (("car", "bus"), False, 3.0)
     (tmp_path / "classes.txt").write_text("person\ncar\n")
-    save_settings(settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", detected={})
+    save_settings(
+        settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", detected={}
+    )
     assert settings_from({}, tmp_path / "named.yaml").names == str(tmp_path / "classes.txt")
     (tmp_path / "net.onnx").touch()
-    for word, kept in (("yolov5n", "yolov5n"), ("net.onnx", str(tmp_path / "net.onnx"))):  # a name stays a name
-        save_settings(settings_from({**PAIR, "detector": word}), tmp_path / "word.yaml", detected={})
+    # a name stays a name
+    for word, kept in (("yolov5n", "yolov5n"), ("net.onnx", str(tmp_path / "net.onnx"))):
+        save_settings(
+            settings_from({**PAIR, "detector": word}), tmp_path / "word.yaml", detected={}
+        )
         assert settings_from({}, tmp_path / "word.yaml").detector == kept
     single = {"mono": Path("m.mp4"), "detector": "m.onnx", "rig": Path("rig.yaml")}
     save_settings(settings_from(single), tmp_path / "single.yaml", detected={})
     assert settings_from({"focal_px": 700.0}, tmp_path / "single.yaml").rig is None
-    mono = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")}, tmp_path / "settings.yaml")
+    mono = settings_from(
+        {"mono": Path("m.mp4"), "detections": Path("d.txt")}, tmp_path / "settings.yaml"
+    )
     assert (mono.stereo, mono.detector, mono.mono) == (None, None, Path("m.mp4"))
 
 
@@ -119,7 +126,11 @@ def test_reid_needs_a_tracker_that_compares_appearance() -> None:
 def test_sgbm_options_and_alignment_in_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     chosen = {"mode": "hh", "block_size": 7}
-    save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", detected={})
+    save_settings(
+        settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}),
+        tmp_path / "s.yaml",
+        detected={},
+    )
     again = settings_from({}, tmp_path / "s.yaml")
     assert (again.sgbm_options, again.align) == (chosen, "off")
     (tmp_path / "hand.yaml").write_text("track_range_settings: 1\nrun: {align: off}\n")

@@ -1,4 +1,5 @@
-"""Whole runs of the command line on a simulated drive and, where there are any, on real recordings."""
+"""Whole runs of the command line on a simulated drive and, where there are any, on real
+recordings."""
 
 import csv
 import json
@@ -60,7 +61,8 @@ def n_frames_of(video):
 
 
 def n_playable_frames_of(video):
-    """Frames before the first damaged one: a kill may stop the kernel within the write of the last fragment."""
+    """Frames before the first damaged one: a kill may stop the kernel within the write of the last
+    fragment."""
     n = 0
     with av.open(str(video)) as container, suppress(av.error.InvalidDataError):
         for _ in container.decode(video=0):
@@ -89,7 +91,9 @@ def test_summary_keys(simulated_run):
         for score in summary[section].values():
             assert 0 < score["coverage"] <= 1
             assert 0 <= score["within_1_sigma"] <= score["within_2_sigma"] <= 1
-            assert {"n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct"} <= set(score)
+            assert {"n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct"} <= set(
+                score
+            )
             assert [band["from_m"] for band in score["bands"]] == [5, 10, 20, 30, 50]
     assert len({score["n"] for score in summary["common"].values()}) == 1
     assert {"n", "mota", "idf1", "idsw"} <= set(summary["tracks"])
@@ -108,7 +112,8 @@ def test_errors_on_the_exact_world(simulated_run):
 
 @pytest.mark.slow
 def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_path):
-    """The same files without the truth, in a folder where there is none: every measurement stays the same."""
+    """The same files without the truth, in a folder where there is none: every measurement stays
+    the same."""
     names = ("left", "right", "rig", "detections", "ego_speed")
     for name in names:
         shutil.copy(getattr(drive, name), tmp_path)
@@ -127,21 +132,46 @@ def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_pat
         "--out",
         tmp_path / "out",
     )
-    without, with_truth = (read_tracks_csv(folder / "tracks.csv") for folder in (tmp_path / "out", simulated_run[0]))
+    without, with_truth = (
+        read_tracks_csv(folder / "tracks.csv") for folder in (tmp_path / "out", simulated_run[0])
+    )
     measured = [name for name in without if not name.startswith("truth")]
     assert {f"{name}_m" for name in STEREO_METHODS} <= set(measured)
     for name in measured:
         np.testing.assert_array_equal(without[name], with_truth[name])
 
 
-def test_what_happened_is_printed_and_tables_with_verbose(simulated_run, drive, track_range, tmp_path):
+def test_what_happened_is_printed_and_tables_with_verbose(
+    simulated_run, drive, track_range, tmp_path
+):
     brief = simulated_run[1]
-    inputs = ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--truth", drive.truth)
+    inputs = (
+        "--stereo",
+        drive.left,
+        drive.right,
+        "--detections",
+        drive.detections,
+        "--truth",
+        drive.truth,
+    )
     verbose = track_range(
-        *inputs, "--align", "off", "--no-overlay", "--duration", 0.3, "--verbose", "--out", tmp_path / "v"
+        *inputs,
+        "--align",
+        "off",
+        "--no-overlay",
+        "--duration",
+        0.3,
+        "--verbose",
+        "--out",
+        tmp_path / "v",
     )
     assert "\r" not in brief
-    for words in ("found next to the left video", "Road users", "Accuracy against the ground truth", "MOTA"):
+    for words in (
+        "found next to the left video",
+        "Road users",
+        "Accuracy against the ground truth",
+        "MOTA",
+    ):
         assert words in brief
         assert words in verbose
     for words in ("fused_kf", "ms/frame", "common coverage"):
@@ -161,7 +191,16 @@ def test_settings_repeat_the_run(simulated_run, track_range, tmp_path):
 
 
 def test_one_camera_with_classes_and_a_time_window(drive, track_range, tmp_path):
-    options = ("--detections", drive.detections, "--classes", "car", "--start", "0.5", "--duration", "0.6")
+    options = (
+        "--detections",
+        drive.detections,
+        "--classes",
+        "car",
+        "--start",
+        "0.5",
+        "--duration",
+        "0.6",
+    )
     track_range("--mono", drive.left, *options, "--out", tmp_path / "out")
     columns = read_tracks_csv(tmp_path / "out" / "tracks.csv")
     assert set(columns["class"]) == {"car"}
@@ -174,7 +213,15 @@ def test_one_camera_with_classes_and_a_time_window(drive, track_range, tmp_path)
 
 
 def test_default_output_folder(drive, track_range, tmp_path):
-    stereo = ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--no-sgbm", "--no-overlay")
+    stereo = (
+        "--stereo",
+        drive.left,
+        drive.right,
+        "--detections",
+        drive.detections,
+        "--no-sgbm",
+        "--no-overlay",
+    )
     printed = track_range(*stereo, "--duration", "0.3", folder=tmp_path)
     assert (tmp_path / "left-track-range" / "summary.json").is_file()
     assert "left-track-range" in printed
@@ -183,10 +230,23 @@ def test_default_output_folder(drive, track_range, tmp_path):
 @pytest.mark.slow
 def test_image_folder_equals_video(drive, track_range, tmp_path):
     write_images(drive, tmp_path)
-    options = ("--detections", drive.detections, "--rig", drive.rig, "--no-sgbm", "--no-overlay", "--align", "off")
-    track_range("--stereo", tmp_path / "left", tmp_path / "right", *options, "--out", tmp_path / "images")
+    options = (
+        "--detections",
+        drive.detections,
+        "--rig",
+        drive.rig,
+        "--no-sgbm",
+        "--no-overlay",
+        "--align",
+        "off",
+    )
+    track_range(
+        "--stereo", tmp_path / "left", tmp_path / "right", *options, "--out", tmp_path / "images"
+    )
     track_range("--stereo", drive.left, drive.right, *options, "--out", tmp_path / "video")
-    images, video = (read_tracks_csv(tmp_path / name / "tracks.csv") for name in ("images", "video"))
+    images, video = (
+        read_tracks_csv(tmp_path / name / "tracks.csv") for name in ("images", "video")
+    )
     np.testing.assert_array_equal(images["track_id"], video["track_id"])
     np.testing.assert_allclose(images["stereo_m"], video["stereo_m"], atol=1e-3)
 
@@ -197,21 +257,28 @@ def write_images(drive, folder):
         (folder / side).mkdir()
         with av.open(str(getattr(drive, side))) as container:
             for number, frame in enumerate(container.decode(video=0)):
-                cv2.imwrite(str(folder / side / f"{number:06d}.png"), frame.to_ndarray(format="bgr24"))
+                cv2.imwrite(
+                    str(folder / side / f"{number:06d}.png"), frame.to_ndarray(format="bgr24")
+                )
 
 
 @pytest.fixture(scope="session")
 def long_drive(drive, tmp_path_factory):
-    """The images of the drive 60 times over, so that a run does not end before it is stopped, on a busy machine too."""
+    """The images of the drive 60 times over, so that a run does not end before it is stopped, on a
+    busy machine too."""
     folder, n, n_rounds = tmp_path_factory.mktemp("long"), n_frames_of(drive.left), 60
     write_images(drive, folder)
     for side in ("left", "right"):
         for number in range(n, n * n_rounds):
             os.link(folder / side / f"{number % n:06d}.png", folder / side / f"{number:06d}.png")
     rows = [line.split(maxsplit=1) for line in drive.detections.read_text().splitlines()]
-    shifted = [f"{int(frame) + n * turn} {rest}" for turn in range(n_rounds) for frame, rest in rows]
+    shifted = [
+        f"{int(frame) + n * turn} {rest}" for turn in range(n_rounds) for frame, rest in rows
+    ]
     (folder / "detections.txt").write_text("\n".join(shifted))
-    return replace(drive, left=folder / "left", right=folder / "right", detections=folder / "detections.txt")
+    return replace(
+        drive, left=folder / "left", right=folder / "right", detections=folder / "detections.txt"
+    )
 
 
 @pytest.mark.slow
@@ -267,8 +334,15 @@ def test_killed_while_the_alignment_is_estimated(long_drive, tmp_path, cli):
         process.communicate()
     assert (out / "settings.yaml").is_file()
     status, _, complaint = cli("report", out)
-    assert (status, "killed while estimating the alignment" in complaint, complaint.count("\n")) == (1, True, 1)
-    assert cli(*options, "--duration", 0.2, "--detections", long_drive.detections, "--align", "off")[0] == 0
+    assert (
+        status,
+        "killed while estimating the alignment" in complaint,
+        complaint.count("\n"),
+    ) == (1, True, 1)
+    assert (
+        cli(*options, "--duration", 0.2, "--detections", long_drive.detections, "--align", "off")[0]
+        == 0
+    )
     assert not (out / "progress.json").exists()
 
 
@@ -281,7 +355,8 @@ def last_frame(rows):
 
 
 def wait_for(condition, process, limit_s=600):
-    """Poll until a condition holds; a process that ends first fails the test, and so does one that hangs."""
+    """Poll until a condition holds; a process that ends first fails the test, and so does one that
+    hangs."""
     end_s = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < end_s, "the process hangs"
@@ -293,7 +368,9 @@ def test_installed_command():
     """The console script: what it prints, and its exit status."""
 
     def run(*arguments):
-        return subprocess.run([TRACK_RANGE, *arguments], capture_output=True, text=True, check=False)
+        return subprocess.run(
+            [TRACK_RANGE, *arguments], capture_output=True, text=True, check=False
+        )
 
     assert run("--version").stdout.startswith("track-range 0.")
     wrong = run("--colour", "red")
@@ -310,7 +387,9 @@ def test_help_names_options_and_commands(track_range, cli):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("option", "boxes"), [((), "packaged detector"), (("--playback",), "true boxes with noise")])
+@pytest.mark.parametrize(
+    ("option", "boxes"), [((), "packaged detector"), (("--playback",), "true boxes with noise")]
+)
 def test_demo(tmp_path, track_range, option, boxes):
     printed = track_range("demo", "--out", tmp_path / "demo", "--seconds", "0.5", *option)
     assert boxes in printed
@@ -319,7 +398,8 @@ def test_demo(tmp_path, track_range, option, boxes):
     assert len(printed.splitlines()) <= 26  # two notes, then one screen
 
 
-# --- real video -------------------------------------------------------------------------------------------------------
+# --- real video
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="session", params=["0003", "0005"])
@@ -333,7 +413,8 @@ def kitti_run(request, shared_data, track_range, tmp_path_factory):
 
 
 def test_real_cars_are_tracked(kitti_run):
-    """Every car at least 30 px high, not truncated, at most partly occluded: in a track in 80 % of those frames."""
+    """Every car at least 30 px high, not truncated, at most partly occluded: in a track in 80 % of
+    those frames."""
     drive, out, _ = kitti_run
     labels, columns = read_kitti(drive / "label.txt"), read_tracks_csv(out / "tracks.csv")
     boxes = np.stack([columns[f"{edge}_px"] for edge in ("x1", "y1", "x2", "y2")], axis=1)
@@ -343,13 +424,16 @@ def test_real_cars_are_tracked(kitti_run):
     for car in np.unique(labels.track_id[clear]):
         rows = np.flatnonzero(clear & (labels.track_id == car))
         is_tracked = [
-            iou(labels.xyxy_px[[i]], boxes[columns["frame"] == labels.frame[i]]).max(initial=0) >= 0.5 for i in rows
+            iou(labels.xyxy_px[[i]], boxes[columns["frame"] == labels.frame[i]]).max(initial=0)
+            >= 0.5
+            for i in rows
         ]
         assert np.mean(is_tracked) >= 0.8, f"car {car}: {sum(is_tracked)} of {len(is_tracked)}"
 
 
 def test_real_stereo_error_below_three_per_cent(kitti_run):
-    """Six matchers measure disparities half a pixel too small here; uncorrected medians are 3 to 4 %."""
+    """Six matchers measure disparities half a pixel too small here; uncorrected medians are 3 to 4
+    %."""
     _, _, summary = kitti_run
     methods, alignment = summary["methods"], summary["alignment"]
     assert alignment["is_applied"]
@@ -364,13 +448,21 @@ def test_real_stereo_error_below_three_per_cent(kitti_run):
 def test_real_grey_pair_and_single_camera(shared_data, track_range, tmp_path):
     model = shared_data / "models/yolov5n_coco_dyn.onnx"
     grey = shared_data / "kitti_odometry/gray51"
-    track_range("--stereo", grey / "left.mp4", grey / "right.mp4", "--detector", model, "--out", tmp_path / "grey")
+    track_range(
+        "--stereo",
+        grey / "left.mp4",
+        grey / "right.mp4",
+        "--detector",
+        model,
+        "--out",
+        tmp_path / "grey",
+    )
     summary = json.loads((tmp_path / "grey/summary.json").read_text())
     assert summary["frames"] == 51
     assert summary["methods"]["stereo"]["coverage"] > 0.5
-    assert yaml.safe_load((tmp_path / "grey/settings.yaml").read_text())["found"]["baseline_m"] == pytest.approx(
-        0.5371, abs=1e-3
-    )
+    assert yaml.safe_load((tmp_path / "grey/settings.yaml").read_text())["found"][
+        "baseline_m"
+    ] == pytest.approx(0.5371, abs=1e-3)
     film = shared_data / "dashcam/highway_two_cars.mp4"
     track_range("--mono", film, "--focal-px", 1150, "--detector", model, "--out", tmp_path / "mono")
     columns = read_tracks_csv(tmp_path / "mono/tracks.csv")
@@ -379,7 +471,8 @@ def test_real_grey_pair_and_single_camera(shared_data, track_range, tmp_path):
 
 
 def scaled_labels(truth, scale, n_rounds=10):
-    """KITTI rows of a drive with sizes and places multiplied, its frames repeated because a fit requires 100 boxes."""
+    """KITTI rows of a drive with sizes and places multiplied, its frames repeated because a fit
+    requires 100 boxes."""
     rows = [line.split() for line in truth.read_text().splitlines()]
     for turn in range(n_rounds):
         for frame, *rest in rows:
@@ -389,10 +482,19 @@ def scaled_labels(truth, scale, n_rounds=10):
 
 @pytest.mark.slow
 def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
-    """`fit` on labels, and runs with its curves: of a drive, and of one in which everything is 1.2 times as large."""
+    """`fit` on labels, and runs with its curves: of a drive, and of one in which everything is 1.2
+    times as large."""
     (tmp_path / "calib").mkdir()
     (tmp_path / "calib/0000.txt").write_text(drive.rig.read_text())
-    run = ("--mono", drive.left, "--detections", drive.detections, "--truth", drive.truth, "--no-overlay")
+    run = (
+        "--mono",
+        drive.left,
+        "--detections",
+        drive.detections,
+        "--truth",
+        drive.truth,
+        "--no-overlay",
+    )
     distances_m = []
     for scale in (1.0, 1.2):
         labels = tmp_path / f"labels{scale}"
@@ -400,16 +502,22 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
         (labels / "0000.txt").write_text("\n".join(scaled_labels(drive.truth, scale)))
         fit = ("fit", "--labels", labels, "--calib", tmp_path / "calib", "--out")
         assert "car" in track_range(*fit, tmp_path / f"curves{scale}.json")
-        track_range(*run, "--curves", tmp_path / f"curves{scale}.json", "--out", tmp_path / f"run{scale}")
+        track_range(
+            *run, "--curves", tmp_path / f"curves{scale}.json", "--out", tmp_path / f"run{scale}"
+        )
         columns = read_tracks_csv(tmp_path / f"run{scale}/tracks.csv")
-        distances_m.append(columns["mono_m"][columns["frame"] < 3])  # later the drive corrects wrong sizes
+        # later the drive corrects wrong sizes
+        distances_m.append(columns["mono_m"][columns["frame"] < 3])
     assert np.nanmedian(distances_m[1] / distances_m[0]) == pytest.approx(1.2, rel=0.05)
     summary = json.loads((tmp_path / "run1.0/summary.json").read_text())
     assert summary["methods"]["mono"]["mean_relative_error_pct"] < 10
     for wrong, words in (
         ((*fit, tmp_path / "none" / "curves.json"), "curves.json"),
         ((*fit, tmp_path / "c.json", "--leave-out", "0009"), "0009"),
-        (("fit", "--labels", tmp_path, "--calib", tmp_path, "--out", tmp_path / "c.json"), "label files"),
+        (
+            ("fit", "--labels", tmp_path, "--calib", tmp_path, "--out", tmp_path / "c.json"),
+            "label files",
+        ),
     ):
         failed = cli(*wrong)
         assert (failed.status, words in failed.stderr) == (1, True), failed.stderr
@@ -421,17 +529,39 @@ def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
     rig = yaml.safe_load(drive.rig.read_text())
     rig["left"]["distortion"] = [-0.3, 0.1, 0, 0, 0]
     (tmp_path / "lens.yaml").write_text(yaml.safe_dump(rig))
-    run = ("--mono", drive.left, "--detections", drive.detections, "--no-overlay", "--duration", "0.5", "--out")
+    run = (
+        "--mono",
+        drive.left,
+        "--detections",
+        drive.detections,
+        "--no-overlay",
+        "--duration",
+        "0.5",
+        "--out",
+    )
     track_range(*run, tmp_path / "raw", "--rig", tmp_path / "lens.yaml")
     track_range(*run, tmp_path / "ideal", "--rig", drive.rig)
-    raw, ideal = (read_tracks_csv(tmp_path / name / "tracks.csv")["x2_px"] for name in ("raw", "ideal"))
-    assert raw.max() > ideal.max() + 10  # undistortion moves points on the right further to the right
+    raw, ideal = (
+        read_tracks_csv(tmp_path / name / "tracks.csv")["x2_px"] for name in ("raw", "ideal")
+    )
+    # undistortion moves points on the right further to the right
+    assert raw.max() > ideal.max() + 10
 
 
 def test_boxes_of_another_video(drive, track_range, tmp_path):
     rows = [line.split(maxsplit=1) for line in drive.detections.read_text().splitlines()]
-    (tmp_path / "late.txt").write_text("\n".join(f"{int(frame) + 500} {rest}" for frame, rest in rows))
-    run = ("--mono", drive.left, "--rig", drive.rig, "--detections", tmp_path / "late.txt", "--no-overlay")
+    (tmp_path / "late.txt").write_text(
+        "\n".join(f"{int(frame) + 500} {rest}" for frame, rest in rows)
+    )
+    run = (
+        "--mono",
+        drive.left,
+        "--rig",
+        drive.rig,
+        "--detections",
+        tmp_path / "late.txt",
+        "--no-overlay",
+    )
     printed = " ".join(track_range(*run, "--out", tmp_path / "out").split())
     assert "--detections has boxes for frames 500 to 515" in printed
 
@@ -440,7 +570,13 @@ def test_boxes_of_another_detector_on_real_video(shared_data, track_range, tmp_p
     drive = shared_data / "kitti_stereo/0003"
     stereo = ("--stereo", drive / "left.mp4", drive / "right.mp4", "--no-sgbm", "--no-overlay")
     printed = track_range(
-        *stereo, "--detections", drive / "regionlets.txt", "--truth", drive / "label.txt", "--out", tmp_path
+        *stereo,
+        "--detections",
+        drive / "regionlets.txt",
+        "--truth",
+        drive / "label.txt",
+        "--out",
+        tmp_path,
     )
     assert "sigmoid" in printed
     summary = json.loads((tmp_path / "summary.json").read_text())

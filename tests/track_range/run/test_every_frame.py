@@ -32,7 +32,8 @@ def folders(tmp_path: Path) -> tuple[Path, Path, Path]:
             cv2.imwrite(str(folder / f"{number:06}.png"), image)
         height = 12 + 0.5 * number
         rows.append(
-            f"{number} -1 Car -1 -1 -10 30 {35 - height} {30 + 1.3 * height} 35 -1 -1 -1 -1000 -1000 -1000 -10 0.9"
+            f"{number} -1 Car -1 -1 -10 30 {35 - height} {30 + 1.3 * height} 35 -1 -1 -1 -1000 "
+            "-1000 -1000 -10 0.9"
         )
     (tmp_path / "boxes.txt").write_text("\n".join(rows) + "\n")
     return whole, half, tmp_path / "boxes.txt"
@@ -44,7 +45,9 @@ def table(folder: Path, boxes: Path, **options: Any) -> tuple[list[int], dict[st
     return frames, run.to_arrow().to_pydict()
 
 
-def test_each_second_frame_is_a_recording_of_half_the_rate(folders: tuple[Path, Path, Path]) -> None:
+def test_each_second_frame_is_a_recording_of_half_the_rate(
+    folders: tuple[Path, Path, Path],
+) -> None:
     whole, half, boxes = folders
     frames, rows = table(whole, boxes, every=2)
     assert frames == list(range(0, N_FRAMES, 2))
@@ -59,31 +62,54 @@ def test_rate_and_number_of_frames(folders: tuple[Path, Path, Path]) -> None:
     with pytest.raises(tr.ConfigError, match="every"):
         tr.Run.mono(folders[0], every=0)
     recording = tr.open_recording(folders[0], focal_px=100, every=5)
-    assert (recording.fps, recording.n_frames, [frame.index for frame in recording.frames]) == (2.0, 3, [0, 5, 10])
+    assert (recording.fps, recording.n_frames, [frame.index for frame in recording.frames]) == (
+        2.0,
+        3,
+        [0, 5, 10],
+    )
     recording.close()
 
 
 def test_realtime_states_latency_and_drops(
     folders: tuple[Path, Path, Path], tmp_path: Path, cli: Callable[..., Any]
 ) -> None:
-    options = ("--mono", folders[0], "--detections", folders[2], "--focal-px", 100, "--no-overlay", "--lanes", "off")
+    options = (
+        "--mono",
+        folders[0],
+        "--detections",
+        folders[2],
+        "--focal-px",
+        100,
+        "--no-overlay",
+        "--lanes",
+        "off",
+    )
     out = tmp_path / "out"
     status, printed, complaint = cli(*options, "--realtime", "--folder-fps", 40, "--out", out)
     assert status == 0, complaint
     summary = json.loads((out / "summary.json").read_text())
     assert valid_summary(summary)[1] == []
     assert summary["frames"] + summary["frames_dropped"] == N_FRAMES
-    assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p95"] <= summary["latency_ms"]["max"]
+    assert (
+        0
+        < summary["latency_ms"]["p50"]
+        <= summary["latency_ms"]["p95"]
+        <= summary["latency_ms"]["max"]
+    )
     assert "Latency" in printed
     assert not any("have no times" in note for note in summary["notes"])
     assert cli(*options, "--out", tmp_path / "plain")[0] == 0
     plain = json.loads((tmp_path / "plain/summary.json").read_text())
     assert not {"latency_ms", "frames_dropped"} & plain.keys()
-    assert ["10 frames per second" in note for note in plain["notes"] if "have no times" in note] == [True]
+    assert [
+        "10 frames per second" in note for note in plain["notes"] if "have no times" in note
+    ] == [True]
 
 
 def test_latency_of_a_pipeline(folders: tuple[Path, Path, Path]) -> None:
-    images = [np.asarray(cv2.imread(str(path)), np.uint8) for path in sorted(folders[0].iterdir())[:3]]
+    images = [
+        np.asarray(cv2.imread(str(path)), np.uint8) for path in sorted(folders[0].iterdir())[:3]
+    ]
 
     class Boxes:
         def detect(self, image: np.ndarray) -> tr.Detections:

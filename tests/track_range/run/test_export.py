@@ -1,4 +1,5 @@
-"""`track-range export`, and the way back: exported files as truth, detections, tracks, for fit and for training."""
+"""`track-range export`, and the way back: exported files as truth, detections, tracks, for fit and
+for training."""
 
 from __future__ import annotations
 
@@ -30,7 +31,16 @@ def run(small_drive: Drive, tmp_path_factory: pytest.TempPathFactory, cli: Cli) 
     lines = small_drive.truth.read_text().splitlines()
     labels.write_text("".join(f"{line} 0.9\n" for line in lines if " DontCare " not in line))
     status, printed, error = cli(
-        *("--mono", small_drive.left, "--rig", small_drive.rig, "--detections", labels, "--lanes", "off"),
+        *(
+            "--mono",
+            small_drive.left,
+            "--rig",
+            small_drive.rig,
+            "--detections",
+            labels,
+            "--lanes",
+            "off",
+        ),
         *("--no-overlay", "--write", "csv,mot,kitti", "--out", out),
     )
     assert status == 0, printed + error
@@ -54,7 +64,9 @@ def figures_of(cli: Cli, folder: Path, *options: object) -> dict[str, object]:
     return figures
 
 
-def test_kitti_of_a_run_against_its_cvat_export(run: Path, exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+def test_kitti_of_a_run_against_its_cvat_export(
+    run: Path, exported: dict[str, Path], tmp_path: Path, cli: Cli
+) -> None:
     classes = set(read_labels(run / "tracks.csv").class_name.tolist())
     assert len(classes) > 1
     for truth in ("cvat", "coco"):
@@ -69,19 +81,40 @@ def test_kitti_of_a_run_against_its_cvat_export(run: Path, exported: dict[str, P
 def test_class_filters_both_sides(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
     table = read_labels(exported["coco"])
     for name in ("car", "person"):
-        figures = figures_of(cli, tmp_path, "--truth", exported["coco"], "--results", exported["cvat"], "--class", name)
+        figures = figures_of(
+            cli,
+            tmp_path,
+            "--truth",
+            exported["coco"],
+            "--results",
+            exported["cvat"],
+            "--class",
+            name,
+        )
         assert figures["combined"]["n"] == np.count_nonzero(table.class_name == name)  # type: ignore[index]
         assert figures["combined"]["fp"] == 0  # type: ignore[index]
 
 
-def test_frames_shifted_by_one_are_noted(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+def test_frames_shifted_by_one_are_noted(
+    exported: dict[str, Path], tmp_path: Path, cli: Cli
+) -> None:
     text = exported["coco"].read_text()
-    later = re.sub(r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text)
+    later = re.sub(
+        r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text
+    )
     (tmp_path / "later.json").write_text(later)
-    figures = figures_of(cli, tmp_path, "--truth", tmp_path / "later.json", "--results", exported["cvat"])
-    assert [word in " ".join(figures["notes"]) for word in ("start at 1", "increased by 1")] == [True, True]  # type: ignore[arg-type]
+    figures = figures_of(
+        cli, tmp_path, "--truth", tmp_path / "later.json", "--results", exported["cvat"]
+    )
+    assert [word in " ".join(figures["notes"]) for word in ("start at 1", "increased by 1")] == [
+        True,
+        True,
+    ]  # type: ignore[arg-type]
     back = tmp_path / "back.json"
-    assert cli("export", tmp_path / "later.json", "--to", "coco", "--first-frame", 1, "--out", back)[0] == 0
+    assert (
+        cli("export", tmp_path / "later.json", "--to", "coco", "--first-frame", 1, "--out", back)[0]
+        == 0
+    )
     assert read_labels(back).frame.tolist() == read_labels(exported["coco"]).frame.tolist()
 
 
@@ -89,7 +122,15 @@ def test_frames_shifted_by_one_are_noted(exported: dict[str, Path], tmp_path: Pa
 def test_exported_boxes_as_truth_and_detections(
     run: Path, exported: dict[str, Path], small_drive: Drive, name: str, tmp_path: Path, cli: Cli
 ) -> None:
-    options = ("--mono", small_drive.left, "--rig", small_drive.rig, "--lanes", "off", "--no-overlay")
+    options = (
+        "--mono",
+        small_drive.left,
+        "--rig",
+        small_drive.rig,
+        "--lanes",
+        "off",
+        "--no-overlay",
+    )
     files = ("--detections", exported[name], "--truth", exported[name])
     status, printed, error = cli(*options, *files, "--out", tmp_path / "out")
     assert status == 0, printed + error
@@ -99,10 +140,22 @@ def test_exported_boxes_as_truth_and_detections(
     assert any("distances are read from the labels" in note for note in summary["notes"])
 
 
-def test_truth_without_distances(exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli) -> None:
+def test_truth_without_distances(
+    exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli
+) -> None:
     truth = tmp_path / "truth.xml"
-    truth.write_text(re.sub(r'<attribute name="distance_m">.*?</attribute>', "", exported["cvat"].read_text()))
-    options = ("--mono", small_drive.left, "--rig", small_drive.rig, "--lanes", "off", "--no-overlay")
+    truth.write_text(
+        re.sub(r'<attribute name="distance_m">.*?</attribute>', "", exported["cvat"].read_text())
+    )
+    options = (
+        "--mono",
+        small_drive.left,
+        "--rig",
+        small_drive.rig,
+        "--lanes",
+        "off",
+        "--no-overlay",
+    )
     status, printed, error = cli(
         *options, "--detections", exported["cvat"], "--truth", truth, "--out", tmp_path / "out"
     )
@@ -117,24 +170,50 @@ def test_frame_numbers_of_truth_are_noted(
     exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli
 ) -> None:
     text = exported["coco"].read_text()
-    later = re.sub(r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text)
+    later = re.sub(
+        r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text
+    )
     (tmp_path / "truth.json").write_text(later)
-    options = ("--mono", small_drive.left, "--rig", small_drive.rig, "--lanes", "off", "--no-overlay")
-    files = ("--detections", exported["coco"], "--truth", tmp_path / "truth.json", "--out", tmp_path / "out")
+    options = (
+        "--mono",
+        small_drive.left,
+        "--rig",
+        small_drive.rig,
+        "--lanes",
+        "off",
+        "--no-overlay",
+    )
+    files = (
+        "--detections",
+        exported["coco"],
+        "--truth",
+        tmp_path / "truth.json",
+        "--out",
+        tmp_path / "out",
+    )
     assert cli(*options, *files)[0] == 0
     notes = " ".join(json.loads((tmp_path / "out/summary.json").read_text())["notes"])
-    assert [word in notes for word in ("start at 1", "frame 12, but", "increased by 1")] == [True] * 3
+    assert [word in notes for word in ("start at 1", "frame 12, but", "increased by 1")] == [
+        True
+    ] * 3
 
 
-def test_labels_and_images_for_training(run: Path, exported: dict[str, Path], small_drive: Drive, cli: Cli) -> None:
+def test_labels_and_images_for_training(
+    run: Path, exported: dict[str, Path], small_drive: Drive, cli: Cli
+) -> None:
     folder, corrected = run.parent / "data", run.parent / "corrected"
     assert cli("export", run, "--to", "yolo", "--images", "--out", folder)[0] == 0
     video = ("--video", small_drive.left)
-    assert cli("export", exported["cvat"], "--to", "yolo", "--images", *video, "--out", corrected)[0] == 0
+    assert (
+        cli("export", exported["cvat"], "--to", "yolo", "--images", *video, "--out", corrected)[0]
+        == 0
+    )
     for path in (folder, corrected):
         data = read_data_yaml(path / "data.yaml")
         assert len(data.train) == 12
-        assert sum(len(item.truth.class_id) for item in data.train) == len(read_labels(run / "tracks.csv"))
+        assert sum(len(item.truth.class_id) for item in data.train) == len(
+            read_labels(run / "tracks.csv")
+        )
     images = sorted((folder / "images").iterdir())
     assert cv2.imread(str(images[0])).shape == (188, 620, 3)
     assert label_format_of(folder).name == "yolo"
@@ -165,7 +244,10 @@ def test_kitti_file_of_a_run(run: Path) -> None:
 def test_observed_only(run: Path, tmp_path: Path, cli: Cli) -> None:
     rows = read_labels(run / "tracks.csv")
     assert not rows.observed.all()
-    for options, n_rows in (((), len(rows)), (("--observed-only",), np.count_nonzero(rows.observed))):
+    for options, n_rows in (
+        ((), len(rows)),
+        (("--observed-only",), np.count_nonzero(rows.observed)),
+    ):
         assert cli("export", run, "--to", "coco", "--out", tmp_path / "out", *options)[0] == 0
         table = read_labels(tmp_path / "out")
         assert len(table) == n_rows
@@ -187,7 +269,8 @@ def test_fit_to_corrected_labels(tmp_path: Path, cli: Cli) -> None:
         for i, (h, d) in enumerate(zip(height_px.tolist(), distance_m.tolist(), strict=True))
     ]
     images = [
-        {"id": i + 1, "width": 1242, "height": 375, "file_name": f"{i:06}.jpg", "frame_index": i} for i in range(150)
+        {"id": i + 1, "width": 1242, "height": 375, "file_name": f"{i:06}.jpg", "frame_index": i}
+        for i in range(150)
     ]
     document = {"images": images, "annotations": rows, "categories": [{"id": 1, "name": "car"}]}
     (tmp_path / "labels.json").write_text(json.dumps(document))

@@ -1,4 +1,5 @@
-"""`track-range export` on small files: options, files that are not replaced, label files as input."""
+"""`track-range export` on small files: options, files that are not replaced, label files as
+input."""
 
 from __future__ import annotations
 
@@ -20,14 +21,26 @@ from track_range.foundation.files.folder_lock import locked_folder
 from track_range.results.columns import column_names
 
 Cli = Callable[..., Finished]
-VALUES = {"track_id": "3", "class": "car", "observed": "1", "x1_px": "1.5", "y1_px": "2", "x2_px": "9", "y2_px": "8.25"}
+VALUES = {
+    "track_id": "3",
+    "class": "car",
+    "observed": "1",
+    "x1_px": "1.5",
+    "y1_px": "2",
+    "x2_px": "9",
+    "y2_px": "8.25",
+}
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """The folder of a run that was killed before its summary: three frames of one car, predicted in the last one."""
+    """The folder of a run that was killed before its summary: three frames of one car, predicted in
+    the last one."""
     names = column_names()
-    rows = [{**VALUES, "frame": str(i), "time_s": f"{i / 10}", "fused_m": "12.5", "score": "0.9"} for i in range(3)]
+    rows = [
+        {**VALUES, "frame": str(i), "time_s": f"{i / 10}", "fused_m": "12.5", "score": "0.9"}
+        for i in range(3)
+    ]
     rows[2]["observed"] = "0"
     lines = [",".join(names), *(",".join(row.get(name, "") for name in names) for row in rows)]
     folder = tmp_path / "run"
@@ -57,7 +70,9 @@ def test_killed_run(run: Path, exported: dict[str, Path], tmp_path: Path, cli: C
         assert table.track_id.tolist() == [3, 3, 3]
         assert table.observed.tolist() == [True, True, name not in ("coco", "cvat")]
     x, y, z = read_labels(exported["kitti"]).location_m[0]
-    np.testing.assert_allclose([x, y, z], [12.5 * (5.25 - 50) / 80, 12.5 * (8.25 - 25) / 80, 12.5], atol=6e-4)
+    np.testing.assert_allclose(
+        [x, y, z], [12.5 * (5.25 - 50) / 80, 12.5 * (8.25 - 25) / 80, 12.5], atol=6e-4
+    )
     assert cli("export", run, "--to", "yolo", "--out", tmp_path / "yolo", "--observed-only")[0] == 0
     labels = [file.read_text() for file in sorted((tmp_path / "yolo/labels").iterdir())]
     assert [len(text.splitlines()) for text in labels] == [1, 1, 0]
@@ -67,7 +82,12 @@ def test_killed_run(run: Path, exported: dict[str, Path], tmp_path: Path, cli: C
 def test_result_writers(run: Path, tmp_path: Path, cli: Cli) -> None:
     assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet")[0] == 0
     assert len(read_labels(tmp_path / "rows.parquet")) == 3
-    assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet", "--observed-only")[0] == 0
+    assert (
+        cli(
+            "export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet", "--observed-only"
+        )[0]
+        == 0
+    )
     assert len(read_labels(tmp_path / "rows.parquet")) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"run", "rows.parquet"}
 
@@ -86,7 +106,9 @@ def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
     """Neither the rows that are read, nor files in the folder of a run in progress."""
     assert cli("export", run, "--to", "parquet", "--out", tmp_path / "tracks.parquet")[0] == 0
     (tmp_path / "tracks.parquet").rename(run / "tracks.parquet")
-    status, _, error = cli("export", run, "--to", "parquet", "--observed-only", "--out", run / "tracks.parquet")
+    status, _, error = cli(
+        "export", run, "--to", "parquet", "--observed-only", "--out", run / "tracks.parquet"
+    )
     assert status == 1
     assert "input" in error
     assert len(read_labels(run / "tracks.parquet")) == 3
@@ -98,8 +120,12 @@ def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti", "openscenario"])
-@pytest.mark.parametrize(("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")])
-def test_unusual_rows(run: Path, tmp_path: Path, cli: Cli, name: str, column: str, value: str) -> None:
+@pytest.mark.parametrize(
+    ("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")]
+)
+def test_unusual_rows(
+    run: Path, tmp_path: Path, cli: Cli, name: str, column: str, value: str
+) -> None:
     """A class of another program, and numbers that no run writes, in one row of three."""
     header, *rows = (run / "tracks.csv").read_text().splitlines()
     place = header.split(",").index(column)
@@ -114,7 +140,13 @@ def test_unusual_rows(run: Path, tmp_path: Path, cli: Cli, name: str, column: st
 
 
 def test_live_run_starts_at_its_first_frame(run: Path, tmp_path: Path, cli: Cli) -> None:
-    rows = (run / "tracks.csv").read_text().replace("\n1,", "\n8,").replace("\n2,", "\n9,").replace("\n0,", "\n7,")
+    rows = (
+        (run / "tracks.csv")
+        .read_text()
+        .replace("\n1,", "\n8,")
+        .replace("\n2,", "\n9,")
+        .replace("\n0,", "\n7,")
+    )
     (run / "tracks.csv").write_text(rows)
     for video, n_images in (("/videos/drive.mp4", 10), ("rtsp://camera/1", 3)):
         settings = (run / "settings.yaml").read_text().splitlines()[1]
@@ -125,9 +157,16 @@ def test_live_run_starts_at_its_first_frame(run: Path, tmp_path: Path, cli: Cli)
 
 def each_third_frame(run: Path) -> None:
     """Make the run one of each third frame of a 10 Hz video, without rows in frame 6."""
-    rows = (run / "tracks.csv").read_text().replace("\n1,0.1", "\n3,0.3").replace("\n2,0.2", "\n9,0.9")
+    rows = (
+        (run / "tracks.csv").read_text().replace("\n1,0.1", "\n3,0.3").replace("\n2,0.2", "\n9,0.9")
+    )
     (run / "tracks.csv").write_text(rows)
-    settings = (run / "settings.yaml").read_text().replace("run: {", "run: {every: 3, ").replace("10.0", f"{10 / 3}")
+    settings = (
+        (run / "settings.yaml")
+        .read_text()
+        .replace("run: {", "run: {every: 3, ")
+        .replace("10.0", f"{10 / 3}")
+    )
     (run / "settings.yaml").write_text(settings)
     (run / "summary.json").write_text('{"frames": 5}')  # 0 to 12
 
@@ -139,11 +178,18 @@ def test_each_third_frame_as_labels(run: Path, tmp_path: Path, cli: Cli) -> None
     assert [image["frame_index"] for image in coco["images"]] == [0, 3, 6, 9, 12]
     assert coco["videos"][0]["fps"] == pytest.approx(10)
     assert cli("export", run, "--to", "yolo", "--out", tmp_path / "yolo")[0] == 0
-    assert [int(file.stem[-6:]) for file in sorted((tmp_path / "yolo/labels").iterdir())] == [0, 3, 6, 9, 12]
+    assert [int(file.stem[-6:]) for file in sorted((tmp_path / "yolo/labels").iterdir())] == [
+        0,
+        3,
+        6,
+        9,
+        12,
+    ]
     video = yaml.safe_load((tmp_path / "yolo/data.yaml").read_text())["video"]
     assert (video["frames"], video["fps"]) == (13, pytest.approx(10))
     assert cli("export", run, "--to", "cvat", "--out", tmp_path / "cvat")[0] == 0
-    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, 1, 2, 3, 9]  # 6 was processed without the road user
+    # 6 was processed without the road user
+    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, 1, 2, 3, 9]
 
 
 def test_irregular_frames_are_all_listed(run: Path, tmp_path: Path, cli: Cli) -> None:
@@ -167,7 +213,8 @@ def test_each_third_frame_in_mcap(run: Path, tmp_path: Path, cli: Cli) -> None:
     ("summary", "listed"),
     [
         ({"frames": 5, "frames_dropped": 5, "processed_frames": [[0, 3], [9, 9]]}, [0, 1, 2, 3, 9]),
-        ({"frames": 9, "frames_dropped": 5, "processed_frames": [[0, 3], [9, 9]]}, [0, 3, 9]),  # contradicts itself
+        # contradicts itself
+        ({"frames": 9, "frames_dropped": 5, "processed_frames": [[0, 3], [9, 9]]}, [0, 3, 9]),
         ({"frames": 5, "frames_dropped": 5}, [0, 3, 9]),  # of an earlier version
         (None, [0, 3, 9]),  # killed
     ],
@@ -176,25 +223,37 @@ def test_dropped_frames_are_not_listed(
     run: Path, tmp_path: Path, cli: Cli, summary: dict[str, Any] | None, listed: list[int]
 ) -> None:
     each_third_frame(run)
-    (run / "settings.yaml").write_text((run / "settings.yaml").read_text().replace("every: 3", "realtime: true"))
+    (run / "settings.yaml").write_text(
+        (run / "settings.yaml").read_text().replace("every: 3", "realtime: true")
+    )
     (run / "summary.json").unlink()
     if summary is not None:
         (run / "summary.json").write_text(json.dumps(summary))
     assert cli("export", run, "--to", "coco", "--out", tmp_path / "coco")[0] == 0
-    assert [image["frame_index"] for image in json.loads((tmp_path / "coco").read_text())["images"]] == listed
+    assert [
+        image["frame_index"] for image in json.loads((tmp_path / "coco").read_text())["images"]
+    ] == listed
     assert cli("export", run, "--to", "cvat", "--out", tmp_path / "cvat")[0] == 0
-    # frames 1 and 2 either end the track, since they were processed without the road user, or are interpolated
-    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, *({1, 2} - set(listed)), *range(3, 10)]
+    # frames 1 and 2 either end the track, since they were processed without the road user, or are
+    # interpolated
+    assert read_labels(tmp_path / "cvat").frame.tolist() == [
+        0,
+        *({1, 2} - set(listed)),
+        *range(3, 10),
+    ]
 
 
 @pytest.mark.parametrize(
-    ("summary", "is_refused"), [({"frames_dropped": 2}, True), ({"frames_dropped": 0}, False), (None, True)]
+    ("summary", "is_refused"),
+    [({"frames_dropped": 2}, True), ({"frames_dropped": 0}, False), (None, True)],
 )
 def test_images_of_runs_with_dropped_frames(
     run: Path, tmp_path: Path, cli: Cli, summary: dict[str, int] | None, is_refused: bool
 ) -> None:
     """A killed run has no number of dropped frames."""
-    (run / "settings.yaml").write_text((run / "settings.yaml").read_text().replace("run: {", "run: {realtime: true, "))
+    (run / "settings.yaml").write_text(
+        (run / "settings.yaml").read_text().replace("run: {", "run: {realtime: true, ")
+    )
     if summary is not None:
         (run / "summary.json").write_text(json.dumps(summary))
     status, _, error = cli("export", run, "--to", "yolo", "--images", "--out", tmp_path / "out")
@@ -203,10 +262,18 @@ def test_images_of_runs_with_dropped_frames(
 
 
 def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
-    """That of the run, also with values that only YAML has; an earlier version has the calibration in summary.json."""
+    """That of the run, also with values that only YAML has; an earlier version has the calibration
+    in summary.json."""
     settings = (run / "settings.yaml").read_text()
-    kinds = ("detections: boxes.txt", "calibration: rig", "rig: drives/rig.yaml", "versions: {track-range: 0.9.9}")
-    found = settings.replace("fps: 10.0", f"fps: 10.0, {', '.join(kinds)}").replace("run: {", "run: {1: 2026-01-31, ")
+    kinds = (
+        "detections: boxes.txt",
+        "calibration: rig",
+        "rig: drives/rig.yaml",
+        "versions: {track-range: 0.9.9}",
+    )
+    found = settings.replace("fps: 10.0", f"fps: 10.0, {', '.join(kinds)}").replace(
+        "run: {", "run: {1: 2026-01-31, "
+    )
     for text, kind, version in ((found, "rig", b"0.9.9"), (settings, "focal length", None)):
         (run / "settings.yaml").write_text(text)
         (run / "summary.json").write_text('{"frames": 3, "calibration": "focal length"}')
@@ -221,8 +288,12 @@ def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
             assert json.loads(metadata[b"track_range.model"]) == {"detections": "boxes.txt"}
 
 
-@pytest.mark.parametrize(("first", "second"), [("coco", "cvat"), ("cvat", "mot"), ("kitti", "coco"), ("cvat", "yolo")])
-def test_label_files_as_input(exported: dict[str, Path], tmp_path: Path, cli: Cli, first: str, second: str) -> None:
+@pytest.mark.parametrize(
+    ("first", "second"), [("coco", "cvat"), ("cvat", "mot"), ("kitti", "coco"), ("cvat", "yolo")]
+)
+def test_label_files_as_input(
+    exported: dict[str, Path], tmp_path: Path, cli: Cli, first: str, second: str
+) -> None:
     out = tmp_path / "out"
     assert cli("export", exported[first], "--to", second, "--out", out)[0] == 0
     table = read_labels(out)
@@ -250,7 +321,9 @@ def test_yolo_folders_are_replaced_only_if_exported(run: Path, tmp_path: Path, c
 
 
 def test_first_frame_of_labels(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
-    status, _, error = cli("export", exported["coco"], "--to", "kitti", "--first-frame", 1, "--out", tmp_path / "out")
+    status, _, error = cli(
+        "export", exported["coco"], "--to", "kitti", "--first-frame", 1, "--out", tmp_path / "out"
+    )
     assert status == 1
     assert "first-frame" in error
 
@@ -270,7 +343,9 @@ def test_labels_beyond_the_video(exported: dict[str, Path], tmp_path: Path, cli:
     assert "frame 2" in error
 
 
-def test_other_files_are_not_replaced(exported: dict[str, Path], run: Path, tmp_path: Path, cli: Cli) -> None:
+def test_other_files_are_not_replaced(
+    exported: dict[str, Path], run: Path, tmp_path: Path, cli: Cli
+) -> None:
     other = tmp_path / "notes.txt"
     other.write_text("a note, not labels")
     for out in (other, run / "tracks.csv", exported["cvat"], tmp_path):
@@ -292,7 +367,9 @@ def test_other_files_are_not_replaced(exported: dict[str, Path], run: Path, tmp_
         (("--to", "excel"), "excel"),
     ],
 )
-def test_contradictory_options(run: Path, tmp_path: Path, cli: Cli, options: tuple[str, ...], key_word: str) -> None:
+def test_contradictory_options(
+    run: Path, tmp_path: Path, cli: Cli, options: tuple[str, ...], key_word: str
+) -> None:
     status, _, error = cli("export", run, *options, "--out", tmp_path / "out")
     assert status == 2
     assert key_word in error

@@ -1,4 +1,5 @@
-"""Notes on runs that found nothing: images without content or upside down, and pairs that measure nothing."""
+"""Notes on runs that found nothing: images without content or upside down, and pairs that measure
+nothing."""
 
 from dataclasses import replace
 
@@ -57,9 +58,14 @@ def test_a_run_with_road_users_has_no_note():
 def test_upside_down_images_with_some_boxes():
     upside_down = np.ascontiguousarray(SKY[::-1])
     assert "upside down" in notes_of(upside_down, boxes=[BOX], detect=boxes_if_bright_above)[0]
-    assert notes_of(upside_down, boxes=[BOX], detect=None) == ()  # recorded boxes: nothing can be detected
+    # recorded boxes: nothing can be detected
+    assert notes_of(upside_down, boxes=[BOX], detect=None) == ()
     # lower rows may be brighter at night, by the headlights: the detector decides
-    upright = notes_of(upside_down, boxes=[BOX], detect=lambda frame: boxes_if_bright_above(replace(frame, left=SKY)))
+    upright = notes_of(
+        upside_down,
+        boxes=[BOX],
+        detect=lambda frame: boxes_if_bright_above(replace(frame, left=SKY)),
+    )
     assert upright == ()
 
 
@@ -77,4 +83,5 @@ def test_a_pair_that_measures_nothing(right, distance_m, words):
     assert note.startswith("stereo measured none of 30 boxes. ")
     assert words in note
     assert notes_of(SKY, boxes=[BOX], right=right, rig=RIG) == ()  # stereo measured all
-    assert notes_of(SKY, boxes=[BOX], right=right, rig=RIG, ranges=ranges, n=10) == ()  # too few boxes
+    # too few boxes
+    assert notes_of(SKY, boxes=[BOX], right=right, rig=RIG, ranges=ranges, n=10) == ()

@@ -51,7 +51,10 @@ class Boxes:
 def test_boxes_mostly_in_regions(regions, kept, tmp_path):
     if regions == "mask":
         regions = str(tmp_path / "mask.png")
-        cv2.imwrite(regions, np.where(np.arange(100)[:, None] >= 80, 255, np.zeros((100, 200))).astype(np.uint8))
+        cv2.imwrite(
+            regions,
+            np.where(np.arange(100)[:, None] >= 80, 255, np.zeros((100, 200))).astype(np.uint8),
+        )
     source = outside_regions(boxes_of(Boxes()), regions, CALIBRATION)
     frame = Frame(0, 0.0, IMAGE, None)
     np.testing.assert_array_equal(source.detect(frame).xyxy_px, BOXES[kept])
@@ -128,9 +131,21 @@ def test_ignored_boxes_of_a_run(cli, tmp_path):
     (tmp_path / "images").mkdir()
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"images/{number}.png"), IMAGE)
-    lines = (f"{n},-1,{x1},{y1},{x2 - x1},{y2 - y1},0.9" for n in (1, 2, 3) for x1, y1, x2, y2 in BOXES[[0, 2]])
+    lines = (
+        f"{n},-1,{x1},{y1},{x2 - x1},{y2 - y1},0.9"
+        for n in (1, 2, 3)
+        for x1, y1, x2, y2 in BOXES[[0, 2]]
+    )
     (tmp_path / "det.txt").write_text("\n".join(lines) + "\n")
-    options = ("--detections", tmp_path / "det.txt", "--focal-px", 150, "--no-overlay", "--lanes", "off")
+    options = (
+        "--detections",
+        tmp_path / "det.txt",
+        "--focal-px",
+        150,
+        "--no-overlay",
+        "--lanes",
+        "off",
+    )
     for ignored, n_tracks in ((), 2), (("--ignore", BONNET), 1):
         out = tmp_path / f"out{n_tracks}"
         status, printed, complaint = cli(
@@ -153,5 +168,6 @@ def test_polygons_are_no_files():
     assert without_folders({"ignore": "a/mask.PNG"}) == {"ignore": "mask.PNG"}
     assert "ignore" not in _shared_files(settings)
     assert (
-        _shared_files(settings.model_copy(update={"ignore": "a/mask.PNG"}))["ignore"] == Path("a/mask.PNG").absolute()
+        _shared_files(settings.model_copy(update={"ignore": "a/mask.PNG"}))["ignore"]
+        == Path("a/mask.PNG").absolute()
     )

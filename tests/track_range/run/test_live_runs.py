@@ -51,7 +51,9 @@ def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
     with cameras(1) as (camera,):
         url = camera.url.replace("tcp://", "tcp://me:secret@")
-        status, printed, errors = cli("--mono", url, "--detections", boxes, *QUICK, "--duration", "0.5", "--out", out)
+        status, printed, errors = cli(
+            "--mono", url, "--detections", boxes, *QUICK, "--duration", "0.5", "--out", out
+        )
     assert (status, errors) == (0, "")
     summary = summary_of(out)
     assert summary["frames"] == n_frames_of(out / "overlay.mp4") > 0
@@ -61,7 +63,9 @@ def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     assert summary["utc"]["source"] == "clock of this computer"
     assert "Latency" in printed
     assert "<h3>Settings</h3>" in (out / "report.html").read_text()
-    assert all(b"secret" not in file.read_bytes() for file in out.iterdir() if file.suffix != ".mp4")
+    assert all(
+        b"secret" not in file.read_bytes() for file in out.iterdir() if file.suffix != ".mp4"
+    )
     assert yaml.safe_load((out / "settings.yaml").read_text())["run"]["mono"] == camera.url
 
 
@@ -76,12 +80,17 @@ def test_two_cameras_until_one_is_unplugged(boxes: Path, tmp_path: Path, cli: Cl
     summary = summary_of(out)
     assert summary["frames"] == n_frames_of(out / "overlay.mp4") > 0
     frames = "1 frame" if summary["frames"] == 1 else f"{summary['frames']} frames"
-    assert any(note.startswith(f"The run was stopped early, after {frames}: {right.url}") for note in summary["notes"])
+    assert any(
+        note.startswith(f"The run was stopped early, after {frames}: {right.url}")
+        for note in summary["notes"]
+    )
     assert any("arrival time" in note for note in summary["notes"])
     assert "<html" in (out / "report.html").read_text()
 
 
-def test_live_stream_and_file_are_not_a_pair(film: Callable[..., Path], tmp_path: Path, cli: Cli) -> None:
+def test_live_stream_and_file_are_not_a_pair(
+    film: Callable[..., Path], tmp_path: Path, cli: Cli
+) -> None:
     film(tmp_path / "left.mp4", [0.0, 0.1])
     with cameras(1) as (camera,):
         status, _, errors = cli("--stereo", camera.url, tmp_path / "left.mp4", "--focal-px", "60")
@@ -93,18 +102,33 @@ def test_live_stream_and_file_are_not_a_pair(film: Callable[..., Path], tmp_path
 def test_ctrl_c_ends_a_live_run(boxes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with cameras(1) as (camera,):
-        options = ("--mono", camera.url, "--detections", boxes, *QUICK, "--serve", "0", "--out", out)
+        options = (
+            "--mono",
+            camera.url,
+            "--detections",
+            boxes,
+            *QUICK,
+            "--serve",
+            "0",
+            "--out",
+            out,
+        )
         command = [sys.executable, "-m", "track_range", *map(str, options)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         with subprocess.Popen(command, **pipes, text=True) as running:
             assert running.stdout is not None
             lines = iter(running.stdout.readline, "")
-            address = next(match for line in lines if (match := re.search(r"http://127.0.0.1:(\d+)/", line)))
+            address = next(
+                match for line in lines if (match := re.search(r"http://127.0.0.1:(\d+)/", line))
+            )
             viewer = http.client.HTTPConnection("127.0.0.1", int(address[1]), timeout=30)
             viewer.request("GET", "/stream.mjpg")
             with viewer.getresponse() as pictures:
-                parts = (line for line in iter(pictures.readline, b"") if line.strip() == b"--picture")
-                assert len(list(itertools.islice(parts, 3))) == 3  # so at least one frame is finished
+                parts = (
+                    line for line in iter(pictures.readline, b"") if line.strip() == b"--picture"
+                )
+                # so at least one frame is finished
+                assert len(list(itertools.islice(parts, 3))) == 3
             viewer.close()
             running.send_signal(signal.SIGINT)
             _, errors = running.communicate(timeout=60)
@@ -116,7 +140,16 @@ def test_ctrl_c_ends_a_live_run(boxes: Path, tmp_path: Path) -> None:
 def test_port_in_use_ends_the_run_at_once(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     with cameras(1) as (camera,):
         port = camera.url.rpartition(":")[2]
-        options = ("--mono", "left.mp4", "--focal-px", "60", "--serve", port, "--out", tmp_path / "out")
+        options = (
+            "--mono",
+            "left.mp4",
+            "--focal-px",
+            "60",
+            "--serve",
+            port,
+            "--out",
+            tmp_path / "out",
+        )
         status, _, errors = cli(*options)
     assert status == 1
     assert re.match(rf"track-range: --serve 127.0.0.1:{port}: .*in use", errors)
@@ -136,13 +169,32 @@ def test_no_such_camera(cli: Cli) -> None:
     assert "camera" in errors
 
 
-def test_overlay_with_disparities(film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli) -> None:
+def test_overlay_with_disparities(
+    film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli
+) -> None:
     noise = np.random.default_rng(4).integers(0, 255, (96, 200, 3), np.uint8)
     texture = cv2.resize(noise[::4, ::4], (200, 96))
-    save_rig(StereoRig.rectified(PinholeCamera(150.0, 150.0, 95.5, 47.5, 192, 96), 0.5), tmp_path / "rig.yaml")
+    save_rig(
+        StereoRig.rectified(PinholeCamera(150.0, 150.0, 95.5, 47.5, 192, 96), 0.5),
+        tmp_path / "rig.yaml",
+    )
     views = {"left": texture[:, :192], "right": texture[:, 8:]}
-    films = [film(tmp_path / f"{name}.mp4", [0.0, 0.1, 0.2], images=[view] * 3) for name, view in views.items()]
-    pair = ("--stereo", *films, "--detections", boxes, "--lanes", "off", "--align", "off", "--out", tmp_path / "out")
+    films = [
+        film(tmp_path / f"{name}.mp4", [0.0, 0.1, 0.2], images=[view] * 3)
+        for name, view in views.items()
+    ]
+    pair = (
+        "--stereo",
+        *films,
+        "--detections",
+        boxes,
+        "--lanes",
+        "off",
+        "--align",
+        "off",
+        "--out",
+        tmp_path / "out",
+    )
     status, _, errors = cli(*pair, "--overlay-disparity")
     assert (status, errors) == (0, "")
     with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
@@ -154,9 +206,19 @@ def test_overlay_with_disparities(film: Callable[..., Path], boxes: Path, tmp_pa
     assert "--overlay-disparity" in errors
 
 
-def test_overlay_disparity_needs_a_rig(film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli) -> None:
+def test_overlay_disparity_needs_a_rig(
+    film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli
+) -> None:
     films = [film(tmp_path / f"{name}.mp4", [0.0, 0.1, 0.2]) for name in ("left", "right")]
-    options = ("--detections", boxes, "--lanes", "off", "--overlay-disparity", "--out", tmp_path / "out")
+    options = (
+        "--detections",
+        boxes,
+        "--lanes",
+        "off",
+        "--overlay-disparity",
+        "--out",
+        tmp_path / "out",
+    )
     status, printed, errors = cli("--stereo", *films, *options)
     assert (status, errors) == (0, "")
     assert "needs a rig" in " ".join(printed.split())

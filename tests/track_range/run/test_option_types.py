@@ -29,7 +29,14 @@ def test_file_is_that_of_the_settings():
 @pytest.mark.slow
 def test_type_checker_finds_wrong_keywords(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={tmp_path / 'cache'}"]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--config-file=",
+        f"--cache-dir={tmp_path / 'cache'}",
+    ]
     command += ["--follow-imports=silent", "--ignore-missing-imports", str(tmp_path / "program.py")]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=False)
     lines = [

@@ -1,4 +1,5 @@
-"""`tr.Pipeline`: frames in memory give what a run of the same videos gives; bad frames change nothing."""
+"""`tr.Pipeline`: frames in memory give what a run of the same videos gives; bad frames change
+nothing."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ def stepped(pipeline: Any, drive: Drive, **arguments: Any) -> Iterator[tr.FrameR
 
 
 def _without_telemetry(drive: Drive, folder: Path) -> Drive:
-    """A copy of the videos and the rig of a drive; its file of speeds, which a run finds, is left out."""
+    """A copy of the videos and the rig of a drive; its file of speeds, which a run finds, is left
+    out."""
     copies = {name: folder / getattr(drive, name).name for name in ("left", "right", "rig")}
     for name, path in copies.items():
         shutil.copy(getattr(drive, name), path)
@@ -99,7 +101,9 @@ def test_large_offset_is_corrected_during_the_drive(long_drive: Drive) -> None:
         tr.Pipeline.stereo(long_drive.rig, align="off", **OPTIONS) as reference,
     ):
         for left, right in images(long_drive):
-            true_m = reference.step(left.image, right.image, left.time_s).ranges["stereo"].distance_m
+            true_m = (
+                reference.step(left.image, right.image, left.time_s).ranges["stereo"].distance_m
+            )
             shifted = np.roll(right.image, 24, axis=1)  # disparities are 24 px too small
             result = pipeline.step(left.image, shifted, left.time_s)
             distance_m = result.ranges["stereo"].distance_m
@@ -178,7 +182,9 @@ def test_bad_frames_change_nothing(drive: Drive) -> None:
                 pipeline.step(left.image, right.image, left.time_s)
                 for name in bad if left.time_s > 0.05 else ():
                     one, other, time_s = BAD_FRAMES[name](left.image, right.image)
-                    with pytest.raises(tr.FrameError, match=r"^(left|right|time_s): expected .*found"):
+                    with pytest.raises(
+                        tr.FrameError, match=r"^(left|right|time_s): expected .*found"
+                    ):
                         pipeline.step(one, other, left.time_s if time_s is None else time_s)
             tables.append(pipeline.to_arrow())
     assert tables[0].equals(tables[1])
@@ -193,12 +199,14 @@ def test_a_first_frame_that_does_not_fit_the_rig_is_refused(drive: Drive) -> Non
 
 
 def test_swapped_images_are_refused_every_time(drive: Drive) -> None:
-    """From the frame on with which it is known: seven pairs that show motion are enough, here in 1.1 s."""
+    """From the frame on with which it is known: seven pairs that show motion are enough, here in
+    1.1 s."""
     with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
         *first, last = images(drive)
         for left, right in first:
             result = pipeline.step(right.image, left.image, left.time_s)
-            assert not np.isfinite(result.ranges["stereo"].distance_m).any()  # the first pair looks wrong
+            # the first pair looks wrong
+            assert not np.isfinite(result.ranges["stereo"].distance_m).any()
         n_rows = pipeline.to_arrow().num_rows
         left, right = last
         for later_s in (0.0, 0.1, 0.2):
@@ -257,14 +265,18 @@ def test_times_on_any_clock_and_grey_images(drive: Drive) -> None:
             pipeline.step(image, right.image, epoch_s + left.time_s)
             for image, (left, right) in zip(grey, pairs, strict=True)
         ]
-    assert [result.time_s for result in results] == pytest.approx([left.time_s for left, _ in pairs], abs=1e-5)
+    assert [result.time_s for result in results] == pytest.approx(
+        [left.time_s for left, _ in pairs], abs=1e-5
+    )
     assert results[0].left.shape == pairs[0][0].image.shape
 
 
 def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
     left, _ = images(drive)[0]
     with tr.Pipeline.mono(focal_px=np.float32(360), **OPTIONS) as pipeline:
-        assert pipeline.step(left.image, np.float64(0.0), ego_speed_mps=np.float32(10)).ego_mps == 10.0
+        assert (
+            pipeline.step(left.image, np.float64(0.0), ego_speed_mps=np.float32(10)).ego_mps == 10.0
+        )
         assert math.isnan(pipeline.step(left.image, 0.1, ego_speed_mps=math.nan).ego_mps)
         for arguments, name in (
             ((None, 0.2), "image"),
@@ -305,7 +317,9 @@ def test_a_rig_in_memory_is_written_beside_the_results(drive: Drive, tmp_path: P
     video = tmp_path / "videos/left.mp4"
     video.parent.mkdir()
     shutil.copy(drive.left, video)  # no rig.yaml lies beside the copy
-    run = tr.Run.stereo(video, drive.right, rig=tr.load_rig(drive.rig), out=tmp_path / "out", **options)
+    run = tr.Run.stereo(
+        video, drive.right, rig=tr.load_rig(drive.rig), out=tmp_path / "out", **options
+    )
     list(run)
     assert tmp_path / "out/rig.yaml" in run.files
     settings = yaml.safe_load((tmp_path / "out/settings.yaml").read_text(encoding="utf-8"))["run"]
@@ -321,7 +335,9 @@ class Nothing:
     def update(self, detections: Any, time_s: float, image: Any) -> tr.Tracks:
         n = len(detections)
         observed = np.ones(n, np.bool_)
-        return tr.Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, observed)
+        return tr.Tracks(
+            np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, observed
+        )
 
 
 class OneCar:
@@ -351,7 +367,9 @@ def test_a_detector_that_fails_leaves_the_tracks_as_they_were(drive: Drive) -> N
 
     detector = Failing()
     left, right = images(drive)[0]
-    with tr.Pipeline.stereo(drive.rig, align="off", detector=detector, tracker=Nothing(), **OPTIONS) as pipeline:
+    with tr.Pipeline.stereo(
+        drive.rig, align="off", detector=detector, tracker=Nothing(), **OPTIONS
+    ) as pipeline:
         pipeline.step(left.image, right.image, 0.0)
         detector.fails = True
         with pytest.raises(tr.UserError, match=r"Failing.*Detections"):
@@ -389,5 +407,7 @@ def _saved(file: Path) -> Path:
     from track_range.stereo.alignment.file import save_alignment
     from track_range.stereo.alignment.model import Alignment
 
-    save_alignment(Alignment(offset_px=0.4, residual_px=0.1, offset_sigma_px=0.05, source="a test"), file)
+    save_alignment(
+        Alignment(offset_px=0.4, residual_px=0.1, offset_sigma_px=0.05, source="a test"), file
+    )
     return file

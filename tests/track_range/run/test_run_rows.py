@@ -79,7 +79,12 @@ def test_duplicate_column(tmp_path: Path) -> None:
 def test_duplicate_track_in_a_frame() -> None:
     ones = np.ones(4)
     box = dict.fromkeys(("x1_px", "y1_px", "x2_px", "y2_px"), ones)
-    columns = {"frame": np.array([0.0, 0, 0, 1]), "track_id": np.array([2.0, 1, 2, 2]), "time_s": ones, **box}
+    columns = {
+        "frame": np.array([0.0, 0, 0, 1]),
+        "track_id": np.array([2.0, 1, 2, 2]),
+        "time_s": ones,
+        **box,
+    }
     assert valid_rows(columns).tolist() == [True, True, False, True]
 
 

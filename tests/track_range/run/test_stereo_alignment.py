@@ -21,13 +21,18 @@ def unread_frames():
 def test_alignment_off():
     alignment = find_alignment("off", RIG, unread_frames())
     assert not alignment.is_applied
-    assert (alignment.applied.offset_px, alignment.applied.residual_px) == (0.0, UNCORRECTED_SIGMA_PX)
+    assert (alignment.applied.offset_px, alignment.applied.residual_px) == (
+        0.0,
+        UNCORRECTED_SIGMA_PX,
+    )
     (note,) = alignment.notes
     assert "off" in note
 
 
 def test_alignment_file(tmp_path):
-    written = Alignment(offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.1, residual_px=0.2, source="my labels")
+    written = Alignment(
+        offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.1, residual_px=0.2, source="my labels"
+    )
     save_alignment(written, tmp_path / "align.yaml")
     alignment = find_alignment(str(tmp_path / "align.yaml"), RIG, unread_frames())
     assert (alignment.is_applied, alignment.applied) == (True, written)
@@ -59,8 +64,11 @@ def test_insignificant_alignment_is_uncertainty():
     assert alignment.applied.offset_px == 0.0
     assert alignment.applied.residual_px == pytest.approx(0.2)  # hypot(0.12, 0.16)
     assert len(alignment.notes) == 1
-    wild = PairAlignment(measured=Alignment(offset_px=3.0, offset_sigma_px=2.0, residual_px=2.0), is_applied=False)
-    assert wild.applied.residual_px == 2.0  # an offset that is known less well than that of a rig as it is
+    wild = PairAlignment(
+        measured=Alignment(offset_px=3.0, offset_sigma_px=2.0, residual_px=2.0), is_applied=False
+    )
+    # an offset that is known less well than that of a rig as it is
+    assert wild.applied.residual_px == 2.0
 
 
 @pytest.mark.parametrize(("row_px", "moved_px"), [(0.29, 0.0), (-0.31, -0.31), (2.0, 2.0)])
@@ -73,7 +81,9 @@ def test_rows_are_moved_from_0_3_px(row_px, moved_px):
 def rendered(n_frames):
     renderer = Renderer(make_scene(4, seconds=2.0), RIG)
     for i in range(n_frames):
-        yield Frame(i, i / 10, renderer.render(i / 10, side="left"), renderer.render(i / 10, side="right"))
+        yield Frame(
+            i, i / 10, renderer.render(i / 10, side="left"), renderer.render(i / 10, side="right")
+        )
 
 
 @pytest.mark.slow

@@ -33,14 +33,28 @@ def run(cli, tmp_path):
 
 
 def pair(drive):
-    return ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--truth", drive.truth)
+    return (
+        "--stereo",
+        drive.left,
+        drive.right,
+        "--detections",
+        drive.detections,
+        "--truth",
+        drive.truth,
+    )
 
 
 @pytest.mark.slow
 def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     for video in (drive.left, drive.right):
         shutil.copy(video, tmp_path / video.name)
-    bare = ("--stereo", tmp_path / "left.mp4", tmp_path / "right.mp4", "--detections", drive.detections)
+    bare = (
+        "--stereo",
+        tmp_path / "left.mp4",
+        tmp_path / "right.mp4",
+        "--detections",
+        drive.detections,
+    )
     columns, summary, printed = run(*bare, "--truth", drive.truth, "--disparity", "--no-overlay")
     assert summary["calibration"] == "estimated"
     assert "alignment" not in summary
@@ -49,7 +63,9 @@ def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     assert 0.1 < scale["relative_sigma"] < 0.35
     rig, _ = load_rig(drive.rig, size_px=(620, 188))
     expected = rig.left.fx_px * rig.baseline_m
-    assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(expected, rel=2 * scale["relative_sigma"])
+    assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(
+        expected, rel=2 * scale["relative_sigma"]
+    )
     assert 0.2 < stereo["median_relative_error_pct"] < 40
     assert stereo["within_2_sigma"] > 0.9
     fraction = columns["stereo_sigma_m"] / columns["stereo_m"]
@@ -81,10 +97,17 @@ def test_real_drives_without_their_rig(shared_data, run, tmp_path):
 
 @pytest.mark.slow
 def test_alignment_file_changes_every_distance(drive, run, tmp_path):
-    save_alignment(Alignment(offset_px=2.0, residual_px=0.1, source="a test"), tmp_path / "align.yaml")
+    save_alignment(
+        Alignment(offset_px=2.0, residual_px=0.1, source="a test"), tmp_path / "align.yaml"
+    )
     plain, without, _ = run(*pair(drive), "--no-overlay", "--align", "off", name="off")
-    moved, with_file, printed = run(*pair(drive), "--no-overlay", "--align", tmp_path / "align.yaml", name="file")
-    assert (without["alignment"]["is_applied"], with_file["alignment"]["is_applied"]) == (False, True)
+    moved, with_file, printed = run(
+        *pair(drive), "--no-overlay", "--align", tmp_path / "align.yaml", name="file"
+    )
+    assert (without["alignment"]["is_applied"], with_file["alignment"]["is_applied"]) == (
+        False,
+        True,
+    )
     assert with_file["alignment"]["offset_px"] == 2.0
     assert "a test" in printed
     assert with_file["calibration"] == "rig"
@@ -101,9 +124,14 @@ def test_alignment_file_changes_every_distance(drive, run, tmp_path):
 
 @pytest.mark.slow
 def test_disparity_video_with_options_from_a_file(drive, run, tmp_path):
-    plain = {"track_range_settings": 1, "run": {"sgbm_options": {"mode": "sgbm", "block_size": 7}, "align": "off"}}
+    plain = {
+        "track_range_settings": 1,
+        "run": {"sgbm_options": {"mode": "sgbm", "block_size": 7}, "align": "off"},
+    }
     (tmp_path / "dense.yaml").write_text(yaml.safe_dump(plain))
-    _, summary, printed = run(*pair(drive), "--settings", tmp_path / "dense.yaml", "--disparity", "--no-overlay")
+    _, summary, printed = run(
+        *pair(drive), "--settings", tmp_path / "dense.yaml", "--disparity", "--no-overlay"
+    )
     assert summary["files"] == {"disparity": "disparity.mp4"}
     assert "disparity.mp4, report.html" in printed
     with av.open(str(tmp_path / "out/disparity.mp4")) as film:

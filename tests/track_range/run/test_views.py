@@ -32,14 +32,21 @@ def test_rows_of_the_nearer_axis_remain(tmp_path):
     ahead = written(
         tmp_path / "ahead",
         [
-            row(0, 1, "car", (310, 100, 340, 140), -24),  # track 2 of the left view, cut by the edge of this one
+            # track 2 of the left view, cut by the edge of this one
+            row(0, 1, "car", (310, 100, 340, 140), -24),
             row(1, 1, "car", (302, 101, 341, 139), -35),
             row(1, 5, "car", (498, 100, 522, 142), -20),  # another class
         ],
     )
     rows = list(csv.DictReader(joined_text((-60, 0), (left, ahead)).splitlines()))
     kept = [(row["frame"], row["view_deg"], row["track_id"]) for row in rows]
-    assert kept == [("0", "-60", "1"), ("0", "0", "1"), ("1", "-60", "2"), ("1", "-60", "3"), ("1", "0", "5")]
+    assert kept == [
+        ("0", "-60", "1"),
+        ("0", "0", "1"),
+        ("1", "-60", "2"),
+        ("1", "-60", "3"),
+        ("1", "0", "5"),
+    ]
 
 
 def test_views_without_tracks(tmp_path):

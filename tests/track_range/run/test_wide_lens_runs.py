@@ -1,4 +1,5 @@
-"""Runs on videos of wide lenses: distances, boxes and overlay in the recorded images, and invalid options."""
+"""Runs on videos of wide lenses: distances, boxes and overlay in the recorded images, and invalid
+options."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ LENS = PinholeCamera(260.0, 260.0, 319.5, 159.5, 640, 320, (0.01, 0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("wide"), seed=5, seconds=1.0, rig=StereoRig.rectified(LENS, 0.54))
+    return write_drive(
+        tmp_path_factory.mktemp("wide"), seed=5, seconds=1.0, rig=StereoRig.rectified(LENS, 0.54)
+    )
 
 
 def recorded_boxes(folder):
@@ -36,7 +39,15 @@ def size_px(video):
 
 @pytest.mark.slow
 def test_stereo_run(cli, drive, tmp_path):
-    options = ("--detections", drive.detections, "--truth", drive.table, "--align", "off", "--no-sgbm")
+    options = (
+        "--detections",
+        drive.detections,
+        "--truth",
+        drive.table,
+        "--align",
+        "off",
+        "--no-sgbm",
+    )
     outputs = ("--write", "csv,recorded", "--overlay-recorded", "--out", tmp_path)
     status, printed, errors = cli("--stereo", drive.left, drive.right, *options, *outputs)
     assert status == 0, errors
@@ -49,10 +60,14 @@ def test_stereo_run(cli, drive, tmp_path):
     rows = recorded_boxes(tmp_path)
     assert len(rows) == len(columns["frame"])
     boxes = np.stack([columns[f"{name}_px"] for name in ("x1", "y1", "x2", "y2")], axis=1)
-    recorded = np.array([[float(row[f"{name}_px"]) for name in ("x1", "y1", "x2", "y2")] for row in rows])
+    recorded = np.array(
+        [[float(row[f"{name}_px"]) for name in ("x1", "y1", "x2", "y2")] for row in rows]
+    )
     points_m = [[row[name] for name in ("x_m", "y_m", "z_m")] for row in rows if row["z_m"]]
     assert np.allclose(
-        np.array(points_m, float)[:, 2], columns["fused_m"][[bool(row["z_m"]) for row in rows]], atol=0.01
+        np.array(points_m, float)[:, 2],
+        columns["fused_m"][[bool(row["z_m"]) for row in rows]],
+        atol=0.01,
     )
     assert np.allclose(recorded, Undistorter(LENS).recorded_boxes(boxes), atol=0.02)
     assert not np.allclose(recorded, boxes, atol=5)
@@ -72,9 +87,19 @@ def test_one_camera_with_a_field_of_view(cli, drive, tmp_path):
 @pytest.mark.slow
 def test_several_views(cli, drive, tmp_path):
     save_camera(LENS, tmp_path / "camera.yaml")
-    options = ("--rig", tmp_path / "camera.yaml", "--fov-deg", 60, "--detections", drive.detections, "--no-overlay")
+    options = (
+        "--rig",
+        tmp_path / "camera.yaml",
+        "--fov-deg",
+        60,
+        "--detections",
+        drive.detections,
+        "--no-overlay",
+    )
     out = tmp_path / "out"
-    status, printed, errors = cli("--mono", drive.left, *options, "--views=40,-40,0", "--write", "csv", "--out", out)
+    status, printed, errors = cli(
+        "--mono", drive.left, *options, "--views=40,-40,0", "--write", "csv", "--out", out
+    )
     assert status == 0, errors
     assert "views.csv" in printed
     assert "no lane lines" in printed
@@ -104,7 +129,9 @@ def test_several_views(cli, drive, tmp_path):
 
 @pytest.mark.parametrize("views", ["0", "0,0", "left", "0,150", ""])
 def test_wrong_views(cli, small_drive, tmp_path, views):
-    status, _, errors = cli("--mono", small_drive.left, f"--views={views}", "--focal-px", 300, "--out", tmp_path)
+    status, _, errors = cli(
+        "--mono", small_drive.left, f"--views={views}", "--focal-px", 300, "--out", tmp_path
+    )
     assert status == 2
     assert "--views" in errors
 
@@ -112,12 +139,22 @@ def test_wrong_views(cli, small_drive, tmp_path, views):
 @pytest.mark.slow
 def test_impossible_direction_is_found_before_the_first_run(cli, drive, tmp_path):
     save_camera(LENS, tmp_path / "camera.yaml")
-    options = ("--rig", tmp_path / "camera.yaml", "--fov-deg", 60, "--detections", drive.detections, "--no-overlay")
+    options = (
+        "--rig",
+        tmp_path / "camera.yaml",
+        "--fov-deg",
+        60,
+        "--detections",
+        drive.detections,
+        "--no-overlay",
+    )
     out = tmp_path / "out"
     status, _, errors = cli("--mono", drive.left, *options, "--views=0,115", "--out", out)
     assert (status, "--yaw-deg 115" in errors) == (1, True), errors
     assert not list(out.glob("view*"))
-    status, _, errors = cli("--mono", drive.left, *options, "--views=0,40", "--table", tmp_path / "t.md", "--out", out)
+    status, _, errors = cli(
+        "--mono", drive.left, *options, "--views=0,40", "--table", tmp_path / "t.md", "--out", out
+    )
     assert (status, "--table" in errors) == (2, True), errors
 
 
@@ -137,7 +174,9 @@ def test_field_of_view_needs_a_wide_lens(cli, small_drive, tmp_path):
 
 def test_overlay_on_recorded_images_needs_a_wide_lens(cli, small_drive, tmp_path):
     options = ("--rig", small_drive.rig, "--detections", small_drive.detections, "--out", tmp_path)
-    status, printed, _ = cli("--mono", small_drive.left, *options, "--overlay-recorded", "--duration", 0.2)
+    status, printed, _ = cli(
+        "--mono", small_drive.left, *options, "--overlay-recorded", "--duration", 0.2
+    )
     assert status == 0
     assert "no wide lens" in printed
 
@@ -145,7 +184,13 @@ def test_overlay_on_recorded_images_needs_a_wide_lens(cli, small_drive, tmp_path
 @pytest.mark.parametrize("other", ["--no-overlay", "--anonymize", "--overlay-disparity"])
 def test_options_that_contradict_the_overlay_on_recorded_images(cli, small_drive, tmp_path, other):
     status, _, errors = cli(
-        "--stereo", small_drive.left, small_drive.right, "--overlay-recorded", other, "--out", tmp_path
+        "--stereo",
+        small_drive.left,
+        small_drive.right,
+        "--overlay-recorded",
+        other,
+        "--out",
+        tmp_path,
     )
     assert status == 2
     assert "--overlay-recorded" in errors

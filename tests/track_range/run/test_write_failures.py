@@ -38,7 +38,8 @@ resource = pytest.importorskip("resource", reason="file size limits need POSIX")
 
 @contextmanager
 def file_size_limit(n_bytes: int) -> Iterator[None]:
-    """Context in which writing beyond this size of a file fails (EFBIG), after a short write up to it."""
+    """Context in which writing beyond this size of a file fails (EFBIG), after a short write up to
+    it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
     try:
@@ -64,7 +65,8 @@ class FailingWriter:
         pass
 
 
-# -- rows -----------------------------------------------------------------------------------------------------------
+# -- rows
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_row_file_is_cut_back(tmp_path: Path) -> None:
@@ -106,7 +108,10 @@ def test_rows_end_with_the_same_frame(tmp_path: Path, names: tuple[str, ...]) ->
 
 
 def test_failing_writer_of_another_package(tmp_path: Path) -> None:
-    with registered_writer("failing", FailingWriter), writing(tmp_path, ("csv", "mot", "failing")) as rows:
+    with (
+        registered_writer("failing", FailingWriter),
+        writing(tmp_path, ("csv", "mot", "failing")) as rows,
+    ):
         rows.write(result(0))
         rows.write(result(1))
         with pytest.raises(OutputError, match=r"failing\.txt"):
@@ -123,10 +128,13 @@ def test_table_without_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         size = next(tmp_path.rglob("rows.arrows")).stat().st_size
         with file_size_limit(size + 200), pytest.raises(OutputError, match="rows of the run"):
             table.append(result(5))
-        assert table.to_columns()["frame"].tolist() == [index for index in range(5) for _ in range(2)]
+        assert table.to_columns()["frame"].tolist() == [
+            index for index in range(5) for _ in range(2)
+        ]
 
 
-# -- videos ---------------------------------------------------------------------------------------------------------
+# -- videos
+# ---------------------------------------------------------------------------------------------------------
 
 
 def noise(n: int) -> list[np.ndarray]:
@@ -184,7 +192,9 @@ def test_fragments_in_parts(tmp_path: Path, n_bytes: int) -> None:
     assert (tmp_path / "a.mp4").read_bytes() == content[:complete]
 
 
-@pytest.mark.parametrize(("fps", "max_lag"), [(0.5, 1), (1.0, 1), (2.0, 2), (4.0, 4), (10.0, 5), (60.0, 5)])
+@pytest.mark.parametrize(
+    ("fps", "max_lag"), [(0.5, 1), (1.0, 1), (2.0, 2), (4.0, 4), (10.0, 5), (60.0, 5)]
+)
 def test_lag_of_a_video(tmp_path: Path, fps: float, max_lag: int) -> None:
     """After the rows of a frame, the file lacks at most so many frames."""
     path, image = tmp_path / "out.mp4", np.zeros((48, 64, 3), np.uint8)
@@ -202,19 +212,28 @@ def test_lag_of_a_video(tmp_path: Path, fps: float, max_lag: int) -> None:
                 video.write(frame)
 
 
-# -- runs -----------------------------------------------------------------------------------------------------------
+# -- runs
+# -----------------------------------------------------------------------------------------------------------
 
 
 N_FRAMES = 20
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory, film: Callable[..., Path]) -> Callable[..., tr.Run]:
+def inputs(
+    tmp_path_factory: pytest.TempPathFactory, film: Callable[..., Path]
+) -> Callable[..., tr.Run]:
     """A run on a video of noise with two boxes in each frame."""
     folder = tmp_path_factory.mktemp("inputs")
-    video = film(folder / "film.mp4", [number / 10 for number in range(N_FRAMES)], images=noise(N_FRAMES))
+    video = film(
+        folder / "film.mp4", [number / 10 for number in range(N_FRAMES)], images=noise(N_FRAMES)
+    )
     row = "{} {} Car 0 0 0 {} 10 {} 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
-    rows = [row.format(n, track, 5 + 30 * track, 25 + 30 * track) for n in range(N_FRAMES) for track in (0, 1)]
+    rows = [
+        row.format(n, track, 5 + 30 * track, 25 + 30 * track)
+        for n in range(N_FRAMES)
+        for track in (0, 1)
+    ]
     (folder / "boxes.txt").write_text("".join(rows))
 
     def run(out: Path, **options: Any) -> tr.Run:
@@ -225,13 +244,16 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, film: Callable[..., Path]) 
 
 
 def check_folder(out: Path, n_frames: int) -> None:
-    """The rows and the summary, if there is one, have the same frames, and the overlay is playable."""
+    """The rows and the summary, if there is one, have the same frames, and the overlay is
+    playable."""
     rows = read_tracks_csv(out / "tracks.csv")["frame"]
     assert (out / "tracks.csv").read_bytes().endswith(b"\n")
     assert sorted(rows.tolist()) == sorted(read_mot(out / "mot.txt").frame.tolist())
     assert rows.max() == n_frames - 1
     if (out / "tracks.parquet").exists():
-        assert sorted(read_tracks_parquet(out / "tracks.parquet")["frame"].tolist()) == sorted(rows.tolist())
+        assert sorted(read_tracks_parquet(out / "tracks.parquet")["frame"].tolist()) == sorted(
+            rows.tolist()
+        )
     if (out / "summary.json").exists():
         assert json.loads((out / "summary.json").read_text())["frames"] == n_frames
     assert not (out / "progress.json").exists()
@@ -239,7 +261,8 @@ def check_folder(out: Path, n_frames: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "limit", [14_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (16_000, 19_000, 24_000, 29_000))]
+    "limit",
+    [14_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (16_000, 19_000, 24_000, 29_000))],
 )
 def test_run_on_a_full_disk(tmp_path: Path, inputs: Callable[..., tr.Run], limit: int) -> None:
     run = inputs(tmp_path)
@@ -270,7 +293,9 @@ def test_first_error_is_reported(tmp_path: Path, inputs: Callable[..., tr.Run]) 
     assert (other / "summary.json").exists()
 
 
-def test_failing_overlay(tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_overlay(
+    tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
     draw = ResultVideo._draw
     failure = RuntimeError("drawing failed")
 
@@ -312,10 +337,19 @@ def test_second_run_is_refused(tmp_path: Path, inputs: Callable[..., tr.Run]) ->
 
 
 @pytest.mark.slow
-def test_unusable_input_leaves_the_folder_as_it_was(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
+def test_unusable_input_leaves_the_folder_as_it_was(
+    tmp_path: Path, inputs: Callable[..., tr.Run]
+) -> None:
     out = tmp_path / "a" / "b" / "out"
-    for name, options in (("missing.mp4", {}), ("missing.txt", {"detections": tmp_path / "missing.txt"})):
-        run = tr.Run.mono(tmp_path / name, out=out, focal_px=60) if not options else inputs(out, **options)
+    for name, options in (
+        ("missing.mp4", {}),
+        ("missing.txt", {"detections": tmp_path / "missing.txt"}),
+    ):
+        run = (
+            tr.Run.mono(tmp_path / name, out=out, focal_px=60)
+            if not options
+            else inputs(out, **options)
+        )
         with pytest.raises(UserError, match="missing"):
             run.open()
         assert list(tmp_path.iterdir()) == []
@@ -344,7 +378,9 @@ def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) 
 
 
 @pytest.mark.slow
-def test_folder_of_a_run_killed_while_opening(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
+def test_folder_of_a_run_killed_while_opening(
+    tmp_path: Path, inputs: Callable[..., tr.Run]
+) -> None:
     ProgressNote("estimating the alignment", 4711, "2026-01-01 12:00:00+00:00").write(tmp_path)
     (tmp_path / "settings.yaml").write_text("of the killed run")
     (tmp_path / ".4711.progress.json").write_text("{}")
@@ -360,7 +396,9 @@ def test_folder_of_a_run_killed_while_opening(tmp_path: Path, inputs: Callable[.
 
 
 @pytest.mark.parametrize("command", ["simulate", "demo", "track"])
-def test_other_commands_lock_their_folder(tmp_path: Path, cli: Callable[..., Any], command: str) -> None:
+def test_other_commands_lock_their_folder(
+    tmp_path: Path, cli: Callable[..., Any], command: str
+) -> None:
     out = tmp_path / "drive" if command == "demo" else tmp_path
     out.mkdir(exist_ok=True)
     options: tuple[Any, ...] = ("--out", tmp_path)
@@ -371,22 +409,29 @@ def test_other_commands_lock_their_folder(tmp_path: Path, cli: Callable[..., Any
     before = set(out.iterdir())
     with locked_folder(out):
         status, _, complaint = cli(command, *options)
-    assert (status, f"process {os.getpid()}" in complaint, complaint.count("\n")) == (1, True, 1), complaint
+    assert (status, f"process {os.getpid()}" in complaint, complaint.count("\n")) == (1, True, 1), (
+        complaint
+    )
     assert set(out.iterdir()) == before
 
 
 def test_temporary_files_of_a_killed_run(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
-    """Those of all atomically written files are removed by the next run, other hidden files are not."""
+    """Those of all atomically written files are removed by the next run, other hidden files are
+    not."""
     for name in (".123.settings.yaml", ".123.tracks.parquet", ".123.run.rrd", ".123.notes", ".git"):
         (tmp_path / name).write_text("")
     list(inputs(tmp_path, overlay=False))
-    assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {".123.notes", ".git"}
+    assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {
+        ".123.notes",
+        ".git",
+    }
 
 
 def test_rows_that_cannot_be_stored(
     tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The temporary folder is full while the output folder is not: the files end with the last stored frame."""
+    """The temporary folder is full while the output folder is not: the files end with the last
+    stored frame."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     run = inputs(tmp_path / "out", overlay=False)
     run.session.rows.table = RunTable(rows_per_batch=10)

@@ -21,7 +21,13 @@ def wall(z, bgr, *, hole=False, shadow=None):
         texture[:, :, 3] = shadow
     side = 0.2 * z  # 20 samples
     corner = np.array([-side / 2, -side / 2, z])
-    return Face(corner, np.array([side, 0, 0]), np.array([0, side, 0]), texture, is_shadow=shadow is not None)
+    return Face(
+        corner,
+        np.array([side, 0, 0]),
+        np.array([0, side, 0]),
+        texture,
+        is_shadow=shadow is not None,
+    )
 
 
 def draw(*faces):
@@ -74,16 +80,28 @@ def test_sky_fills_undrawn_pixels():
 
 def test_number_of_sky_rows():
     near = wall(5.0, RED)
-    canvas = draw(Face(near.corner + np.array([-9.0, 0.55, 0]), 19 * near.along, 9 * near.down, near.texture))
+    canvas = draw(
+        Face(near.corner + np.array([-9.0, 0.55, 0]), 19 * near.along, 9 * near.down, near.texture)
+    )
     assert canvas.n_sky_rows() == 30  # the wall's upper edge is at row 30.5
 
 
 def test_may_be_visible():
     canvas = draw(wall(5.0, RED))
     box = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (0.0, 1.0)])
-    places = np.array([[0, 0, 4.0], [0, 0, 7.0], [1.0, 0, 7.0], [0, 0, -3.0], [30.0, 0, 5.0], [0, 0, -0.5]])
-    # In front of the wall; behind it; next to it; behind the camera; outside the image; around the camera.
-    assert list(canvas.may_be_visible(box + places[:, None])) == [True, False, True, False, False, True]
+    places = np.array(
+        [[0, 0, 4.0], [0, 0, 7.0], [1.0, 0, 7.0], [0, 0, -3.0], [30.0, 0, 5.0], [0, 0, -0.5]]
+    )
+    # In front of the wall; behind it; next to it; behind the camera; outside the image; around the
+    # camera.
+    assert list(canvas.may_be_visible(box + places[:, None])) == [
+        True,
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]
 
 
 def test_tables_are_joined_rotated_and_moved():
@@ -94,4 +112,6 @@ def test_tables_are_joined_rotated_and_moved():
     assert both.texture.tolist() == [0, 1]
     half_turn = np.diag([-1.0, 1.0, -1.0])
     np.testing.assert_allclose(both.rotated(half_turn).corner, both.corner * (-1, 1, -1))
-    np.testing.assert_allclose(both.rotated(np.stack([half_turn, np.eye(3)])).along[:, 0], [-1.0, 1.6])
+    np.testing.assert_allclose(
+        both.rotated(np.stack([half_turn, np.eye(3)])).along[:, 0], [-1.0, 1.6]
+    )

@@ -24,13 +24,30 @@ CAR = RoadUser(
     start_xz_m=(0.0, 42.0 + CAMERA_TO_FRONT_M),
     rotation_y_rad=AWAY_RAD,
 )
-COLLISIONS = ("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child", "cut-in")
-HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway", "town")
+COLLISIONS = (
+    "rear-stationary",
+    "rear-slower",
+    "rear-braking",
+    "crossing-adult",
+    "crossing-child",
+    "cut-in",
+)
+HARMLESS = (
+    "curve-parked",
+    "oncoming",
+    "overhead-sign",
+    "following",
+    "queue",
+    "city",
+    "highway",
+    "town",
+)
 
 
 def times(scene, seconds=10.0):
     return [
-        (contact.track_id, round(contact.contact_s, 4), contact.is_real) for contact in find_contacts(scene, seconds)
+        (contact.track_id, round(contact.contact_s, 4), contact.is_real)
+        for contact in find_contacts(scene, seconds)
     ]
 
 
@@ -40,29 +57,40 @@ def test_standing_car_is_hit_after_40_m():
     assert times(scene, 3.9) == []
 
 
-@pytest.mark.parametrize(("x_m", "hits"), [(1.79, True), (1.81, False), (-1.79, True), (-1.81, False)])
+@pytest.mark.parametrize(
+    ("x_m", "hits"), [(1.79, True), (1.81, False), (-1.79, True), (-1.81, False)]
+)
 def test_overlap_of_the_widths_decides(x_m, hits):
     user = replace(CAR, start_xz_m=(x_m, CAR.start_xz_m[1]))
     assert bool(times(Scene(seed=0, road_users=(user,), ego_speed_mps=10.0))) == hits
 
 
-@pytest.mark.parametrize(("raised_m", "hits"), [(EGO_HWL_M[0] - 0.01, True), (EGO_HWL_M[0] + 0.01, False)])
+@pytest.mark.parametrize(
+    ("raised_m", "hits"), [(EGO_HWL_M[0] - 0.01, True), (EGO_HWL_M[0] + 0.01, False)]
+)
 def test_ego_passes_below_raised_objects(raised_m, hits):
     user = replace(CAR, raised_m=raised_m)
     assert bool(times(Scene(seed=0, road_users=(user,), ego_speed_mps=10.0))) == hits
 
 
 def test_late_braking_leaves_a_hypothetical_contact():
-    scene = Scene(seed=0, road_users=(CAR,), ego_speed_changes=((0, 10), (3.5, 10), (4.2, 0)))  # at 35 m, stops at 38.5
+    # at 35 m, stops at 38.5
+    scene = Scene(seed=0, road_users=(CAR,), ego_speed_changes=((0, 10), (3.5, 10), (4.2, 0)))
     assert times(scene) == [(3, 4.0, False)]
 
 
 def test_followed_vehicle_that_brakes_is_no_contact():
-    lead = replace(CAR, start_xz_m=(0.0, 20.0 + 2.0 + CAMERA_TO_FRONT_M), speed_changes=((0, 10), (2, 10), (5, 0)))
+    lead = replace(
+        CAR,
+        start_xz_m=(0.0, 20.0 + 2.0 + CAMERA_TO_FRONT_M),
+        speed_changes=((0, 10), (2, 10), (5, 0)),
+    )
     ego = ((0.0, 10.0), (3.0, 10.0), (6.0, 0.0))
     assert times(Scene(seed=0, road_users=(lead,), ego_speed_changes=ego)) == []
     near = replace(lead, start_xz_m=(0.0, 8.0 + 2.0 + CAMERA_TO_FRONT_M))  # 0.8 s
-    assert [real for _, _, real in times(Scene(seed=0, road_users=(near,), ego_speed_changes=ego))] == [True]
+    assert [
+        real for _, _, real in times(Scene(seed=0, road_users=(near,), ego_speed_changes=ego))
+    ] == [True]
 
 
 @pytest.mark.parametrize("name", COLLISIONS)
@@ -96,9 +124,14 @@ def test_corner_of_a_rotated_box_touches(yaw_deg, touch):
 def test_positions_at_many_times_agree_with_those_at_one():
     scene, at_s = make_scenario("cut-in", seed=1), np.linspace(-1, 12, 27)
     for user in scene.road_users[:4]:
-        positions_m, heading_rad = np.transpose(user.on_road_m(at_s)), np.broadcast_to(user.heading_rad(at_s), 27)
+        positions_m, heading_rad = (
+            np.transpose(user.on_road_m(at_s)),
+            np.broadcast_to(user.heading_rad(at_s), 27),
+        )
         for k, time_s in enumerate(at_s.tolist()):
             assert positions_m[k] == pytest.approx(user.on_road_m(time_s), abs=1e-9)
             assert heading_rad[k] == pytest.approx(user.heading_rad(time_s), abs=1e-6)
     changes = scene.ego_speed_changes
-    assert travelled_m(changes, at_s) == pytest.approx([travelled_m(changes, t) for t in at_s.tolist()], abs=1e-9)
+    assert travelled_m(changes, at_s) == pytest.approx(
+        [travelled_m(changes, t) for t in at_s.tolist()], abs=1e-9
+    )

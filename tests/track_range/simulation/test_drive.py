@@ -28,7 +28,11 @@ def drive(tmp_path_factory):
     calls = []
     folder = tmp_path_factory.mktemp("drive") / "new"
     written = write_drive(
-        folder, seed=3, seconds=0.4, rig=SMALL, progress=lambda done, total: calls.append((done, total))
+        folder,
+        seed=3,
+        seconds=0.4,
+        rig=SMALL,
+        progress=lambda done, total: calls.append((done, total)),
     )
     return written, calls
 
@@ -41,7 +45,9 @@ def test_videos_show_the_scene(drive):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     for path, side in ((drive[0].left, "left"), (drive[0].right, "right")):
         frames = list(open_video(path))
-        np.testing.assert_allclose([frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4)
+        np.testing.assert_allclose(
+            [frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4
+        )
         image = frames[3].image.astype(float)
         expected = renderer.render(0.3, side=side)
         # Compared in grey, since the codec halves the resolution of colour.
@@ -61,7 +67,11 @@ def test_truth_round_trip(drive):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     frames = [
         visible_objects(
-            renderer.scene, time_s, frame=frame, camera=SMALL.left, inverse_depth=renderer.render_with_depth(time_s)[1]
+            renderer.scene,
+            time_s,
+            frame=frame,
+            camera=SMALL.left,
+            inverse_depth=renderer.render_with_depth(time_s)[1],
         )
         for frame, time_s in enumerate([0.0, 0.1, 0.2, 0.3])
     ]
@@ -107,7 +117,9 @@ def test_alpha_is_heading_minus_bearing():
     x, _, z = labels.location_m.T
     # Compared on the unit circle, since angles wrap.
     np.testing.assert_allclose(
-        np.exp(1j * np.array(alpha)), np.exp(1j * (labels.rotation_y_rad - np.arctan2(x, z))), atol=1e-5
+        np.exp(1j * np.array(alpha)),
+        np.exp(1j * (labels.rotation_y_rad - np.arctan2(x, z))),
+        atol=1e-5,
     )
     assert np.abs(alpha).max() <= np.pi + 1e-6
 
@@ -120,14 +132,18 @@ def test_ego_speed_round_trip(drive):
 
 @pytest.mark.slow
 def test_both_cameras_in_one_recording(tmp_path):
-    options = {layout: DriveOptions(lossless=True, stereo_layout=layout) for layout in (None, "bottom-top")}
+    options = {
+        layout: DriveOptions(lossless=True, stereo_layout=layout) for layout in (None, "bottom-top")
+    }
     two, one = (
         write_drive(tmp_path / str(layout), seed=3, seconds=0.2, rig=SMALL, options=given)
         for layout, given in options.items()
     )
     assert one.left == one.right == tmp_path / "bottom-top" / "both"
     for number in range(2):
-        left, right, both = (cv2.imread(str(path / f"{number:06}.png")) for path in (two.left, two.right, one.left))
+        left, right, both = (
+            cv2.imread(str(path / f"{number:06}.png")) for path in (two.left, two.right, one.left)
+        )
         assert (both == np.vstack((right, left))).all()
     assert one.table.read_text() == two.table.read_text()
 
@@ -135,7 +151,9 @@ def test_both_cameras_in_one_recording(tmp_path):
 def test_lossless_folders_contain_the_exact_pixels(tmp_path):
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")
-    written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(lossless=True))
+    written = write_drive(
+        tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(lossless=True)
+    )
     renderer = Renderer(make_scene(3, seconds=0.2), SMALL)
     for folder, side in ((written.left, "left"), (written.right, "right")):
         assert sorted(path.name for path in folder.iterdir()) == ["000000.png", "000001.png"]
@@ -144,7 +162,14 @@ def test_lossless_folders_contain_the_exact_pixels(tmp_path):
 
 
 def test_disparity_map_of_the_road(tmp_path):
-    write_drive(tmp_path, seed=3, seconds=0.1, rig=SMALL, scenario="empty", options=DriveOptions(disparity=True))
+    write_drive(
+        tmp_path,
+        seed=3,
+        seconds=0.1,
+        rig=SMALL,
+        scenario="empty",
+        options=DriveOptions(disparity=True),
+    )
     truth = cv2.imread(str(tmp_path / "disp_occ_0" / "000000_10.png"), cv2.IMREAD_UNCHANGED)
     assert truth.dtype == np.uint16
     assert truth.shape == (94, 310)
@@ -170,7 +195,8 @@ def test_kitti_2015_layout(tmp_path):
     assert is_match.sum() >= 4
     distance_m = pair.rig.distance_m(pair.true_px[overlap.argmax(axis=1)])[is_match]
     expected_m = np.array([float(row["distance_m"]) for row in rows])[is_match]
-    # The median over the centre of an object differs from the ray through it if the side of a car is visible.
+    # The median over the centre of an object differs from the ray through it if the side of a car
+    # is visible.
     assert np.median(np.abs(distance_m / expected_m - 1)) < 0.02
 
 

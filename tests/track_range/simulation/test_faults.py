@@ -25,14 +25,20 @@ def scene():
 
 @cache
 def right(scene, *, is_large=False, **faults):
-    """The right image, float64, without noise; a rig is not hashable, so its size is the argument."""
+    """The right image, float64, without noise; a rig is not hashable, so its size is the
+    argument."""
     rig = RIG if is_large else SMALL
-    return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, side="right").astype(np.float64)
+    return (
+        Renderer(scene, rig, noise_grey=0, faults=Faults(**faults))
+        .render(0.2, side="right")
+        .astype(np.float64)
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("faults", "expected"), [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))]
+    ("faults", "expected"),
+    [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))],
 )
 def test_offsets_shift_the_right_image(scene, faults, expected):
     plain, moved = (right(scene, is_large=True, **values).mean(axis=2) for values in ({}, faults))
@@ -50,7 +56,9 @@ def test_offsets_shift_the_right_image(scene, faults, expected):
 @pytest.mark.slow
 def test_faults_do_not_change_the_left_image(scene):
     faults = Faults(gain=1.3, row_offset_px=2, disparity_offset_px=1, late_s=0.1)
-    plain, faulty = (Renderer(scene, SMALL, faults=value).render(0.2) for value in (Faults(), faults))
+    plain, faulty = (
+        Renderer(scene, SMALL, faults=value).render(0.2) for value in (Faults(), faults)
+    )
     np.testing.assert_array_equal(plain, faulty)
 
 
@@ -63,7 +71,10 @@ def test_gain_of_the_right_image(scene):
 
 @pytest.mark.slow
 def test_blur_reduces_detail(scene):
-    sharp, blurred = (cv2.Laplacian(image, cv2.CV_64F).std() for image in (right(scene), right(scene, blur_px=1.5)))
+    sharp, blurred = (
+        cv2.Laplacian(image, cv2.CV_64F).std()
+        for image in (right(scene), right(scene, blur_px=1.5))
+    )
     assert blurred < 0.4 * sharp
 
 
@@ -92,12 +103,16 @@ def test_standard_deviation_of_noise(sigma):
 
 @pytest.mark.slow
 def test_late_right_camera_keeps_its_timestamps(tmp_path):
-    drive = write_drive(tmp_path, scenario="highway", seconds=0.2, rig=SMALL, options=DriveOptions(late_s=0.5))
+    drive = write_drive(
+        tmp_path, scenario="highway", seconds=0.2, rig=SMALL, options=DriveOptions(late_s=0.5)
+    )
     frames = list(open_video(drive.right))
     assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1], abs=1e-4)
     renderer = Renderer(make_scenario("highway", seconds=0.2), SMALL, noise_grey=0)
     grey = frames[0].image.astype(float).mean(axis=2)
-    later, now = (np.abs(grey - renderer.render(t, side="right").mean(axis=2)).mean() for t in (0.5, 0.0))
+    later, now = (
+        np.abs(grey - renderer.render(t, side="right").mean(axis=2)).mean() for t in (0.5, 0.0)
+    )
     assert later < 0.5 * now
 
 
@@ -105,7 +120,9 @@ def test_late_right_camera_keeps_its_timestamps(tmp_path):
 def test_dropped_frames_leave_gaps_in_time(tmp_path):
     options = DriveOptions(drop_fraction=0.4, noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
-    left_s, right_s = ([frame.time_s for frame in open_video(path)] for path in (drive.left, drive.right))
+    left_s, right_s = (
+        [frame.time_s for frame in open_video(path)] for path in (drive.left, drive.right)
+    )
     assert 6 <= len(left_s) <= 18
     assert left_s != right_s
     assert left_s[0] == right_s[0] == 0.0
@@ -118,7 +135,10 @@ def test_dropped_frames_leave_gaps_in_time(tmp_path):
 
 @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5])
 def test_share_of_dropped_frames(fraction):
-    left, kept = (kept_frames(Faults(drop_fraction=fraction), 4000, 3, is_right=right) for right in (False, True))
+    left, kept = (
+        kept_frames(Faults(drop_fraction=fraction), 4000, 3, is_right=right)
+        for right in (False, True)
+    )
     assert kept[0] == 0
     assert 1 - len(kept) / 4000 == pytest.approx(fraction, abs=0.03)
     assert kept != left or fraction == 0
@@ -127,7 +147,8 @@ def test_share_of_dropped_frames(fraction):
 def test_errors_of_a_wrong_rig():
     rig = StereoRig.rectified(SMALL.left, 0.5)
     baseline, focal, principal, correct = (
-        rig_in_file(rig, Faults(wrong_rig=name)) for name in ("baseline", "focal", "principal", None)
+        rig_in_file(rig, Faults(wrong_rig=name))
+        for name in ("baseline", "focal", "principal", None)
     )
     assert baseline.baseline_m == pytest.approx(0.525)
     assert focal.left.fx_px == pytest.approx(1.04 * rig.left.fx_px)

@@ -9,7 +9,9 @@ from track_range.simulation.simulate import write_image_set
 @pytest.mark.slow
 def test_image_set_is_a_data_set(tmp_path):
     steps = []
-    path = write_image_set(tmp_path, [1000, 1001], n_frames=2, progress=lambda done, total: steps.append((done, total)))
+    path = write_image_set(
+        tmp_path, [1000, 1001], n_frames=2, progress=lambda done, total: steps.append((done, total))
+    )
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
     data = read_data_yaml(path)
     assert len(data.train) == 4
@@ -27,6 +29,11 @@ def test_image_set_is_a_data_set(tmp_path):
 def test_same_seeds_give_the_same_files(tmp_path):
     for name in ("a", "b"):
         write_image_set(tmp_path / name, [7], n_frames=1)
-    files = [sorted(path.relative_to(tmp_path / n) for path in (tmp_path / n).rglob("*.*")) for n in ("a", "b")]
+    files = [
+        sorted(path.relative_to(tmp_path / n) for path in (tmp_path / n).rglob("*.*"))
+        for n in ("a", "b")
+    ]
     assert files[0] == files[1]
-    assert all((tmp_path / "a" / f).read_bytes() == (tmp_path / "b" / f).read_bytes() for f in files[0])
+    assert all(
+        (tmp_path / "a" / f).read_bytes() == (tmp_path / "b" / f).read_bytes() for f in files[0]
+    )

@@ -30,7 +30,11 @@ def masks():
     """Part and road user of each pixel."""
     users = (
         RoadUser(
-            track_id=10 + n, kitti_type=kind, size_hwl_m=SIZE_HWL_M[kind], start_xz_m=(x, z), rotation_y_rad=heading
+            track_id=10 + n,
+            kitti_type=kind,
+            size_hwl_m=SIZE_HWL_M[kind],
+            start_xz_m=(x, z),
+            rotation_y_rad=heading,
         )
         for n, (kind, x, z, heading) in enumerate(USERS)
     )
@@ -45,7 +49,9 @@ def test_plates_are_inside_the_3d_box(kind):
     assert len(plates) == (1 if kind == "Motorcycle" else 2)
     height, width, length = SIZE_HWL_M[kind]
     for plate in plates:
-        corners = plate.corner + np.outer([0, 1, 0, 1], plate.along) + np.outer([0, 0, 1, 1], plate.down)
+        corners = (
+            plate.corner + np.outer([0, 1, 0, 1], plate.along) + np.outer([0, 0, 1, 1], plate.down)
+        )
         assert (np.abs(corners[:, 0]) <= length / 2).all()
         assert (np.abs(corners[:, 2]) <= width / 2).all()
         assert ((corners[:, 1] <= 0) & (corners[:, 1] >= -height)).all()
@@ -88,7 +94,12 @@ def test_a_pixel_needs_two_samples():
 
 @pytest.mark.slow
 def test_mask_files_have_the_track_ids(tmp_path):
-    write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=310, height_px=94), options=DriveOptions(masks=True))
+    write_drive(
+        tmp_path,
+        seconds=0.1,
+        rig=kitti_like_rig(width_px=310, height_px=94),
+        options=DriveOptions(masks=True),
+    )
     part = cv2.imread(str(tmp_path / "masks" / "000000.png"), cv2.IMREAD_UNCHANGED)
     number = cv2.imread(str(tmp_path / "mask_ids" / "000000.png"), cv2.IMREAD_UNCHANGED)
     assert (part.dtype, part.shape) == (np.uint8, (94, 310))

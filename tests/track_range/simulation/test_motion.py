@@ -18,16 +18,25 @@ def test_distance_of_a_speed_ramp():
 
 @settings(deadline=None)
 @given(
-    st.lists(st.tuples(st.floats(-5, 25), st.floats(0, 40)), min_size=1, max_size=6, unique_by=lambda pair: pair[0]),
+    st.lists(
+        st.tuples(st.floats(-5, 25), st.floats(0, 40)),
+        min_size=1,
+        max_size=6,
+        unique_by=lambda pair: pair[0],
+    ),
     st.floats(-4, 20),
 )
 def test_distance_is_the_integral_of_the_speed(changes, until_s):
     changes = tuple(sorted(changes))
     times = np.linspace(0, until_s, 40_001)
     speeds = np.interp(times, *zip(*changes, strict=True))
-    assert travelled_m(changes, until_s) == pytest.approx(float(np.trapezoid(speeds, times)), abs=0.02)
+    assert travelled_m(changes, until_s) == pytest.approx(
+        float(np.trapezoid(speeds, times)), abs=0.02
+    )
 
 
 def test_lane_change():
     change = LaneChange(2.0, 4.0, -3.5)
-    assert [change.moved_m(time_s) for time_s in (0.0, 2.0, 3.0, 4.0, 9.0)] == pytest.approx([0, 0, -1.75, -3.5, -3.5])
+    assert [change.moved_m(time_s) for time_s in (0.0, 2.0, 3.0, 4.0, 9.0)] == pytest.approx(
+        [0, 0, -1.75, -3.5, -3.5]
+    )

@@ -1,4 +1,5 @@
-"""Tests of the bodies of people and cyclists: their extent, and detection by the packaged detector."""
+"""Tests of the bodies of people and cyclists: their extent, and detection by the packaged
+detector."""
 
 import numpy as np
 import pytest
@@ -35,7 +36,9 @@ def drawn_points(faces):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_body_fills_its_box(kind, scale, seed):
     size = tuple(scale * side for side in SIZE_HWL_M[kind])
-    user = RoadUser(track_id=5, kitti_type=kind, size_hwl_m=size, start_xz_m=(0.0, 0.0), rotation_y_rad=0.0)
+    user = RoadUser(
+        track_id=5, kitti_type=kind, size_hwl_m=size, start_xz_m=(0.0, 0.0), rotation_y_rad=0.0
+    )
     points = drawn_points(body_of(user, seed))
     height, width, length = size
     low, high = np.array([-length / 2, -height, -width / 2]), np.array([length / 2, 0.0, width / 2])
@@ -70,13 +73,16 @@ def test_lid_covers_its_ring():
 
 @pytest.mark.slow
 def test_packaged_detector_finds_people():
-    """At least 70 % of people and cyclists within 15 m in the demo's scenario are detected with confidence 0.25."""
+    """At least 70 % of people and cyclists within 15 m in the demo's scenario are detected with
+    confidence 0.25."""
     scene = make_scenario("crossing", seed=0, seconds=6.0)
     renderer, detector = Renderer(scene, RIG), tr.Detector("road", min_score=0.25)
     is_detected = []
     for time_s in (2.8, 3.6, 4.4, 5.2):
         image, inverse_depth = renderer.render_with_depth(time_s)
-        visible = visible_objects(scene, time_s, frame=0, camera=RIG.left, inverse_depth=inverse_depth)
+        visible = visible_objects(
+            scene, time_s, frame=0, camera=RIG.left, inverse_depth=inverse_depth
+        )
         labels, detections = visible.labels, detector.detect(image)
         is_upright = np.isin(labels.kitti_type, ["Pedestrian", "Cyclist"])
         chosen = is_upright & (visible.visible_share > 0.6) & (labels.location_m[:, 2] < 15)

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.simulation.render.face_table import FaceTable, TextureStore
-from track_range.simulation.render.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, visible_pieces
+from track_range.simulation.render.pieces import (
+    CUTS,
+    DEPTH_RATIO,
+    NEAR_M,
+    projected,
+    visible_pieces,
+)
 from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -82,13 +88,18 @@ def test_texels_are_projected_to_their_points(numbers, fractions):
             in_window = np.array([*(point_px - pieces.window_px[row, :2]), 1.0])
             xyw = pieces.texture_from_px[row] @ in_window
             # With its margin of one texel, the averaged texture starts at 1/2.
-            expected = (texel - (left, top)) / (right - left, bottom - top) * pieces.size[row, ::-1] + 0.5
+            expected = (texel - (left, top)) / (right - left, bottom - top) * pieces.size[
+                row, ::-1
+            ] + 0.5
             np.testing.assert_allclose(xyw[:2] / xyw[2], expected, atol=1e-6)
-            assert pieces.inverse_depth[row] @ np.array([*point_px, 1.0]) == pytest.approx(1 / point[2])
+            assert pieces.inverse_depth[row] @ np.array([*point_px, 1.0]) == pytest.approx(
+                1 / point[2]
+            )
 
 
 def test_texture_sizes_follow_the_longer_edges():
-    # 2 m at 10 m are 100 px, but the texture has only 32 rows and 48 columns. At 40 m: 25 px, quantized to 27.
+    # 2 m at 10 m are 100 px, but the texture has only 32 rows and 48 columns. At 40 m: 25 px,
+    # quantized to 27.
     pieces = projected(visible_pieces(table(upright(), upright(z=40.0)), CAMERA), CAMERA)
     assert pieces.size.tolist() == [[32, 48], [27, 27]]
     np.testing.assert_allclose(pieces.nearest, [0.1, 0.025])

@@ -27,12 +27,16 @@ def truth_of(height_px=100.0, *, kitti_type="Car", occluded=0, n_frames=N_FRAMES
 
 
 def simulated(truth, *, seed=0, **flaws):
-    return play_back(truth, seed=seed, image_size_px=SIZE_PX, flaws=Flaws(**flaws) if flaws else None)
+    return play_back(
+        truth, seed=seed, image_size_px=SIZE_PX, flaws=Flaws(**flaws) if flaws else None
+    )
 
 
 def test_truth_without_flaws():
     truth = truth_of(n_frames=50)
-    detections = simulated(truth, edge_min_px=0.0, edge_fraction=0.0, miss=0.0, run=0.0, false_per_frame=0.0)
+    detections = simulated(
+        truth, edge_min_px=0.0, edge_fraction=0.0, miss=0.0, run=0.0, false_per_frame=0.0
+    )
     np.testing.assert_array_equal(detections.xyxy_px, truth.xyxy_px)
     np.testing.assert_array_equal(detections.frame, truth.frame)
     assert (detections.track_id == -1).all()
@@ -42,7 +46,8 @@ def test_truth_without_flaws():
 def test_edge_errors_have_the_given_sigma():
     detections = simulated(truth_of(), edge_fraction=0.015, false_per_frame=0.0)
     error_px = detections.xyxy_px - (600.0, 150.0, 700.0, 250.0)
-    # 1.5 % of 100 px; the standard error of a deviation of 4 x 3900 draws is under 1 %, and of the mean 0.012 px.
+    # 1.5 % of 100 px; the standard error of a deviation of 4 x 3900 draws is under 1 %, and of the
+    # mean 0.012 px.
     assert error_px.std() == pytest.approx(1.5, rel=0.04)
     assert np.abs(error_px.mean(axis=0)).max() < 0.1
 
@@ -75,13 +80,17 @@ def test_misses_come_in_runs_of_two_or_three():
 
 def test_runs_end_with_their_track():
     first, second = truth_of(n_frames=300), truth_of(n_frames=300)
-    both = KittiLabels(*(np.concatenate([getattr(t, f) for t in (first, second)]) for f in KittiLabels.__slots__))
     both = KittiLabels(
-        **{f: getattr(both, f) for f in KittiLabels.__slots__ if f != "track_id"} | {"track_id": np.repeat([3, 4], 300)}
+        *(np.concatenate([getattr(t, f) for t in (first, second)]) for f in KittiLabels.__slots__)
+    )
+    both = KittiLabels(
+        **{f: getattr(both, f) for f in KittiLabels.__slots__ if f != "track_id"}
+        | {"track_id": np.repeat([3, 4], 300)}
     )
     detections = simulated(both, miss=0.0, run=0.02, false_per_frame=0.0)
     n_detected = np.bincount(detections.frame, minlength=300)
-    assert (n_detected == 1).sum() > 5 * max((n_detected == 0).sum(), 1)  # a run of one object does not hide the other
+    # a run of one object does not hide the other
+    assert (n_detected == 1).sum() > 5 * max((n_detected == 0).sum(), 1)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +104,14 @@ def test_detected_types(kitti_type, expected):
 
 @pytest.mark.parametrize(("kitti_type", "occluded"), [("DontCare", -1), ("Car", 2)])
 def test_dont_care_and_occluded_objects_are_not_detected(kitti_type, occluded):
-    assert len(simulated(truth_of(kitti_type=kitti_type, occluded=occluded, n_frames=50), false_per_frame=0.0)) == 0
+    assert (
+        len(
+            simulated(
+                truth_of(kitti_type=kitti_type, occluded=occluded, n_frames=50), false_per_frame=0.0
+            )
+        )
+        == 0
+    )
 
 
 def test_rate_and_scores_of_false_detections():
@@ -109,7 +125,9 @@ def test_rate_and_scores_of_false_detections():
 
 
 def test_scores_fall_with_size():
-    large, small = (simulated(truth_of(height), false_per_frame=0.0).score for height in (100.0, 15.0))
+    large, small = (
+        simulated(truth_of(height), false_per_frame=0.0).score for height in (100.0, 15.0)
+    )
     assert min(large.min(), small.min()) >= 0.3
     assert max(large.max(), small.max()) <= 0.95
     assert 0.1 < large.mean() - small.mean() < 0.3

@@ -12,7 +12,11 @@ Z_M = np.array([0.0, 33.0, 120.0, 250.0])
 
 def user(*, x=0.0, z=30.0):
     return RoadUser(
-        track_id=0, kitti_type="Car", size_hwl_m=(1.5, 1.7, 4.0), start_xz_m=(x, z), rotation_y_rad=AWAY_RAD
+        track_id=0,
+        kitti_type="Car",
+        size_hwl_m=(1.5, 1.7, 4.0),
+        start_xz_m=(x, z),
+        rotation_y_rad=AWAY_RAD,
     )
 
 
@@ -38,18 +42,28 @@ def test_camera_on_a_straight_road_is_not_rotated():
 
 def test_camera_is_directed_along_the_road():
     pose = pose_on_road(ROAD, 40.0, height_m=1.6, pitch_roll_rad=(0.0, 0.0))
-    below, ahead = (np.array([ROAD.x_m(np.array(z)), ROAD.y_m(np.array(z)), z]) for z in (40.0, 40.1))
+    below, ahead = (
+        np.array([ROAD.x_m(np.array(z)), ROAD.y_m(np.array(z)), z]) for z in (40.0, 40.1)
+    )
     direction = pose.camera_from_world @ (ahead - below)
     assert abs(direction[0] / direction[2]) < 2e-3
     assert abs(direction[1] / direction[2]) < 2e-3
-    np.testing.assert_allclose(pose.camera_from_world @ pose.camera_from_world.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        pose.camera_from_world @ pose.camera_from_world.T, np.eye(3), atol=1e-12
+    )
 
 
 def test_signs_of_pitch_and_roll():
     """Pitch up lowers the horizon in the image; roll to the right raises it on the right."""
-    up = pose_on_road(STRAIGHT, 0.0, height_m=1.6, pitch_roll_rad=(0.01, 0.0)).camera_from_world @ (0, 0, 1.0)
+    up = pose_on_road(STRAIGHT, 0.0, height_m=1.6, pitch_roll_rad=(0.01, 0.0)).camera_from_world @ (
+        0,
+        0,
+        1.0,
+    )
     assert up[1] / up[2] == pytest.approx(np.tan(0.01))
-    left = pose_on_road(STRAIGHT, 0.0, height_m=1.6, pitch_roll_rad=(0.0, 0.01)).camera_from_world @ (-1.0, 0, 0)
+    left = pose_on_road(
+        STRAIGHT, 0.0, height_m=1.6, pitch_roll_rad=(0.0, 0.01)
+    ).camera_from_world @ (-1.0, 0, 0)
     assert left[1] == pytest.approx(np.sin(0.01))
 
 
@@ -58,8 +72,12 @@ def test_root_mean_square_of_wobble():
     times = np.arange(0, 60, 0.01)
     pitch_roll_rad = np.array([wobble.pitch_roll_rad(t) for t in times])
     np.testing.assert_allclose(np.sqrt((pitch_roll_rad**2).mean(axis=0)), [0.004, 0.001], rtol=0.02)
-    assert wobble.pitch_roll_rad(1.3) == Wobble(pitch_rad=0.004, roll_rad=0.001, seed=3).pitch_roll_rad(1.3)
-    assert wobble.pitch_roll_rad(1.3) != Wobble(pitch_rad=0.004, roll_rad=0.001, seed=4).pitch_roll_rad(1.3)
+    assert wobble.pitch_roll_rad(1.3) == Wobble(
+        pitch_rad=0.004, roll_rad=0.001, seed=3
+    ).pitch_roll_rad(1.3)
+    assert wobble.pitch_roll_rad(1.3) != Wobble(
+        pitch_rad=0.004, roll_rad=0.001, seed=4
+    ).pitch_roll_rad(1.3)
 
 
 def test_ego_speed_is_the_speed_of_the_camera():
@@ -67,7 +85,9 @@ def test_ego_speed_is_the_speed_of_the_camera():
     for time_s in (0.5, 2.0, 3.9, 6.0):
         before, after = (scene.pose(time_s + step).position_m for step in (-1e-4, 1e-4))
         # The camera, 1.65 m above the asphalt, moves slightly more or less where the slope changes.
-        assert scene.speed_mps(time_s) == pytest.approx(np.linalg.norm(after - before) / 2e-4, rel=3e-3)
+        assert scene.speed_mps(time_s) == pytest.approx(
+            np.linalg.norm(after - before) / 2e-4, rel=3e-3
+        )
 
 
 def test_vehicle_on_a_winding_road_stays_in_its_lane():

@@ -49,7 +49,11 @@ def test_same_seed_gives_the_same_scene(name):
 
 def footprint(location, size, yaw):
     """Rotated rectangle (centre, size, angle in degrees) of a 3-D box seen from above."""
-    return (float(location[0]), float(location[2])), (float(size[2]), float(size[1])), float(-np.degrees(yaw))
+    return (
+        (float(location[0]), float(location[2])),
+        (float(size[2]), float(size[1])),
+        float(-np.degrees(yaw)),
+    )
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -58,7 +62,8 @@ def test_no_collisions(name, seed):
     scene = make_scenario(name, seed=seed, seconds=10.0)
     on_road = np.array([user.raised_m == 0 for user in scene.road_users], bool)
     size = scene.size_hwl_m()[on_road]
-    struck = 0 if name.startswith(("rear-", "crossing-")) else None  # the first road user, which the ego car hits
+    # the first road user, which the ego car hits
+    struck = 0 if name.startswith(("rear-", "crossing-")) else None
     ego = ((0.0, 1.5 - EGO_HW_M[0] / 2), EGO_HW_M, 90.0)
     for time_s in np.arange(0, 10.01, 0.25):
         location, yaw = scene.location_m(time_s)[on_road], scene.rotation_y_rad(time_s)[on_road]
@@ -76,7 +81,9 @@ def test_no_collisions(name, seed):
 
 
 def test_contents_of_scenarios():
-    cut_in, queue, empty, highway = (make_scenario(name, seed=1) for name in ("cut-in", "queue", "empty", "highway"))
+    cut_in, queue, empty, highway = (
+        make_scenario(name, seed=1) for name in ("cut-in", "queue", "empty", "highway")
+    )
     cutter = cut_in.road_users[0]
     assert [round(cutter.on_road_m(t)[0], 1) for t in (0.0, 6.0)] == [3.6, 0.0]
     assert 6 < cut_in.location_m(4.5)[0, 2] < 25
@@ -92,12 +99,23 @@ def test_contents_of_scenarios():
     ]
     assert sum(abs(x) < 4 and 3 < z < 15 for x, _, z in ahead) >= 3
     kinds = {user.kitti_type for user in make_scenario("city", seed=1).road_users}
-    assert kinds >= {"Car", "Bus", "Motorcycle", "Cyclist", "Pedestrian", "TrafficSign", "TrafficLight"}
+    assert kinds >= {
+        "Car",
+        "Bus",
+        "Motorcycle",
+        "Cyclist",
+        "Pedestrian",
+        "TrafficSign",
+        "TrafficLight",
+    }
 
 
 @pytest.mark.slow
 def test_night_is_dark_with_bright_lamps():
-    day, night = (Renderer(make_scenario(name, seed=1), SMALL, noise_grey=0).render(1.0) for name in ("city", "night"))
+    day, night = (
+        Renderer(make_scenario(name, seed=1), SMALL, noise_grey=0).render(1.0)
+        for name in ("city", "night")
+    )
     assert night.mean() < 0.4 * day.mean()
     assert night.max() > 220
 

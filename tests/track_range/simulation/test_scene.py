@@ -57,7 +57,13 @@ def test_scene_contains_every_type_of_road_user(seed):
     scene = make_scene(seed)
     ids = [road_user.track_id for road_user in scene.road_users]
     assert len(set(ids)) == len(ids)
-    assert {road_user.kitti_type for road_user in scene.road_users} == {"Car", "Van", "Truck", "Pedestrian", "Cyclist"}
+    assert {road_user.kitti_type for road_user in scene.road_users} == {
+        "Car",
+        "Van",
+        "Truck",
+        "Pedestrian",
+        "Cyclist",
+    }
 
 
 @pytest.mark.slow
@@ -70,11 +76,19 @@ def test_no_collisions(seed):
         for i, j in combinations(range(len(location)), 2):
             if np.hypot(*(location[i] - location[j])[[0, 2]]) < (size[i] + size[j])[2] / 2 + 1:
                 rectangles = [
-                    ((location[k, 0], location[k, 2]), (size[k, 2], size[k, 1]), -np.degrees(scene.rotation_y_rad()[k]))
+                    (
+                        (location[k, 0], location[k, 2]),
+                        (size[k, 2], size[k, 1]),
+                        -np.degrees(scene.rotation_y_rad()[k]),
+                    )
                     for k in (i, j)
                 ]
                 kind, _ = cv2.rotatedRectangleIntersection(*rectangles)
-                assert kind == cv2.INTERSECT_NONE, (time_s, scene.road_users[i], scene.road_users[j])
+                assert kind == cv2.INTERSECT_NONE, (
+                    time_s,
+                    scene.road_users[i],
+                    scene.road_users[j],
+                )
 
 
 def test_longer_drive_has_more_parked_cars():
@@ -90,7 +104,8 @@ def test_larger_cars():
 
 
 def test_pitched_camera():
-    """Pitched up by 2 degrees, the point straight ahead at 50 m appears 50 tan(2 degrees) = 1.746 m lower."""
+    """Pitched up by 2 degrees, the point straight ahead at 50 m appears 50 tan(2 degrees) = 1.746 m
+    lower."""
     scene = make_scene(seed=3)
     pitched = replace(scene, camera_pitch_rad=np.radians(2.0))
     ahead = scene.pose(0.0).position_m + np.array([0.0, 0.0, 50.0])

@@ -16,7 +16,9 @@ def noise(shape, *, seed=0):
 def test_quantized_sizes_worked_by_hand():
     # 2^(k/4) rounded up: ... 8, 9.51 -> 10, 11.3 -> 12, 13.5 -> 14, 16, 19.03 -> 20
     expected = np.array([1, 8, 10, 10, 12, 14, 16, 20])
-    np.testing.assert_array_equal(quantized_up(np.array([1, 8, 9, 10, 11, 14, 15, 17]), np.full(8, 1000)), expected)
+    np.testing.assert_array_equal(
+        quantized_up(np.array([1, 8, 9, 10, 11, 14, 15, 17]), np.full(8, 1000)), expected
+    )
     assert quantized_up(np.array([17]), np.array([18]))[0] == 18
 
 
@@ -39,14 +41,18 @@ def test_average_has_the_mean_colour_of_its_window(rows, columns, data):
     average = store.averaged(number, (top, top + rows, left, left + columns), size)
     assert average.shape == (size[0] + 2, size[1] + 2, 4)
     window = picture[top : top + rows, left : left + columns, :3].reshape(-1, 3)
-    np.testing.assert_allclose(average[1:-1, 1:-1, :3].reshape(-1, 3).mean(axis=0), window.mean(axis=0), atol=2.0)
+    np.testing.assert_allclose(
+        average[1:-1, 1:-1, :3].reshape(-1, 3).mean(axis=0), window.mean(axis=0), atol=2.0
+    )
 
 
 def test_mean_of_powers_of_two():
     picture = noise((64, 128, 4), seed=1)
     store = TextureStore()
     average = store.averaged(store.add(picture), (0, 64, 0, 128), (4, 16))
-    np.testing.assert_allclose(average[1:-1, 1:-1].mean(axis=(0, 1)), picture.mean(axis=(0, 1)), atol=1.0)
+    np.testing.assert_allclose(
+        average[1:-1, 1:-1].mean(axis=(0, 1)), picture.mean(axis=(0, 1)), atol=1.0
+    )
 
 
 def test_margin_is_transparent_with_edge_colours():

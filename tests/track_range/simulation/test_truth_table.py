@@ -1,4 +1,5 @@
-"""Tests of exact distances: rays and faces worked by hand, and truth.csv against the rendered depth."""
+"""Tests of exact distances: rays and faces worked by hand, and truth.csv against the rendered
+depth."""
 
 import csv
 from dataclasses import replace
@@ -37,13 +38,21 @@ def test_nearest_face_without_holes_shadows_and_backs():
     assert first_depth_m([plate(10.0), plate(7.0, hole=True)]) == pytest.approx(10.0)
     assert first_depth_m([plate(10.0), plate(7.0, is_shadow=True)]) == pytest.approx(10.0)
     assert first_depth_m([plate(10.0), plate(7.0, is_back=True)]) == pytest.approx(10.0)
-    assert first_depth_m([plate(10.0), plate(7.0, is_back=True, two_sided=True)]) == pytest.approx(7.0)
+    assert first_depth_m([plate(10.0), plate(7.0, is_back=True, two_sided=True)]) == pytest.approx(
+        7.0
+    )
     assert np.isnan(first_depth_m([plate(10.0, x=(0.5, 1.0))]))
 
 
 def test_depth_of_a_sloping_face():
-    # From (-1, ., 8) to (1, ., 12): straight ahead at 10 m, at x = z / 20 where 10 + 2 x = z, z = 10 / 0.9.
-    face = Face(np.array([-1.0, -1.0, 8.0]), np.array([2.0, 0, 4.0]), np.array([0, 2.0, 0]), plate(1.0).texture)
+    # From (-1, ., 8) to (1, ., 12): straight ahead at 10 m, at x = z / 20 where 10 + 2 x = z, z =
+    # 10 / 0.9.
+    face = Face(
+        np.array([-1.0, -1.0, 8.0]),
+        np.array([2.0, 0, 4.0]),
+        np.array([0, 2.0, 0]),
+        plate(1.0).texture,
+    )
     depths = first_depths_m(Surface.of([face]), np.array([[0, 0, 1.0], [0.05, 0, 1.0]]))
     np.testing.assert_allclose(depths, [10.0, 10 / 0.9])
 
@@ -63,7 +72,10 @@ def test_transformed_surface_equals_transformed_faces():
             for face in faces
         ]
     )
-    rays = np.stack([*np.meshgrid(np.linspace(-0.3, 0.5, 9), np.linspace(-0.2, 0.2, 5)), np.ones((5, 9))], axis=2)
+    rays = np.stack(
+        [*np.meshgrid(np.linspace(-0.3, 0.5, 9), np.linspace(-0.2, 0.2, 5)), np.ones((5, 9))],
+        axis=2,
+    )
     depths = first_depths_m(surface, rays.reshape(-1, 3))
     np.testing.assert_allclose(depths, first_depths_m(one_by_one, rays.reshape(-1, 3)))
     assert 0 < np.isfinite(depths).sum() < 45
@@ -77,7 +89,9 @@ def test_ray_through_a_hole_is_replaced_by_the_nearest():
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, scenario="city")
+    return write_drive(
+        tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, scenario="city"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +108,9 @@ def test_distances_equal_the_rendered_depth(rows):
     for row in rows:
         if float(row["visible_share"]) > 0.98:
             x, y = ((float(row[f"{axis}1"]) + float(row[f"{axis}2"])) / 2 for axis in "xy")
-            errors.append(abs(depth_m[int(row["frame"])][round(y), round(x)] / float(row["distance_m"]) - 1))
+            errors.append(
+                abs(depth_m[int(row["frame"])][round(y), round(x)] / float(row["distance_m"]) - 1)
+            )
     assert len(errors) > 20
     # The others are rays between legs or wheels, and pixels on edges.
     assert np.median(errors) < 1e-3
@@ -117,7 +133,11 @@ def test_lanes_classes_and_ids(rows):
     for row in rows:
         user = by_id[int(row["id"])]
         x = user.on_road_m(float(row["time_s"]))[0]
-        lane = "" if abs(x) > 5.25 or user.raised_m else ("0" if abs(x) < 1.75 else "1" if x > 0 else "-1")
+        lane = (
+            ""
+            if abs(x) > 5.25 or user.raised_m
+            else ("0" if abs(x) < 1.75 else "1" if x > 0 else "-1")
+        )
         assert row["lane"] == lane
         lanes[lane] += 1
     assert min(lanes.values()) > 0

@@ -1,4 +1,5 @@
-"""Simulated fisheye cameras: images undistort to those of the pinhole, labels keep their boxes, and invalid rigs."""
+"""Simulated fisheye cameras: images undistort to those of the pinhole, labels keep their boxes, and
+invalid rigs."""
 
 from __future__ import annotations
 
@@ -38,17 +39,25 @@ def test_undistorted_images_are_those_of_the_pinhole():
 
 
 def test_lens_that_sees_to_the_sides():
-    camera = PinholeCamera(100.0, 100.0, 159.5, 79.5, 320, 160, (0.0,) * 4, "kannala-brandt")  # 183 degrees
+    # 183 degrees
+    camera = PinholeCamera(100.0, 100.0, 159.5, 79.5, 320, 160, (0.0,) * 4, "kannala-brandt")
     lens, scene = WideLens.of(StereoRig.rectified(camera, 0.54)), make_scene(3, seconds=0.4)
     assert [side.yaw_deg for side in lens.sides] == [-75.0, 75.0]
-    assert not any((side.is_shown[240, 240:720] > 0).any() for side in lens.sides)  # the middle shows the pinhole ahead
+    # the middle shows the pinhole ahead
+    assert not any((side.is_shown[240, 240:720] > 0).any() for side in lens.sides)
     wide = Renderer(scene, lens.pinholes, noise_grey=0.0, wide_lens=lens).render(0.2)
     assert (wide[40:120] > 0).all()
     # a view across the seam at 60 degrees shows the same as the views beside it
     ahead = Undistorter(camera, fov_deg=100)
     across = Undistorter(camera, fov_deg=60, yaw_deg=35)
-    images = [undistorter.undistort(wide).astype(float).mean(axis=2) for undistorter in (ahead, across)]
-    shown_px = np.stack(np.meshgrid(np.arange(5, 30), np.arange(20, 80)), axis=2).reshape(-1, 2).astype(float)
+    images = [
+        undistorter.undistort(wide).astype(float).mean(axis=2) for undistorter in (ahead, across)
+    ]
+    shown_px = (
+        np.stack(np.meshgrid(np.arange(5, 30), np.arange(20, 80)), axis=2)
+        .reshape(-1, 2)
+        .astype(float)
+    )
     recorded_px = across.recorded_points(shown_px)
     in_ahead_px = ahead.camera.project(camera.recorded_rays(recorded_px)).round().astype(int)
     first = images[1][shown_px[:, 1].astype(int), shown_px[:, 0].astype(int)]
@@ -59,16 +68,22 @@ def test_lens_that_sees_to_the_sides():
 def test_road_continues_across_the_seam():
     camera = PinholeCamera(100.0, 100.0, 159.5, 79.5, 320, 160, (0.0,) * 4, "kannala-brandt")
     lens = WideLens.of(StereoRig.rectified(camera, 0.54))
-    image = Renderer(make_scene(3, seconds=0.4), lens.pinholes, noise_grey=0.0, wide_lens=lens).render(0.2)
+    image = Renderer(
+        make_scene(3, seconds=0.4), lens.pinholes, noise_grey=0.0, wide_lens=lens
+    ).render(0.2)
     grey = image.astype(float).mean(axis=2)[95:125]  # the road below the horizon
-    seam = round(camera.recorded_px(np.array([[np.sin(np.radians(60)), 0.1, np.cos(np.radians(60))]]))[0, 0])
+    seam = round(
+        camera.recorded_px(np.array([[np.sin(np.radians(60)), 0.1, np.cos(np.radians(60))]]))[0, 0]
+    )
     steps = np.abs(np.diff(grey, axis=1)).mean(axis=0)
     assert steps[seam - 2 : seam + 2].max() < 3 * np.median(steps) + 3
 
 
 def test_night_and_rain_are_seen_through_the_lens():
     lens = WideLens.of(RIG)
-    night = Renderer(replace(make_scene(3, seconds=0.4), is_night=True), lens.pinholes, wide_lens=lens)
+    night = Renderer(
+        replace(make_scene(3, seconds=0.4), is_night=True), lens.pinholes, wide_lens=lens
+    )
     day = Renderer(make_scene(3, seconds=0.4), lens.pinholes, wide_lens=lens)
     assert night.render(0.0).shape == day.render(0.0).shape == (160, 320, 3)
     assert night.render(0.0).mean() < 0.8 * day.render(0.0).mean()

@@ -31,13 +31,21 @@ def result(
     time_s: float = 0.723,
     **more: Any,
 ) -> FrameResult:
-    """Cars 1, 2, ... in these boxes, all at the same distance; `ranges`: metres and sigma by method."""
+    """Cars 1, 2, ... in these boxes, all at the same distance; `ranges`: metres and sigma by
+    method."""
     n = len(boxes)
     ids = np.arange(1, n + 1)
-    tracks = Tracks(ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed))
-    distances = {"mono": (23.1, 1.5), "stereo": (22.4, 0.5), "fused": (22.5, 0.45)} if ranges is None else ranges
+    tracks = Tracks(
+        ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed)
+    )
+    distances = (
+        {"mono": (23.1, 1.5), "stereo": (22.4, 0.5), "fused": (22.5, 0.45)}
+        if ranges is None
+        else ranges
+    )
     ranges_by_name = {
-        name: Ranges(ids, np.full(n, metres), np.full(n, sigma)) for name, (metres, sigma) in distances.items()
+        name: Ranges(ids, np.full(n, metres), np.full(n, sigma))
+        for name, (metres, sigma) in distances.items()
     }
     given = {
         "closing_mps": np.full(n, closing[0]),

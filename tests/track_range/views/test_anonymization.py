@@ -23,10 +23,18 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.tracking.tracks import Tracks
 from track_range.views.anonymization.blur import STEP_GREY, blurred, cell_colours
-from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, anonymized_results, with_regions
+from track_range.views.anonymization.look_ahead import (
+    LIVE,
+    OFFLINE,
+    LookAhead,
+    anonymized_results,
+    with_regions,
+)
 from track_range.views.anonymization.regions import MIN_CELL_PX, Boxes, Regions, regions_of
 
-PERSON, BICYCLE, CAR, LIGHT = (ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "traffic light"))
+PERSON, BICYCLE, CAR, LIGHT = (
+    ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "traffic light")
+)
 SHAPE = (120, 200, 3)
 
 
@@ -45,7 +53,8 @@ def contains(regions, x, y):
 
 
 def result(index, *tracks, candidates=(), step_s=0.1):
-    """A frame result with tracks (id, class, x1, y1, x2, y2, observed) and candidates (class, x1, y1, x2, y2)."""
+    """A frame result with tracks (id, class, x1, y1, x2, y2, observed) and candidates (class, x1,
+    y1, x2, y2)."""
     nan = np.full(len(tracks), np.nan)
     shown = Tracks(
         np.array([row[0] for row in tracks], np.int64),
@@ -54,13 +63,18 @@ def result(index, *tracks, candidates=(), step_s=0.1):
         np.ones(len(tracks)),
         np.array([row[6] for row in tracks], np.bool_),
     )
-    detected = Detections.of([row[1:] for row in candidates], [0.05] * len(candidates), [row[0] for row in candidates])
+    detected = Detections.of(
+        [row[1:] for row in candidates], [0.05] * len(candidates), [row[0] for row in candidates]
+    )
     image = np.random.default_rng(index).integers(0, 256, SHAPE, dtype=np.uint8)
     frame = Frame(index, index * step_s, image, image)
-    return FrameResult(frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=detected)
+    return FrameResult(
+        frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=detected
+    )
 
 
-# -- regions ---------------------------------------------------------------------------------------------------------
+# -- regions
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_head_of_a_person():
@@ -103,13 +117,18 @@ def test_no_regions():
     assert len(regions_of(boxes())) == 0
 
 
-# -- blur ------------------------------------------------------------------------------------------------------------
+# -- blur
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_only_regions_change():
     image = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
     before = image.copy()
-    covered = blurred(image, Regions(np.array([[49.6, 19.6, 90.4, 50.2]]), np.array([6.0])), np.random.default_rng(1))
+    covered = blurred(
+        image,
+        Regions(np.array([[49.6, 19.6, 90.4, 50.2]]), np.array([6.0])),
+        np.random.default_rng(1),
+    )
     assert (image == before).all()
     inside = np.zeros(SHAPE[:2], bool)
     inside[20:51, 50:91] = True
@@ -119,7 +138,11 @@ def test_only_regions_change():
 
 def test_cells_are_flat_and_quantized():
     image = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
-    covered = blurred(image, Regions(np.array([[-0.5, -0.5, 59.5, 35.5]]), np.array([12.0])), np.random.default_rng(1))
+    covered = blurred(
+        image,
+        Regions(np.array([[-0.5, -0.5, 59.5, 35.5]]), np.array([12.0])),
+        np.random.default_rng(1),
+    )
     cells = covered[:36, :60].reshape(3, 12, 5, 12, 3)
     assert (cells == cells[:, :1, :, :1]).all()
     assert (covered[:36, :60] % STEP_GREY == STEP_GREY // 2).all()
@@ -127,12 +150,15 @@ def test_cells_are_flat_and_quantized():
 
 @pytest.mark.parametrize("waves_per_cell", [0.5, 0.75, 1.0, 1.84, 3.75])
 def test_details_smaller_than_a_cell_are_lost(waves_per_cell):
-    """The colours of cells hardly depend on the phase of a sine, so that many images reveal no details."""
+    """The colours of cells hardly depend on the phase of a sine, so that many images reveal no
+    details."""
     cell_px, columns = 16, np.arange(12 * 16)
     cells = []
     for phase in np.linspace(0, 2 * np.pi, 12, endpoint=False):
         wave = 127.5 + 120 * np.sin(2 * np.pi * waves_per_cell * columns / cell_px + phase)
-        image = np.broadcast_to(np.rint(wave)[None, :, None], (4 * cell_px, len(columns), 3)).astype(np.uint8)
+        image = np.broadcast_to(
+            np.rint(wave)[None, :, None], (4 * cell_px, len(columns), 3)
+        ).astype(np.uint8)
         cells.append(cell_colours(image, cell_px)[1, 4:8, 0])
     assert np.ptp(cells, axis=0).max() / 240 < (0.01 if waves_per_cell == 0.5 else 0.005)
 
@@ -145,13 +171,21 @@ def test_noise_is_not_repeatable():
     assert (one != other).any()
 
 
-@pytest.mark.parametrize("box", [(-50, -50, -10, -10), (190, 100, 400, 300), (-1e6, -1e6, 1e6, 1e6), (5, 5, 5, 5)])
+@pytest.mark.parametrize(
+    "box", [(-50, -50, -10, -10), (190, 100, 400, 300), (-1e6, -1e6, 1e6, 1e6), (5, 5, 5, 5)]
+)
 def test_regions_beyond_the_image(box):
     image = np.zeros(SHAPE, np.uint8)
-    assert blurred(image, Regions(np.array([box], float), np.array([1e5])), np.random.default_rng(0)).shape == SHAPE
+    assert (
+        blurred(
+            image, Regions(np.array([box], float), np.array([1e5])), np.random.default_rng(0)
+        ).shape
+        == SHAPE
+    )
 
 
-# -- look-ahead ------------------------------------------------------------------------------------------------------
+# -- look-ahead
+# ------------------------------------------------------------------------------------------------------
 
 
 def regions_by_frame(results, look_ahead=OFFLINE):
@@ -184,7 +218,10 @@ def test_live_results_are_not_held_back():
 
 
 def test_track_is_covered_before_its_first_frame():
-    results = [result(k, *([(1, CAR, 50 + 5 * k, 20, 100 + 5 * k, 60, True)] if k >= 3 else [])) for k in range(8)]
+    results = [
+        result(k, *([(1, CAR, 50 + 5 * k, 20, 100 + 5 * k, 60, True)] if k >= 3 else []))
+        for k in range(8)
+    ]
     regions = regions_by_frame(results)
     assert contains(regions[0], 75, 45)
     assert len(regions_by_frame(results, LIVE)[0]) == 0
@@ -192,14 +229,18 @@ def test_track_is_covered_before_its_first_frame():
 
 def test_gaps_are_interpolated():
     results = [
-        result(k, *([(1, CAR, 20 + 10 * k, 20, 60 + 10 * k, 60, True)] if k not in (3, 4) else [])) for k in range(8)
+        result(k, *([(1, CAR, 20 + 10 * k, 20, 60 + 10 * k, 60, True)] if k not in (3, 4) else []))
+        for k in range(8)
     ]
     for k in (3, 4):
         assert contains(regions_by_frame(results)[k], 40 + 10 * k, 45)
 
 
 def test_predicted_boxes_are_covered():
-    results = [result(0, (1, CAR, 20, 20, 60, 60, True)), result(1, (1, CAR, 120, 20, 160, 60, False))]
+    results = [
+        result(0, (1, CAR, 20, 20, 60, 60, True)),
+        result(1, (1, CAR, 120, 20, 160, 60, False)),
+    ]
     assert contains(regions_by_frame(results)[1], 140, 45)
 
 
@@ -212,7 +253,9 @@ def test_lost_track_is_covered_for_a_while():
 
 
 def test_detections_without_track_are_covered():
-    results = [result(k, candidates=[(PERSON, 50, 20, 90, 110)] if k == 2 else []) for k in range(6)]
+    results = [
+        result(k, candidates=[(PERSON, 50, 20, 90, 110)] if k == 2 else []) for k in range(6)
+    ]
     regions = regions_by_frame(results)
     assert [contains(part, 70, 30) for part in regions] == [False, True, True, True, False, False]
     assert contains(regions_by_frame(results, LIVE)[2], 70, 30)
@@ -246,7 +289,8 @@ def test_candidates_are_independent_of_the_settings():
     np.testing.assert_array_equal(candidates.class_id, expected.class_id)
 
 
-# -- runs ------------------------------------------------------------------------------------------------------------
+# -- runs
+# ------------------------------------------------------------------------------------------------------------
 
 HEAD = (slice(24, 44), slice(70, 90))
 """Head of the person in the film, of the box 60, 20, 100, 110."""
@@ -254,7 +298,8 @@ HEAD = (slice(24, 44), slice(70, 90))
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory, film):
-    """A film with private metadata in a folder with a private name, and boxes of a person in each of its frames."""
+    """A film with private metadata in a folder with a private name, and boxes of a person in each
+    of its frames."""
     folder = tmp_path_factory.mktemp("shared") / "Jane Doe"
     folder.mkdir()
     checks = (np.indices((120, 160)).sum(axis=0) // 4 % 2 * 200 + 20).astype(np.uint8)
@@ -323,12 +368,16 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     status, printed, complaint = cli(*inputs, *formats, "--anonymize", "--out", out)
     assert status == 0, complaint
     assert "Undetected" in printed
-    assert any("rig.yaml" in note for note in json.loads((out / "summary.json").read_text())["notes"])
+    assert any(
+        "rig.yaml" in note for note in json.loads((out / "summary.json").read_text())["notes"]
+    )
     for file in out.iterdir():
         content = file.read_bytes()
         for private in (b"Jane", b"48.8577", str(tmp_path).encode(), b"holiday"):
             assert private not in content, (file.name, private)
-    status, _, complaint = cli("export", out, "--to", "yolo", "--images", "--out", tmp_path / "yolo")
+    status, _, complaint = cli(
+        "export", out, "--to", "yolo", "--images", "--out", tmp_path / "yolo"
+    )
     assert status == 2
     assert "anonymized" in complaint
     plain = tmp_path / "plain"
@@ -338,15 +387,23 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     for file in plain.glob("*.mp4"):
         assert b"48.8577" not in file.read_bytes()
     with (out / "run.mcap").open("rb") as file:
-        messages = [message.data for _, _, message in make_reader(file).iter_messages(topics=["/camera/image"])]
+        messages = [
+            message.data
+            for _, _, message in make_reader(file).iter_messages(topics=["/camera/image"])
+        ]
     assert len(messages) == 12
     for data in messages:
-        image = cv2.imdecode(np.frombuffer(data[data.index(b"\xff\xd8") :], np.uint8), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imdecode(
+            np.frombuffer(data[data.index(b"\xff\xd8") :], np.uint8), cv2.IMREAD_GRAYSCALE
+        )
         assert np.abs(np.diff(image[HEAD].astype(int), axis=0)).mean() < 12
     contrast = {}
     for folder in (plain, out):
         with av.open(str(folder / "overlay.mp4")) as container:
-            images = [frame.to_ndarray(format="gray")[HEAD].astype(int) for frame in container.decode(video=0)]
+            images = [
+                frame.to_ndarray(format="gray")[HEAD].astype(int)
+                for frame in container.decode(video=0)
+            ]
         assert len(images) == 12
         contrast[folder] = max(np.abs(np.diff(image[8:], axis=0)).mean() for image in images)
     assert contrast[out] < 0.3 * contrast[plain]
@@ -358,8 +415,11 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     [("person", 0.155, 3.2), ("car", 0.52 / 1.5, 3.0), ("truck", 0.52 / 2.5, 3.0)],
 )
 def test_cells_are_large_relative_to_what_they_cover(name, part_fraction, max_cells):
-    """A head is 0.155 of a person's height; a plate is 0.52 m wide, a car 1.5 m high, a truck at least 2.5 m."""
-    box = Boxes(np.array([[100.0, 100.0, 300.0, 700.0]]), np.array([ROAD_CLASSES.index(name)]), np.zeros(1))
+    """A head is 0.155 of a person's height; a plate is 0.52 m wide, a car 1.5 m high, a truck at
+    least 2.5 m."""
+    box = Boxes(
+        np.array([[100.0, 100.0, 300.0, 700.0]]), np.array([ROAD_CLASSES.index(name)]), np.zeros(1)
+    )
     assert part_fraction * 600.0 / regions_of(box).cell_px[0] <= max_cells
 
 
@@ -386,7 +446,9 @@ def test_settings_require_the_inputs_again(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_classes_that_are_not_tracked_are_covered(shared):
-    run = tr.Run.mono(shared / "film.mp4", **options(shared, anonymize=True, classes=["car"], overlay=False))
+    run = tr.Run.mono(
+        shared / "film.mp4", **options(shared, anonymize=True, classes=["car"], overlay=False)
+    )
     for frame in run:
         assert len(frame.tracks) == 0
         assert np.abs(np.diff(frame.frame.left[HEAD].astype(int), axis=0)).mean() < 10

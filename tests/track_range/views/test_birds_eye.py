@@ -31,11 +31,15 @@ def at(x_m: float, z_m: float) -> np.ndarray:
     return np.array([[x_m, 0.0, z_m]])
 
 
-def mark(x_m: float, z_m: float, *, sigma_m: float = 0.1, **more: Any) -> tuple[np.ndarray, np.ndarray]:
+def mark(
+    x_m: float, z_m: float, *, sigma_m: float = 0.1, **more: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns changed by a car at this position, relative to the same car far outside."""
     ranges = {"fused": (z_m, sigma_m)}
     beside = drawn(BirdsEye(), ranges=ranges, xyz_m=at(-1e6, z_m), **more)
-    rows, columns = np.nonzero((drawn(BirdsEye(), ranges=ranges, xyz_m=at(x_m, z_m), **more) != beside).any(axis=2))
+    rows, columns = np.nonzero(
+        (drawn(BirdsEye(), ranges=ranges, xyz_m=at(x_m, z_m), **more) != beside).any(axis=2)
+    )
     return rows, columns
 
 
@@ -80,7 +84,14 @@ def test_urgent_track_has_a_red_ring() -> None:
 
 def test_range_grows_at_once_and_shrinks_after_3_s() -> None:
     scale, seen = Scale(), []
-    for time_s, farthest_m in ((0.0, 20.0), (0.1, 45.0), (0.2, 10.0), (2.0, 10.0), (3.2, 10.0), (4.0, 300.0)):
+    for time_s, farthest_m in (
+        (0.0, 20.0),
+        (0.1, 45.0),
+        (0.2, 10.0),
+        (2.0, 10.0),
+        (3.2, 10.0),
+        (4.0, 300.0),
+    ):
         scale.update(farthest_m, time_s)
         seen.append(scale.range_m)
     assert seen == [30.0, 60.0, 60.0, 60.0, 30.0, 120.0]
@@ -93,8 +104,16 @@ def test_tracks_without_position_are_not_drawn(where: np.ndarray) -> None:
 
 
 def test_tracks_far_outside() -> None:
-    assert drawn(BirdsEye(), ranges={"fused": (5.0, 1e9)}, xyz_m=at(1e12, 1e-3)).shape == (157, 126, 3)
-    assert drawn(BirdsEye(), ranges={"fused": (5.0, 1.0)}, xyz_m=at(-1e12, 1e12)).shape == (157, 126, 3)
+    assert drawn(BirdsEye(), ranges={"fused": (5.0, 1e9)}, xyz_m=at(1e12, 1e-3)).shape == (
+        157,
+        126,
+        3,
+    )
+    assert drawn(BirdsEye(), ranges={"fused": (5.0, 1.0)}, xyz_m=at(-1e12, 1e12)).shape == (
+        157,
+        126,
+        3,
+    )
 
 
 def corner_of(inset: BirdsEye, box: list[float], time_s: float) -> tuple[bool, bool]:
@@ -105,7 +124,11 @@ def corner_of(inset: BirdsEye, box: list[float], time_s: float) -> tuple[bool, b
 
 
 def test_inset_moves_to_the_emptiest_corner_and_stays() -> None:
-    inset, near_left, near_right = BirdsEye(), [0.0, 150.0, 300.0, 370.0], [900.0, 150.0, 1240.0, 370.0]
+    inset, near_left, near_right = (
+        BirdsEye(),
+        [0.0, 150.0, 300.0, 370.0],
+        [900.0, 150.0, 1240.0, 370.0],
+    )
     assert corner_of(inset, BOX, 0.0) == (False, True)
     assert corner_of(inset, near_left, 0.1) == (True, True)
     assert corner_of(inset, near_right, 0.2) == (True, True)  # a move was less than 1 s ago

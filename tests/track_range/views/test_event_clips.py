@@ -37,13 +37,16 @@ def overlay(tmp_path_factory):
 
 
 def frames_of(path):
-    """Numbers of the overlay's frames in a clip, their times, and the duration of the clip in seconds."""
+    """Numbers of the overlay's frames in a clip, their times, and the duration of the clip in
+    seconds."""
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
         duration_s = float(stream.duration * stream.time_base)
         frames = list(container.decode(stream))
-    numbers = [round((frame.to_ndarray(format="gray")[24] > 127).sum() / BAR_PX) for frame in frames]
+    numbers = [
+        round((frame.to_ndarray(format="gray")[24] > 127).sum() / BAR_PX) for frame in frames
+    ]
     return numbers, [float(frame.pts * frame.time_base) for frame in frames], duration_s
 
 
@@ -98,7 +101,9 @@ def test_index_comes_first(overlay, tmp_path):
 def test_other_encoder(overlay, tmp_path):
     other = tmp_path / "other.mp4"
     with av.open(str(overlay)) as source, av.open(str(other), "w") as target:
-        stream = target.add_stream("libx264", rate=10, options={"profile": "baseline", "g": "10", "crf": "10"})
+        stream = target.add_stream(
+            "libx264", rate=10, options={"profile": "baseline", "g": "10", "crf": "10"}
+        )
         stream.width, stream.height, stream.pix_fmt = 256, 48, "yuv420p"
         for number, frame in enumerate(source.decode(video=0)):
             frame.pts, frame.time_base = number, Fraction(1, 10)
@@ -117,7 +122,11 @@ def test_time_without_frames(overlay, tmp_path, start_s, end_s):
 
 
 def test_clips_of_events(overlay, tmp_path):
-    events = [event(start_s=4.6, end_s=4.8), event(kind="cut_in", start_s=1.0, end_s=2.0), event(start_s=99, end_s=99)]
+    events = [
+        event(start_s=4.6, end_s=4.8),
+        event(kind="cut_in", start_s=1.0, end_s=2.0),
+        event(start_s=99, end_s=99),
+    ]
     written = write_clips(overlay, events, tmp_path / "clips", starts_s=1.0)
     assert [path.name for path in written] == ["01-forward_collision-7.mp4", "02-cut_in-7.mp4"]
     assert [frames_of(path)[0] for path in written] == [list(range(6, 59)), list(range(31))]
@@ -166,7 +175,12 @@ def test_clips_need_the_overlay():
 @pytest.mark.slow
 def test_run_writes_clips(small_drive, tmp_path):
     run = tr.Run.stereo(
-        small_drive.left, small_drive.right, detections=small_drive.detections, align="off", sgbm=False, clips=True
+        small_drive.left,
+        small_drive.right,
+        detections=small_drive.detections,
+        align="off",
+        sgbm=False,
+        clips=True,
     )
     run.session.rows.finder = SeenFinder()
     run.write(tmp_path)
@@ -180,10 +194,14 @@ def test_report_cuts_clips(overlay, tmp_path):
     run = write_run(tmp_path / "run")
     (run / "overlay.mp4").write_bytes(overlay.read_bytes())
     write_event_files(run, [event(start_s=0.2, end_s=0.4)], {})
-    assert [path.name for path in report([run], has_clips=True).clips] == ["01-forward_collision-7.mp4"]
+    assert [path.name for path in report([run], has_clips=True).clips] == [
+        "01-forward_collision-7.mp4"
+    ]
     assert 'href="clips/01-forward_collision-7.mp4"' in (run / "report.html").read_text()
     report([run], tmp_path / "elsewhere.html")
-    assert 'href="run/clips/01-forward_collision-7.mp4"' in (tmp_path / "elsewhere.html").read_text()
+    assert (
+        'href="run/clips/01-forward_collision-7.mp4"' in (tmp_path / "elsewhere.html").read_text()
+    )
     (run / "overlay.mp4").unlink()
     with pytest.raises(VideoError, match=r"overlay.mp4: no such file"):
         report([run], has_clips=True)

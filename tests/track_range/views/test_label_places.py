@@ -56,7 +56,9 @@ def test_previous_place_is_preferred() -> None:
 coordinates = st.floats(-500, 2000)
 
 
-@given(st.lists(st.tuples(coordinates, coordinates, coordinates, coordinates), min_size=1, max_size=12))
+@given(
+    st.lists(st.tuples(coordinates, coordinates, coordinates, coordinates), min_size=1, max_size=12)
+)
 @settings(deadline=None, max_examples=60)
 def test_labels_are_inside_without_overlap(boxes: list[tuple[float, float, float, float]]) -> None:
     box_array = np.array(boxes)
@@ -65,7 +67,9 @@ def test_labels_are_inside_without_overlap(boxes: list[tuple[float, float, float
     costs = place_costs(places, box_array)
     assert places.min() >= 0
     assert (places[..., 2:] <= (WIDTH, HEIGHT)).all()
-    assert np.array_equal(places[..., 2:] - places[..., :2], np.broadcast_to(size_px[:, None], (*places.shape[:2], 2)))
+    assert np.array_equal(
+        places[..., 2:] - places[..., :2], np.broadcast_to(size_px[:, None], (*places.shape[:2], 2))
+    )
     occupied: FloatArray = np.zeros((0, 4))
     for i in range(len(box_array)):
         number = free_place(places[i], costs[i], occupied)
@@ -75,12 +79,19 @@ def test_labels_are_inside_without_overlap(boxes: list[tuple[float, float, float
     assert len(occupied) >= 1
 
 
-def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] = (WIDTH, HEIGHT)) -> list[int | None]:
+def placed(
+    boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] = (WIDTH, HEIGHT)
+) -> list[int | None]:
     """Size (0 = full, 130 x 46 px; 1 = short, 90 x 20 px) of each label."""
     n = len(boxes)
     sizes_px = np.array([[[130.0, 46.0]] * n, [[90.0, 20.0]] * n])
     placements = LabelPlacer().place(
-        range(n), np.array(boxes), sizes_px, occupied=np.zeros((0, 4)), image_px=image_px, urgent=[urgent] * n
+        range(n),
+        np.array(boxes),
+        sizes_px,
+        occupied=np.zeros((0, 4)),
+        image_px=image_px,
+        urgent=[urgent] * n,
     )
     return [None if one is None else one[0] for one in placements]
 
@@ -98,12 +109,18 @@ def test_labels_do_not_cover_nearer_road_users() -> None:
     sizes_px = np.array([[[130.0, 46.0]] * 2, [[90.0, 20.0]] * 2])
     free = {"occupied": np.zeros((0, 4)), "image_px": (WIDTH, HEIGHT)}
     behind = LabelPlacer().place(
-        range(2), np.array([lorry, [1050.0, 150.0, 1080.0, 170.0]]), sizes_px, urgent=[False] * 2, **free
+        range(2),
+        np.array([lorry, [1050.0, 150.0, 1080.0, 170.0]]),
+        sizes_px,
+        urgent=[False] * 2,
+        **free,
     )
     assert behind[1] is not None
     assert behind[1][1][0] >= 1100
     for urgent, expected in ((False, None), (True, 0)):
-        hidden = LabelPlacer().place(range(2), np.array([lorry, BOX]), sizes_px, urgent=[urgent] * 2, **free)
+        hidden = LabelPlacer().place(
+            range(2), np.array([lorry, BOX]), sizes_px, urgent=[urgent] * 2, **free
+        )
         assert (hidden[1] and hidden[1][0]) == expected
 
 

@@ -60,14 +60,17 @@ def test_stream_is_shown(open_live_page: Callable[[LiveView], tuple[Any, list[st
         page, messages = open_live_page(view)
         for level in (60, 160, 220):
             wait_for_level(page, view, level)
-        assert page.evaluate("getComputedStyle(document.body).margin") == "0px"  # the style is applied
+        # the style is applied
+        assert page.evaluate("getComputedStyle(document.body).margin") == "0px"
         assert page.inner_text("#state") == "Live"
         assert messages == []
     page.wait_for_selector("#state:has-text('ended')")
     assert abs(page.evaluate(LEVEL_JS) - 220) <= 3
 
 
-def test_further_viewer_gets_a_sentence(open_live_page: Callable[[LiveView], tuple[Any, list[str]]]) -> None:
+def test_further_viewer_gets_a_sentence(
+    open_live_page: Callable[[LiveView], tuple[Any, list[str]]],
+) -> None:
     with LiveView("127.0.0.1", 0, n_viewers=1) as view:
         first, _ = open_live_page(view)
         wait_for_level(first, view, 100)
@@ -78,20 +81,32 @@ def test_further_viewer_gets_a_sentence(open_live_page: Callable[[LiveView], tup
         second.wait_for_selector("#state:has-text('Live')")
 
 
-def test_injected_script_is_blocked(open_live_page: Callable[[LiveView], tuple[Any, list[str]]]) -> None:
+def test_injected_script_is_blocked(
+    open_live_page: Callable[[LiveView], tuple[Any, list[str]]],
+) -> None:
     with LiveView("127.0.0.1", 0) as view:
         page, messages = open_live_page(view)
-        page.evaluate("document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"document.title=1\">')")
+        page.evaluate(
+            "document.body.insertAdjacentHTML('beforeend', '<img src=x "
+            'onerror="document.title=1">\')'
+        )
         page.wait_for_timeout(300)
         assert page.title() == "track-range, live"
         assert any("Content Security Policy" in message for message in messages)
 
 
-def test_known_distance_gives_a_command(open_live_page: Callable[[LiveView], tuple[Any, list[str]]]) -> None:
+def test_known_distance_gives_a_command(
+    open_live_page: Callable[[LiveView], tuple[Any, list[str]]],
+) -> None:
     with LiveView("127.0.0.1", 0) as view:
         view.begin(lambda shown: shown.frame.left, video="my drive.mp4")
         page, messages = open_live_page(view)
-        view.offer(result([[10.0, 8.0, 40.0, 30.0], [44.0, 8.0, 60.0, 20.0]], image=np.full((48, 64, 3), 90, np.uint8)))
+        view.offer(
+            result(
+                [[10.0, 8.0, 40.0, 30.0], [44.0, 8.0, 60.0, 20.0]],
+                image=np.full((48, 64, 3), 90, np.uint8),
+            )
+        )
         page.wait_for_selector("#measure")
         page.click("#measure")
         page.wait_for_selector("rect")

@@ -206,7 +206,8 @@ def test_screen_is_detected_from_the_environment(monkeypatch: pytest.MonkeyPatch
 def raw(view: LiveView, request: bytes) -> bytes:
     """The whole answer to bytes sent as they are; empty if the connection is closed without one."""
     with socket.create_connection(("127.0.0.1", port_of(view)), timeout=20) as connection:
-        with suppress(OSError):  # the server may refuse the request and disconnect before all of it is sent
+        # the server may refuse the request and disconnect before all of it is sent
+        with suppress(OSError):
             connection.sendall(request)
             connection.shutdown(socket.SHUT_WR)
         answer = b""
@@ -230,7 +231,9 @@ def raw(view: LiveView, request: bytes) -> bytes:
     ],
 )
 def test_headers_of_every_answer(view: LiveView, request_line: bytes) -> None:
-    head = raw(view, request_line + b"\r\nHost: localhost\r\n\r\n").partition(b"\r\n\r\n")[0].decode()
+    head = (
+        raw(view, request_line + b"\r\nHost: localhost\r\n\r\n").partition(b"\r\n\r\n")[0].decode()
+    )
     headers = dict(line.split(": ", 1) for line in head.splitlines()[1:])
     assert headers["X-Content-Type-Options"] == "nosniff"
     assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
@@ -250,7 +253,9 @@ def test_head_request(view: LiveView, path: str) -> None:
         connection.request(method, path)
         with connection.getresponse() as answer:
             answered[method] = answer.status
-            headers_of[method] = {name: value for name, value in answer.getheaders() if name != "Date"}
+            headers_of[method] = {
+                name: value for name, value in answer.getheaders() if name != "Date"
+            }
             if method == "HEAD":
                 assert answer.read() == b""
         connection.close()
@@ -273,7 +278,8 @@ def test_hostile_requests(
     view: LiveView, capfd: pytest.CaptureFixture[str], request_bytes: bytes, status: bytes
 ) -> None:
     answer = raw(view, request_bytes)
-    assert answer == b"" or answer.split()[1] == status  # the answer is lost if the client is still sending
+    # the answer is lost if the client is still sending
+    assert answer == b"" or answer.split()[1] == status
     assert get(view, "/state") == (200, b"live")
     assert capfd.readouterr().err == ""
 
@@ -286,16 +292,25 @@ def test_hostile_requests(
         (b"GET /".ljust(65_537, b"a"), b"414"),
         (b"GET / HTTP/1.1\r\n" + b"X: ".ljust(65_537, b"a"), b"431"),
         (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 101, b"431"),
-        (b"GET / HTTP/1.1\r\n" + (b"X: ".ljust(60_000, b"a") + b"\r\n") * 2 + b"X: ".ljust(11_052, b"a"), b"431"),
+        (
+            b"GET / HTTP/1.1\r\n"
+            + (b"X: ".ljust(60_000, b"a") + b"\r\n") * 2
+            + b"X: ".ljust(11_052, b"a"),
+            b"431",
+        ),
         (b"GET /state HTTP/1.1\nHost: localhost\n\n", b"200"),
     ],
 )
 def test_answer_comes_without_waiting_for_more(
     monkeypatch: pytest.MonkeyPatch, request_bytes: bytes, status: bytes
 ) -> None:
-    """A request that cannot become valid is refused before its end, and a blank line ends the others."""
+    """A request that cannot become valid is refused before its end, and a blank line ends the
+    others."""
     monkeypatch.setattr(server, "_TIMEOUT_S", 60.0)
-    with LiveView("127.0.0.1", 0) as view, socket.create_connection(("127.0.0.1", port_of(view))) as connection:
+    with (
+        LiveView("127.0.0.1", 0) as view,
+        socket.create_connection(("127.0.0.1", port_of(view))) as connection,
+    ):
         connection.settimeout(20.0)
         connection.sendall(request_bytes)
         assert connection.recv(65536).split()[1] == status
@@ -304,7 +319,10 @@ def test_answer_comes_without_waiting_for_more(
 def test_unfinished_request_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that sends a byte at a time has no more time than one that sends nothing."""
     monkeypatch.setattr(server, "_TIMEOUT_S", 0.3)
-    with LiveView("127.0.0.1", 0) as view, socket.create_connection(("127.0.0.1", port_of(view))) as connection:
+    with (
+        LiveView("127.0.0.1", 0) as view,
+        socket.create_connection(("127.0.0.1", port_of(view))) as connection,
+    ):
         connection.settimeout(0.05)
         connection.sendall(b"GET /state HTTP/1.1\r\n")
         for _ in range(400):
@@ -333,7 +351,9 @@ def test_connections_are_limited(view: LiveView) -> None:
     n_before = threading.active_count()
     with ExitStack() as opened:
         for _ in range(100):
-            connection = opened.enter_context(socket.create_connection(("127.0.0.1", port_of(view)), timeout=20))
+            connection = opened.enter_context(
+                socket.create_connection(("127.0.0.1", port_of(view)), timeout=20)
+            )
         received = connection.recv(4096)
         assert received.startswith(b"HTTP/1.0 503 ")
         assert b"nosniff" in received
@@ -356,7 +376,10 @@ def test_viewer_that_reads_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_two_host_headers(view: LiveView) -> None:
-    answer = raw(view, b"GET /state HTTP/1.1\r\nHost: localhost\r\nHost: other.example\r\nConnection: close\r\n\r\n")
+    answer = raw(
+        view,
+        b"GET /state HTTP/1.1\r\nHost: localhost\r\nHost: other.example\r\nConnection: close\r\n\r\n",
+    )
     assert b" 403 " in answer.partition(b"\r\n")[0]
 
 

@@ -1,4 +1,5 @@
-"""Contrast of the methods' colours on light and dark pages (WCAG 2.2, 1.4.11: 3 : 1 for graphics)."""
+"""Contrast of the methods' colours on light and dark pages (WCAG 2.2, 1.4.11: 3 : 1 for
+graphics)."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ CARDS = ("#ffffff", "#1b2128")
 
 def luminance(colour: str) -> float:
     parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
@@ -37,8 +40,12 @@ def test_contrast_on_light_and_dark(colour: str, card: str) -> None:
 def test_hues_of_methods_differ() -> None:
     """By 20 degrees at least, among the methods with lines in the charts and apart from greys."""
     tones = [method.colour for method in methods() if method.measures_distance]
-    colours = [[int(tone[i : i + 2], 16) / 255 for i in (1, 3, 5)] for tone in [*tones, FUSED_COLOUR]]
-    hues_deg = sorted(360 * hue for hue, tone, _ in (colorsys.rgb_to_hsv(*rgb) for rgb in colours) if tone > 0.2)
+    colours = [
+        [int(tone[i : i + 2], 16) / 255 for i in (1, 3, 5)] for tone in [*tones, FUSED_COLOUR]
+    ]
+    hues_deg = sorted(
+        360 * hue for hue, tone, _ in (colorsys.rgb_to_hsv(*rgb) for rgb in colours) if tone > 0.2
+    )
     assert len(hues_deg) >= 5
     assert min(np.diff([*hues_deg, hues_deg[0] + 360])) > 20
 

@@ -99,7 +99,8 @@ def test_frame_without_tracks() -> None:
     ("ttc_front_s", "offset_m", "probability", "text"),
     [
         (0.6, 1.0, 0.1, "TTC 0.6 s  closing 20.5 m/s"),
-        (np.nan, 1.7, 0.1, "closing 20.5 m/s"),  # its edge and that of the path, 1.8 m wide each, overlap
+        # its edge and that of the path, 1.8 m wide each, overlap
+        (np.nan, 1.7, 0.1, "closing 20.5 m/s"),
         (np.nan, 1.9, 0.1, "beside in 0.7 s  closing 20.5 m/s"),
         (np.nan, -1.9, 0.3, "closing 20.5 m/s"),  # a contact is possible
         (np.nan, np.nan, 0.1, "closing 20.5 m/s"),
@@ -118,7 +119,10 @@ def test_time_to_collision_is_that_of_the_front_on_a_collision_course(
 
 
 def test_urgent_track_is_red() -> None:
-    n_red = [painted(Overlay().draw(result([BOX], closing=(10.0, ttc_s))), RED).sum() for ttc_s in (1.5, 3.0, 10.0)]
+    n_red = [
+        painted(Overlay().draw(result([BOX], closing=(10.0, ttc_s))), RED).sum()
+        for ttc_s in (1.5, 3.0, 10.0)
+    ]
     assert n_red[0] > 500
     assert n_red[1:] == [0, 0]
 
@@ -174,7 +178,10 @@ def test_crowd_is_drawn_nearest_on_top() -> None:
 def test_nearest_of_a_thousand_have_labels() -> None:
     """The box with the lowest bottom edge is nearest; labels of farther ones do not affect it."""
     column, row = np.divmod(np.arange(1000), 20)
-    boxes = np.stack([70.0 * column, 100.0 * row + 50, 70.0 * column + 20, 100.0 * row + 70 + column / 100], axis=1)
+    boxes = np.stack(
+        [70.0 * column, 100.0 * row + 50, 70.0 * column + 20, 100.0 * row + 70 + column / 100],
+        axis=1,
+    )
     shown = result(boxes.tolist(), image=grey(2160, 3840))
     pictures = []
     for changed in (np.argmax(boxes[:, 3]), np.argmin(boxes[:, 3]), None):
@@ -197,7 +204,9 @@ def test_real_frame_is_visible_under_the_overlay(shared_data: Path) -> None:
     read, image = video.read()
     video.release()
     assert read
-    drawn = Overlay().draw(result([BOX, [100.0, 180.0, 160.0, 220.0]], image=np.asarray(image, np.uint8)))
+    drawn = Overlay().draw(
+        result([BOX, [100.0, 180.0, 160.0, 220.0]], image=np.asarray(image, np.uint8))
+    )
     assert (drawn == image).all(axis=2).mean() > 0.9
 
 
@@ -229,7 +238,9 @@ def test_boxes_are_curved_in_the_recorded_image_of_a_wide_lens() -> None:
     recorded = replace(shown, frame=replace(shown.frame, recorded=grey(400, 640)))
     drawn = Overlay(camera=camera, recorded=undistorter).draw(recorded)
     assert drawn.shape == (400, 640, 3)
-    middle_px = undistorter.recorded_points(np.array([[box[2], (box[1] + box[3]) / 2], [box[2], box[3]]]))
+    middle_px = undistorter.recorded_points(
+        np.array([[box[2], (box[1] + box[3]) / 2], [box[2], box[3]]])
+    )
     for x, y in np.rint(middle_px).astype(int):
         assert painted(drawn, track_colour(1))[y - 2 : y + 3, x - 2 : x + 3].any()
     assert middle_px[0, 0] - middle_px[1, 0] > 4  # the right edge is curved

@@ -36,7 +36,9 @@ def test_scale_has_the_colours_of_the_picture() -> None:
 
 
 def test_boxes_are_outlined_on_the_disparities() -> None:
-    plain, marked = (DisparityPicture(RIG).draw_marked(result(boxes)) for boxes in ([], [BOX, [np.nan] * 4]))
+    plain, marked = (
+        DisparityPicture(RIG).draw_marked(result(boxes)) for boxes in ([], [BOX, [np.nan] * 4])
+    )
     rows, columns = np.nonzero((plain != marked).any(axis=2))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (200, 280, 500, 620)
 
@@ -48,4 +50,8 @@ def test_lower_half_without_dense_stereo() -> None:
 
 def test_narrow_image_has_no_scale() -> None:
     narrow = StereoRig.rectified(PinholeCamera(70.0, 70.0, 31.5, 23.5, 64, 48), 0.5)
-    assert not DisparityPicture(narrow).draw_marked(result([], image=np.zeros((48, 64, 3), np.uint8))).any()
+    assert (
+        not DisparityPicture(narrow)
+        .draw_marked(result([], image=np.zeros((48, 64, 3), np.uint8)))
+        .any()
+    )

@@ -29,15 +29,28 @@ def words(shown: FrameResult, row: int = 0) -> list[list[str]]:
 def test_texts_in_the_corners() -> None:
     clock, legend = corner_lines(result([BOX]), 11)
     assert [span.text for span in clock[0]] == ["frame 7", "0.72 s"]
-    more, _ = corner_lines(result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated")
-    assert [span.text for span in more[0]] == ["frame 7", "0.72 s", "9.8 fps", "85 ms behind", "uncalibrated"]
+    more, _ = corner_lines(
+        result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated"
+    )
+    assert [span.text for span in more[0]] == [
+        "frame 7",
+        "0.72 s",
+        "9.8 fps",
+        "85 ms behind",
+        "uncalibrated",
+    ]
     assert more[0][-1].bgr == AMBER
     assert legend[0][0].text == "large: fused ±1 sigma   M mono   S stereo   dashed: predicted"
 
 
 def test_label_shows_distances_and_identity() -> None:
     assert words(result([BOX])) == [["22.5 m", "±0.5", "car 1"], ["M 23.1  S 22.4"]]
-    both = {"sgbm": (np.nan, np.nan), "lane": (104.2, 9.0), "mono": (99.96, 3.0), "fused": (7.04, 0.1)}
+    both = {
+        "sgbm": (np.nan, np.nan),
+        "lane": (104.2, 9.0),
+        "mono": (99.96, 3.0),
+        "fused": (7.04, 0.1),
+    }
     assert words(result([BOX], ranges=both)) == [["7.0 m", "±0.1", "car 1"], ["M 100  L 104"]]
 
 
@@ -47,17 +60,23 @@ def test_label_without_distance() -> None:
 
 
 def test_predicted_track_shows_its_filtered_distance() -> None:
-    carried = result([BOX], observed=False, ranges={"fused": (np.nan, np.nan), "fused_kf": (31.0, 2.0)})
+    carried = result(
+        [BOX], observed=False, ranges={"fused": (np.nan, np.nan), "fused_kf": (31.0, 2.0)}
+    )
     assert shown_distance(carried, 0) == (31.0, 2.0)
     assert words(carried) == [["31.0 m", "±2.0", "car 1"]]
 
 
 def test_closing_speed_and_its_bar() -> None:
-    spans = [closing_span(6.2, ttc_s, 11, alarm=alarm_colour(ttc_s)) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
+    spans = [
+        closing_span(6.2, ttc_s, 11, alarm=alarm_colour(ttc_s)) for ttc_s in (1.9, 3.6, 6.0, 12.0)
+    ]
     texts = [f"TTC {ttc_s:.1f} s  closing 6.2 m/s" for ttc_s in (1.9, 3.6, 6.0, 12.0)]
     assert [span.text for span in spans if span] == texts
     assert [span.fill for span in spans if span] == [RED, AMBER, CALM, CALM]
-    assert [span.filled for span in spans if span] == pytest.approx([1 - 1.9 / 8, 1 - 3.6 / 8, 0.25, 0])
+    assert [span.filled for span in spans if span] == pytest.approx(
+        [1 - 1.9 / 8, 1 - 3.6 / 8, 0.25, 0]
+    )
     assert closing_span(-3.0, np.nan, 11) is None
     assert closing_span(np.nan, np.nan, 11) is None
     slow = closing_span(0.6, 80.0, 11)
@@ -70,7 +89,9 @@ def test_bar_length_and_text_contrast() -> None:
     for filled in (0.0, 0.25, 0.75, 1.0):
         canvas = grey(60, 300)
         TextRenderer().write(
-            canvas, [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]], place
+            canvas,
+            [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]],
+            place,
         )
         columns = np.flatnonzero(painted(canvas, AMBER)[11])
         assert len(columns) == round(200 * filled)
@@ -78,19 +99,30 @@ def test_bar_length_and_text_contrast() -> None:
             assert (columns[0], columns[-1]) == (13, 12 + round(200 * filled))
         unfilled = canvas[11:27, 13 + round(200 * filled) : 213]
         assert filled == 1.0 or unfilled.max() > 200  # white text
-        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()  # black text
+        # black text
+        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()
 
 
 def test_warnings_start_below_four_and_two_seconds() -> None:
-    assert [alarm_colour(ttc_s) for ttc_s in (1.99, 2.0, 3.99, 4.0, np.nan)] == [RED, AMBER, AMBER, None, None]
+    assert [alarm_colour(ttc_s) for ttc_s in (1.99, 2.0, 3.99, 4.0, np.nan)] == [
+        RED,
+        AMBER,
+        AMBER,
+        None,
+        None,
+    ]
 
 
-@pytest.mark.parametrize(("metres", "text"), [(7.04, "7.0"), (99.94, "99.9"), (99.96, "100"), (np.nan, "-")])
+@pytest.mark.parametrize(
+    ("metres", "text"), [(7.04, "7.0"), (99.94, "99.9"), (99.96, "100"), (np.nan, "-")]
+)
 def test_distance_texts(metres: float, text: str) -> None:
     assert distance_text(metres) == text
 
 
-@pytest.mark.parametrize(("sigma_m", "text"), [(0.04, "0.04"), (0.094, "0.09"), (0.096, "0.1"), (12.3, "12.3")])
+@pytest.mark.parametrize(
+    ("sigma_m", "text"), [(0.04, "0.04"), (0.094, "0.09"), (0.096, "0.1"), (12.3, "12.3")]
+)
 def test_sigma_text_is_never_zero(sigma_m: float, text: str) -> None:
     assert sigma_text(sigma_m) == text
 

@@ -37,7 +37,9 @@ def test_round_trip_of_images_and_times(tmp_path: Path, level: Callable[..., np.
 
 def test_times_count_from_the_first_image(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     write(tmp_path / "out.mp4", [level(0), level(1)], [1_317_042_651.25, 1_317_042_651.35])
-    assert [frame.time_s for frame in open_video(tmp_path / "out.mp4")] == pytest.approx([0.0, 0.1], abs=1e-5)
+    assert [frame.time_s for frame in open_video(tmp_path / "out.mp4")] == pytest.approx(
+        [0.0, 0.1], abs=1e-5
+    )
 
 
 def test_round_trip_of_colours(tmp_path: Path) -> None:
@@ -70,8 +72,14 @@ def test_larger_quantizer_gives_smaller_files(tmp_path: Path) -> None:
     assert sizes[0] > 1.5 * sizes[1] > 3 * sizes[2]
 
 
-def test_h264_with_a_keyframe_every_second(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
-    write(tmp_path / "out.mp4", [level(number) for number in range(40)], [number / 10 for number in range(40)])
+def test_h264_with_a_keyframe_every_second(
+    tmp_path: Path, level: Callable[..., np.ndarray]
+) -> None:
+    write(
+        tmp_path / "out.mp4",
+        [level(number) for number in range(40)],
+        [number / 10 for number in range(40)],
+    )
     with av.open(str(tmp_path / "out.mp4")) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
@@ -102,14 +110,20 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_killed_process_leaves_a_playable_file(tmp_path: Path, number_in: Callable[[np.ndarray], int]) -> None:
+def test_killed_process_leaves_a_playable_file(
+    tmp_path: Path, number_in: Callable[[np.ndarray], int]
+) -> None:
     path = tmp_path / "out.mp4"
     project = Path(video_writer.__file__).parents[1]
     ended = subprocess.run(
-        [sys.executable, "-c", KILLED, str(path)], check=False, env={**os.environ, "PYTHONPATH": str(project)}
+        [sys.executable, "-c", KILLED, str(path)],
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(project)},
     )
     assert ended.returncode == -signal.SIGKILL
-    frames = [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in open_video(path)]
+    frames = [
+        (frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in open_video(path)
+    ]
     assert len(frames) == 34  # the muxer holds the last frame
     assert frames == [(number, number / 10, number) for number in range(len(frames))]
 
@@ -140,10 +154,14 @@ def test_times_must_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -
     assert len(list(open_video(tmp_path / "out.mp4"))) == 2
 
 
-def test_times_closer_than_a_tick_still_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_times_closer_than_a_tick_still_increase(
+    tmp_path: Path, level: Callable[..., np.ndarray]
+) -> None:
     write(tmp_path / "out.mp4", [level(number) for number in range(3)], [0.0, 1e-7, 2e-7])
     with av.open(str(tmp_path / "out.mp4")) as container:
-        stamps = [packet.pts * packet.time_base for packet in container.demux(video=0) if packet.size]
+        stamps = [
+            packet.pts * packet.time_base for packet in container.demux(video=0) if packet.size
+        ]
     assert stamps == [Fraction(number, 90_000) for number in range(3)]
 
 
@@ -179,7 +197,9 @@ def test_missing_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_psnr_of_real_frames(shared_data: Path, tmp_path: Path) -> None:
-    images = [frame.image for frame in open_video(shared_data / "kitti_stereo" / "0003" / "left.mp4")]
+    images = [
+        frame.image for frame in open_video(shared_data / "kitti_stereo" / "0003" / "left.mp4")
+    ]
     write(tmp_path / "out.mp4", images, [number / 10 for number in range(16)])
     errors = [
         np.square(frame.image.astype(float) - image).mean()

@@ -1,1 +1,3 @@
-"""Calibration of one camera from its own drives: known metres, road users, and the metadata of the file."""
+"""Calibration of one camera from its own drives: known metres, road users, and the metadata of the
+file.
+"""

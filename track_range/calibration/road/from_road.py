@@ -1,7 +1,9 @@
-"""Calibration of one camera from a drive: known metres, shapes of road users, lane lines and the file's metadata.
+"""Calibration of one camera from a drive: known metres, shapes of road users, lane lines and the
+file's metadata.
 
-guesses of the focal length (focal_sources) -> boxes and horizon of parts of the video (road_evidence)
--> focal length from guesses and shapes (focal_evidence) -> all measurements together (camera_fit) -> rig.yaml
+guesses of the focal length (focal_sources) -> boxes and horizon of parts of the video
+(road_evidence) -> focal length from guesses and shapes (focal_evidence) -> all measurements
+together (camera_fit) -> rig.yaml
 """
 
 import math
@@ -13,14 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.road.road_evidence import KnownMetres, RoadEvidence, known_lanes, known_metres
+from track_range.calibration.road.road_evidence import (
+    KnownMetres,
+    RoadEvidence,
+    known_lanes,
+    known_metres,
+)
 from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
+from track_range.ranging.fitting.camera.camera_fit import (
+    HEIGHT_M,
+    HEIGHT_SIGMA,
+    CameraFit,
+    fit_camera,
+)
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
@@ -36,13 +48,17 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
-_DETERMINED = 0.7  # standard deviation relative to that of the prior below which the measurements determine a parameter
+# standard deviation relative to that of the prior below which the measurements determine a
+# parameter
+_DETERMINED = 0.7
 _INSEPARABLE = 0.85  # magnitude of the correlation above which two parameters cannot be separated
 _PART_S = 10.0  # length of each part of the video that is read
-_PARTS = (0.1, 0.5, 0.85)  # starts of the parts, as fractions of the video, if it is longer than all of them
+# starts of the parts, as fractions of the video, if it is longer than all of them
+_PARTS = (0.1, 0.5, 0.85)
 _MIN_IOU = 0.4  # smallest IoU of a detection with a box of the user whose class it gives
 _MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
-_CAMERA_HEIGHT_M = (0.3, 5.0)  # smallest and largest height of a camera above the road that measurements may give, m
+# smallest and largest height of a camera above the road that measurements may give, m
+_CAMERA_HEIGHT_M = (0.3, 5.0)
 _FRAME_S = 0.5  # length of the part that is read for the frame of a measurement
 
 Detect = Callable[[Frame], Detections]
@@ -72,9 +88,13 @@ class RoadCalibration:
         )
 
     def save(self, settings: CalibrationSettings) -> list[Path]:
-        """Write the camera and perhaps the results, and return their paths; OutputError or RigError."""
+        """Write the camera and perhaps the results, and return their paths; OutputError or
+        RigError.
+        """
         known = len({residual.name for residual in self.fit.residuals})
-        comments = [f"track-range calibrate: from the road, {known} measurements, no lens distortion"]
+        comments = [
+            f"track-range calibrate: from the road, {known} measurements, no lens distortion"
+        ]
         save_camera(self.fit.camera, settings.out, comments=comments, mounting=self.mounting)
         write_json(settings.json_file, self.figures)
         return [file for file in (settings.out, settings.json_file) if file is not None]
@@ -103,21 +123,31 @@ class RoadCalibration:
 
 
 def calibrate_on_road(
-    settings: CalibrationSettings, open_detect: Callable[[], Detect], progress: StepProgress = no_progress
+    settings: CalibrationSettings,
+    open_detect: Callable[[], Detect],
+    progress: StepProgress = no_progress,
 ) -> RoadCalibration:
-    """Calibrate the camera of the video `settings.mono`; nothing is written before `RoadCalibration.save`.
+    """Calibrate the camera of the video `settings.mono`; nothing is written before
+    `RoadCalibration.save`.
 
-    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside the image or the
-    video, and VideoError if the video cannot be read.
+    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside the
+    image or the video, and VideoError if the video cannot be read.
     """
     if settings.mono is None:
-        raise UsageError("expected --mono VIDEO; without --board, one camera is calibrated from a drive.")
+        raise UsageError(
+            "expected --mono VIDEO; without --board, one camera is calibrated from a drive."
+        )
     objects = known_metres(settings.known_distance, settings.known_height, settings.known_width)
     lanes = known_lanes(settings.known_lane_width)
     video = video_name(settings.mono)
-    check_outputs([file for file in (settings.out, settings.json_file) if file is not None], files_of(video))
+    check_outputs(
+        [file for file in (settings.out, settings.json_file) if file is not None], files_of(video)
+    )
     if isinstance(video, LiveAddress) or not files_of(video):
-        raise UsageError(f"--mono {video}: expected a recorded video, found a live source; record the camera first.")
+        raise UsageError(
+            f"--mono {video}: expected a recorded video, found a live source; record "
+            "the camera first."
+        )
     with closing(open_video(video)) as reader:
         size_px = reader.shown_size_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
@@ -126,7 +156,10 @@ def calibrate_on_road(
         hint = "a box inside the image of {} px; measure it in the original video"
         _check_inside(known.text, hint, known.xyxy_px, known.time_s, size_px, duration_s)
     for lane in lanes:
-        (x1, x2), hint = sorted((lane.x1_px, lane.x2_px)), "columns and a row inside the image of {} px"
+        (x1, x2), hint = (
+            sorted((lane.x1_px, lane.x2_px)),
+            "columns and a row inside the image of {} px",
+        )
         name = f"--known-lane-width {lane.name}"
         _check_inside(name, hint, (x1, lane.y_px, x2, lane.y_px), lane.time_s, size_px, duration_s)
     start = focal_posterior(guesses, SceneBoxes(), size_px, None)
@@ -137,7 +170,9 @@ def calibrate_on_road(
         is_short = duration_s <= _PART_S * len(_PARTS)
         part_s = _PART_S * len(_PARTS) if is_short else _PART_S
         for start_s in [0.0] if is_short else [fraction * duration_s for fraction in _PARTS]:
-            recording = open_recording(video, focal_px=camera.fx_px, start_s=start_s, duration_s=part_s)
+            recording = open_recording(
+                video, focal_px=camera.fx_px, start_s=start_s, duration_s=part_s
+            )
             with closing(recording):
                 view.add(recording.frames, detect, advance)
     measured = _known_objects(objects, video, camera, detect)
@@ -162,10 +197,13 @@ def calibrate_on_road(
     low, high = _CAMERA_HEIGHT_M
     if not low <= fit.height_m <= high:
         raise UsageError(
-            f"expected measurements that give a camera height of {low:g} to {high:g} m, found {fit.height_m:.2f} m; "
-            "check the boxes, the rows of lanes, and the distances in metres."
+            f"expected measurements that give a camera height of {low:g} to {high:g} m, found "
+            f"{fit.height_m:.2f} m; check the boxes, the rows of lanes, and the distances in "
+            "metres."
         )
-    sentences = separability(fit, guesses, by_shape, has_height=settings.camera_height_m is not None)
+    sentences = separability(
+        fit, guesses, by_shape, has_height=settings.camera_height_m is not None
+    )
     return RoadCalibration(settings.mono, fit, guesses, by_shape, sentences, view.n_frames)
 
 
@@ -179,20 +217,27 @@ def focal_from_video(
     folder_fps: float = 10.0,
     advance: Callable[[int, int | None], None] | None = None,
 ) -> FocalPosterior:
-    """Focal length from guesses and the shapes of road users in the first `_PART_S` of a part of a video.
+    """Focal length from guesses and the shapes of road users in the first `_PART_S` of a part of a
+    video.
 
-    `span_s` is the start and the length of the part, None = to the end; `advance` is called after each frame with the
-    number of frames so far.
+    `span_s` is the start and the length of the part, None = to the end; `advance` is called after
+    each frame with the number of frames so far.
     """
     start_s, duration_s = span_s
     duration_s = _PART_S if duration_s is None else min(duration_s, _PART_S)
     recording = open_recording(
-        video, focal_px=guesses[0].focal_px, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps
+        video,
+        focal_px=guesses[0].focal_px,
+        start_s=start_s,
+        duration_s=duration_s,
+        folder_fps=folder_fps,
     )
     view = RoadEvidence(recording.camera)
     with closing(recording):
         view.add(recording.frames, detect, advance, has_horizon=False)
-    return focal_posterior(guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None)
+    return focal_posterior(
+        guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None
+    )
 
 
 def _check_inside(
@@ -203,7 +248,9 @@ def _check_inside(
     size_px: tuple[int, int],
     duration_s: float,
 ) -> None:
-    """Raise UsageError for a measurement outside the image or the video; a duration of 0 is unknown."""
+    """Raise UsageError for a measurement outside the image or the video; a duration of 0 is
+    unknown.
+    """
     x1, y1, x2, y2 = xyxy_px
     if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
         raise UsageError(f"{name}: expected {expected.format(f'{size_px[0]}x{size_px[1]}')}.")
@@ -214,14 +261,16 @@ def _check_inside(
 def _known_objects(
     objects: Sequence[KnownMetres], video: VideoName, camera: PinholeCamera, detect: Detect
 ) -> list[KnownObject]:
-    """The measured objects with their classes; UsageError if the detector finds none in a box without a class."""
+    """The measured objects with their classes; UsageError if the detector finds none in a box
+    without a class.
+    """
     known = []
     for metres in objects:
         name = metres.class_name or _detected_class(metres, video, camera, detect)
         if not name:
             raise UsageError(
-                f"{metres.text}: expected the box of an object, but the detector finds none there; correct the box, or "
-                f"add the class after the box: '{metres.text},van=...'."
+                f"{metres.text}: expected the box of an object, but the detector finds none there; "
+                f"correct the box, or add the class after the box: '{metres.text},van=...'."
             )
         known.append(
             KnownObject(
@@ -236,9 +285,13 @@ def _known_objects(
     return known
 
 
-def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera, detect: Detect) -> str:
+def _detected_class(
+    metres: KnownMetres, video: VideoName, camera: PinholeCamera, detect: Detect
+) -> str:
     """Class of the detection that overlaps most with a box; "" = none."""
-    recording = open_recording(video, focal_px=camera.fx_px, start_s=max(metres.time_s - 0.02, 0), duration_s=_FRAME_S)
+    recording = open_recording(
+        video, focal_px=camera.fx_px, start_s=max(metres.time_s - 0.02, 0), duration_s=_FRAME_S
+    )
     with closing(recording):
         frame = next(recording.frames, None)
         if frame is None:
@@ -254,7 +307,9 @@ def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera
 def separability(
     fit: CameraFit, guesses: Sequence[FocalGuess], by_shape: FocalPosterior, *, has_height: bool
 ) -> tuple[str, ...]:
-    """Sentences on focal length, camera height and pitch, alone and in pairs; `by_shape` is the prior of the fit."""
+    """Sentences on focal length, camera height and pitch, alone and in pairs; `by_shape` is the
+    prior of the fit.
+    """
     camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
     origin = by_shape.as_guess(guesses).source
     focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
@@ -262,13 +317,14 @@ def separability(
     if fit.contradiction != 1.0:
         name, deviation = fit.largest_deviation
         sentences.append(
-            f"Warning: the measurements contradict each other, or usual values: {name} is off by {abs(deviation):.0f} "
-            f"sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and metres."
+            f"Warning: the measurements contradict each other, or usual values: {name} is off by "
+            f"{abs(deviation):.0f} sigma. All sigmas are {fit.contradiction:.1f} times as large; "
+            "check boxes and metres."
         )
     if fit.gain("focal length") < _DETERMINED:
         sentences.append(
-            f"{focal}, from the measurements; without them, {shape_px:.0f} px within {100 * shape_sigma:.0f} %, "
-            f"from {origin}."
+            f"{focal}, from the measurements; without them, {shape_px:.0f} px within "
+            f"{100 * shape_sigma:.0f} %, from {origin}."
         )
     else:
         sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
@@ -279,21 +335,25 @@ def separability(
         sentences.append(f"{height}, from the contact points of objects of known distance or size.")
     else:
         sentences.append(
-            f"{height}: this is a usual height, since the measurements do not determine the height; give "
-            "--camera-height-m."
+            f"{height}: this is a usual height, since the measurements do not determine the "
+            "height; give --camera-height-m."
         )
     pitch = (
-        f"Pitch {math.degrees(fit.pitch_rad):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} degrees (positive = down)"
+        f"Pitch {math.degrees(fit.pitch_rad):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} "
+        "degrees (positive = down)"
     )
-    sentences.append(f"{pitch}." if fit.gain("horizon") < _DETERMINED else f"{pitch}: not determined.")
+    sentences.append(
+        f"{pitch}." if fit.gain("horizon") < _DETERMINED else f"{pitch}: not determined."
+    )
     if abs(fit.correlation("focal length", "camera height")) > _INSEPARABLE:
         sentences.append(
             "Focal length and camera height cannot be separated: their product is known within "
-            f"{100 * fit.product_sigma:.1f} %. Measure the height of the camera, or a distance to an object of known "
-            "height."
+            f"{100 * fit.product_sigma:.1f} %. Measure the height of the camera, or a distance to "
+            "an object of known height."
         )
     if abs(fit.correlation("camera height", "horizon")) > _INSEPARABLE:
         sentences.append(
-            "Camera height and pitch cannot be separated: add a distance at least twice or at most half as long."
+            "Camera height and pitch cannot be separated: add a distance at least twice or at most "
+            "half as long."
         )
     return tuple(sentences)

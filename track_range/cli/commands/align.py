@@ -1,4 +1,6 @@
-"""`track-range align` and `track-range rig check`: measure the disparity error of a calibrated stereo pair."""
+"""`track-range align` and `track-range rig check`: measure the disparity error of a calibrated
+stereo pair.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -18,14 +20,20 @@ _BASELINE_S = 30.0  # longest part of the drive from which the baseline is check
 
 
 def _align(settings: AlignmentSettings) -> None:
-    alignment = align(settings, partial(step_progress, console), partial(_check_baseline, console=console))
+    alignment = align(
+        settings, partial(step_progress, console), partial(_check_baseline, console=console)
+    )
     _print(alignment)
     alignment.save(settings)
     print_line(console, f"Written: {settings.out}")
 
 
 def _check(settings: RigCheckSettings) -> None:
-    _print(check_rig_health(settings, partial(step_progress, console), partial(_check_baseline, console=console)))
+    _print(
+        check_rig_health(
+            settings, partial(step_progress, console), partial(_check_baseline, console=console)
+        )
+    )
 
 
 def _print(alignment: RigAlignment) -> None:
@@ -37,12 +45,16 @@ def _check_baseline(
     videos: tuple[Path, Path], settings: AlignmentSettings | RigCheckSettings, console: Console
 ) -> BaselineCheck:
     """Check the baseline in the first part of a drive; raises the errors of a run."""
-    given = {name: getattr(settings, name) for name in ("rig", "detector", "detections", "ego_speed")}
+    given = {
+        name: getattr(settings, name) for name in ("rig", "detector", "detections", "ego_speed")
+    }
     given = {name: str(value) for name, value in given.items() if value is not None}
     if videos[0] == videos[1]:
         given["stereo_layout"] = settings.stereo_layout
     run = Run(
-        settings_from({"stereo": tuple(map(str, videos)), "sgbm": False, "duration_s": _BASELINE_S, **given}),
+        settings_from(
+            {"stereo": tuple(map(str, videos)), "sgbm": False, "duration_s": _BASELINE_S, **given}
+        ),
         progress=console,
     )
     for _ in run:
@@ -50,7 +62,9 @@ def _check_baseline(
     check = run.session.pipeline.scale_check
     if check is None:
         return BaselineCheck("", {})
-    sentence = check.agreement.sentence if check.doubt is None else check.doubt.sentence(check.baseline_m)
+    sentence = (
+        check.agreement.sentence if check.doubt is None else check.doubt.sentence(check.baseline_m)
+    )
     return BaselineCheck(sentence, check.summary())
 
 

@@ -1,4 +1,6 @@
-"""`track-range calibrate`: calibrates a camera or a stereo pair from images of a board, or one camera from a drive."""
+"""`track-range calibrate`: calibrates a camera or a stereo pair from images of a board, or one
+camera from a drive.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -33,7 +35,9 @@ def _calibrate(settings: CalibrationSettings) -> None:
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
     unit = "pairs" if search.shots and len(search.shots[0]) == 2 else "images"
-    print_line(console, *search.notes, f"Board found in {len(search.shots)} of {search.n_images} {unit}.")
+    print_line(
+        console, *search.notes, f"Board found in {len(search.shots)} of {search.n_images} {unit}."
+    )
     _print_rejected(search.rejected)
     calibration = calibrate_views(search, settings, progress)
     _print_rejected(calibration.result.rejected)
@@ -47,16 +51,26 @@ def _calibrate(settings: CalibrationSettings) -> None:
 
 
 def _check(settings: CalibrationSettings) -> None:
-    """Raise UsageError for impossible lenses, and for options of the other calibration (from the road or boards)."""
+    """Raise UsageError for impossible lenses, and for options of the other calibration (from the
+    road or boards).
+    """
     if settings.is_from_road and settings.lens != "pinhole":
         raise UsageError(
-            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
+            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's "
+            "distortion."
         )
     fields = CalibrationSettings.model_fields
     for name in _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS:
         if getattr(settings, name) != fields[name].default:
-            expected = "expected --board" if settings.is_from_road else "expected one camera and no --board"
-            raise UsageError(f"{settings.flag(name)}: {expected}; omit this option, or correct the other options.")
+            expected = (
+                "expected --board"
+                if settings.is_from_road
+                else "expected one camera and no --board"
+            )
+            raise UsageError(
+                f"{settings.flag(name)}: {expected}; omit this option, or correct the "
+                "other options."
+            )
     if settings.is_from_road:
         return
     if settings.lens_terms not in _N_COEFFICIENTS:
@@ -66,7 +80,8 @@ def _check(settings: CalibrationSettings) -> None:
         raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
     if settings.lens != "pinhole" and settings.lens_terms != fields["lens_terms"].default:
         raise UsageError(
-            "--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit --lens-terms."
+            "--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit "
+            "--lens-terms."
         )
 
 
@@ -77,11 +92,16 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
     from track_range.run.ready_model import ready_model
 
     def open_detect() -> Detect:
-        network = open_detector(ready_model(settings.detector or DEFAULT_MODEL, console), DetectorOptions())
+        network = open_detector(
+            ready_model(settings.detector or DEFAULT_MODEL, console), DetectorOptions()
+        )
         return lambda frame: network.detect(frame.left)
 
     calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))
-    frames, vehicles = counted(calibration.n_frames, "frame"), counted(calibration.by_shape.n_tracks, "vehicle")
+    frames, vehicles = (
+        counted(calibration.n_frames, "frame"),
+        counted(calibration.by_shape.n_tracks, "vehicle"),
+    )
     print_line(console, f"{frames} of the video, {vehicles}.")
     residuals = calibration.fit.residuals
     if residuals:
@@ -94,8 +114,9 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
     print_line(console, *calibration.sentences)
     if calibration.fit.contradiction != 1.0 and not settings.force:
         raise CalibrationError(
-            f"expected measurements that agree, found a contradiction (see the warning), so {settings.out} was not "
-            "written; correct the boxes or metres, or give --force to write it with larger sigmas."
+            "expected measurements that agree, found a contradiction (see the warning), so "
+            f"{settings.out} was not written; correct the boxes or metres, or give --force to "
+            "write it with larger sigmas."
         )
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
@@ -106,7 +127,9 @@ def _print_rejected(rejected: Sequence[RejectedView]) -> None:
     for view in rejected:
         by_kind.setdefault(view.reason.partition(":")[0], []).append(view)
     for kind, views in by_kind.items():
-        shown = ", ".join(view.name for view in views[:8]) + (f" and {len(views) - 8} more" if len(views) > 8 else "")
+        shown = ", ".join(view.name for view in views[:8]) + (
+            f" and {len(views) - 8} more" if len(views) > 8 else ""
+        )
         print_line(console, f"Rejected: {shown}: {views[0].reason if len(views) == 1 else kind}.")
 
 
@@ -114,7 +137,11 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
     lefts = [fit.left if isinstance(fit, PairFit) else fit for fit in fits]
     columns = [
         Column("residual px", [fit.rms_px for fit in fits], "{:.2f}"),
-        Column("vertical px", [fit.row_error_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
+        Column(
+            "vertical px",
+            [fit.row_error_px if isinstance(fit, PairFit) else None for fit in fits],
+            "{:.2f}",
+        ),
         Column("tilt deg", [fit.tilt_deg for fit in lefts], "{:.0f}"),
         Column("size %", [100 * float(view_shape(fit.view)[2]) for fit in lefts], "{:.0f}"),
         Column("corner blur px", [fit.view.edge_px for fit in lefts], "{:.1f}"),
@@ -132,12 +159,14 @@ def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
         margin = " " * len(name)
         print_line(
             console,
-            f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± {std.fy_px:.2f}, "
-            f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
-            f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
+            f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± "
+            f"{std.fy_px:.2f}, cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± "
+            f"{std.cy_px:.2f} px; residual {calibration.rms_px:.3f} px RMS over "
+            f"{len(calibration.fits)} views.",
             f"{margin}  distortion coefficients{model} {lens}.",
-            f"{margin}  coverage: corners at {width} of the width, {height} of the height; boards from {sizes} of the "
-            f"image side; tilts from {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
+            f"{margin}  coverage: corners at {width} of the width, {height} of the height; boards "
+            f"from {sizes} of the image side; tilts from {coverage.tilt_range_deg[0]:.0f} to "
+            f"{coverage.tilt_range_deg[1]:.0f} degrees.",
         )
 
 
@@ -145,10 +174,10 @@ def _print_pair(pair: PairCalibration) -> None:
     left_px, right_px = pair.single_rms_px
     print_line(
         console,
-        f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
-        f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
-        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger "
-        "residual of the pairs means that boards moved between the images.",
+        f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given "
+        f"the size of the squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
+        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px "
+        "RMS; a larger residual of the pairs means that boards moved between the images.",
         f"Vertical offset after rectification: {pair.row_error_px:.3f} px on average, "
         f"{pair.held_out_row_error_px:.3f} px in pairs held out of the fit.",
     )

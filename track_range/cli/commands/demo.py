@@ -20,30 +20,45 @@ if TYPE_CHECKING:
 
     from track_range.run.run import Run
 
-SCENARIO = "crossing"  # the camera's car stops for people and a cyclist, who stay visible for several seconds
+# the camera's car stops for people and a cyclist, who stay visible for several seconds
+SCENARIO = "crossing"
 
 
 class DemoOptions(Options):
     """Options of `demo`."""
 
-    out: Annotated[Path, option("Folder of the drive and the results.", metavar="DIR")] = Path("track-range-demo")
+    out: Annotated[Path, option("Folder of the drive and the results.", metavar="DIR")] = Path(
+        "track-range-demo"
+    )
     seed: Annotated[int, option("Random seed for the drive.", ge=0)] = 0
-    seconds: Annotated[float, option("Length of the drive in seconds.", metavar="S", ge=0.5, le=60)] = 6.0
+    seconds: Annotated[
+        float, option("Length of the drive in seconds.", metavar="S", ge=0.5, le=60)
+    ] = 6.0
     playback: Annotated[
         bool,
         option(
-            "Simulated detections (true boxes with noise, misses and false alarms) instead of the packaged detector."
+            "Simulated detections (true boxes with noise, misses and false alarms) instead of the "
+            "packaged detector."
         ),
     ] = False
 
 
 def _demo(options: DemoOptions) -> None:
     with locked_output(options.out / "drive"):
-        boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
-        print_line(console, f"The stereo drive of {options.seconds:g} s is simulated; boxes come from {boxes}.")
+        boxes = (
+            "the simulation: true boxes with noise" if options.playback else "the packaged detector"
+        )
+        print_line(
+            console,
+            f"The stereo drive of {options.seconds:g} s is simulated; boxes come from {boxes}.",
+        )
         with step_progress(console, "rendering") as progress, one_opencv_thread():
             drive = write_drive(
-                options.out / "drive", seed=options.seed, seconds=options.seconds, scenario=SCENARIO, progress=progress
+                options.out / "drive",
+                seed=options.seed,
+                seconds=options.seconds,
+                scenario=SCENARIO,
+                progress=progress,
             )
         settings = RunSettings(
             stereo=(drive.left, drive.right),

@@ -1,4 +1,6 @@
-"""`track-range doctor`: versions, devices, codecs and folders of this installation, and a short run as a test."""
+"""`track-range doctor`: versions, devices, codecs and folders of this installation, and a short run
+as a test.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +35,29 @@ if TYPE_CHECKING:  # the simulation takes long to import
     from track_range.simulation.drive import Drive
 
 PACKAGES = (
-    *("track-range", "numpy", "opencv-python-headless", "onnxruntime", "onnx", "av", "scipy", "pyarrow", "pydantic"),
+    *(
+        "track-range",
+        "numpy",
+        "opencv-python-headless",
+        "onnxruntime",
+        "onnx",
+        "av",
+        "scipy",
+        "pyarrow",
+        "pydantic",
+    ),
     *("typer", "rich", "jinja2", "matplotlib"),
 )
 ENCODERS = ("libx264",)  # those that track-range needs
-DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")  # of common videos; a run needs only that of its input
+# of common videos; a run needs only that of its input
+DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")
 MIN_FREE_BYTES = 500_000_000  # results of an hour of 1242x375 px take about this much
-MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0  # the short run finds 4 tracks with a median error of 0.3 %
-N_TIMED, CLEAR_SCORE = 7, 0.5  # runs of a device that are timed, and minimum score of the boxes that are compared
-MAX_DIFFERENCES = 3.0, 0.1  # of a device's boxes in px and score: INT8 and float differ by 1.5 and 0.05
+# the short run finds 4 tracks with a median error of 0.3 %
+MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0
+# runs of a device that are timed, and minimum score of the boxes that are compared
+N_TIMED, CLEAR_SCORE = 7, 0.5
+# of a device's boxes in px and score: INT8 and float differ by 1.5 and 0.05
+MAX_DIFFERENCES = 3.0, 0.1
 OK, _NOT_INSTALLED = "ok", "not installed"
 _EXTRA = re.compile(r"^([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 
@@ -64,9 +80,15 @@ def _doctor(options: DoctorOptions) -> None:
         print_line(console, json.dumps({"ok": not failures, **groups}, indent=2))
     else:
         for title, rows in groups.items():
-            print_line(console, title.capitalize(), *(f"  {name:<24}{value}" for name, value in rows.items()))
+            print_line(
+                console,
+                title.capitalize(),
+                *(f"  {name:<24}{value}" for name, value in rows.items()),
+            )
     if failures:
-        raise DoctorError(f"doctor: {len(failures)} of {len(checks)} checks failed: {'; '.join(failures)}")
+        raise DoctorError(
+            f"doctor: {len(failures)} of {len(checks)} checks failed: {'; '.join(failures)}"
+        )
 
 
 def installation() -> dict[str, dict[str, str]]:
@@ -74,14 +96,21 @@ def installation() -> dict[str, dict[str, str]]:
     return {
         "system": {
             "platform": platform.platform(),
-            "processor": f"{platform.machine()}, {os.cpu_count()} logical cores, {n_usable_cores()} of them usable",
+            "processor": f"{platform.machine()}, {os.cpu_count()} logical cores, "
+            f"{n_usable_cores()} of them usable",
             "python": f"{platform.python_version()} ({sys.executable})",
         },
         "versions": {name: _version(name) for name in PACKAGES}
         | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
         "inference": {
-            **{f"device {name}": _text(partial(_device_text, name)) for name in get_args(Device) if name != "auto"},
-            "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
+            **{
+                f"device {name}": _text(partial(_device_text, name))
+                for name in get_args(Device)
+                if name != "auto"
+            },
+            "telemetry": "disabled"
+            if os.environ.get("ORT_DISABLE_TELEMETRY") == "1"
+            else "enabled",
             "default detector": _text(_default_detector),
         },
         "codecs": {
@@ -94,7 +123,9 @@ def installation() -> dict[str, dict[str, str]]:
             "model cache": _text(_model_cache),
             "temporary files": _text(tempfile.gettempdir),
             "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
-            "current folder": _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free"),
+            "current folder": _text(
+                lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free"
+            ),
         },
     }
 
@@ -106,7 +137,10 @@ def extras() -> dict[str, str]:
         if match := _EXTRA.match(requirement):
             name, extra = match.groups()
             missing.setdefault(extra, []).extend([name] if _version(name) == _NOT_INSTALLED else [])
-    return {extra: f"missing: {', '.join(names)}" if names else "installed" for extra, names in missing.items()}
+    return {
+        extra: f"missing: {', '.join(names)}" if names else "installed"
+        for extra, names in missing.items()
+    }
 
 
 def _version(name: str) -> str:
@@ -129,7 +163,9 @@ class _Tested(NamedTuple):
 
 @cache
 def tested(device: Device) -> _Tested:
-    """The packaged detector's time and boxes on a device, for the first image of the simulated drive."""
+    """The packaged detector's time and boxes on a device, for the first image of the simulated
+    drive.
+    """
     import av
 
     from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
@@ -150,30 +186,43 @@ def tested(device: Device) -> _Tested:
         outputs = detector.infer()
         times_ms.append(1000 * (time.perf_counter() - began_s))
     detections = detector.decode(outputs)
-    return _Tested(float(np.median(times_ms)), np.column_stack([detections.xyxy_px, detections.score]))
+    return _Tested(
+        float(np.median(times_ms)), np.column_stack([detections.xyxy_px, detections.score])
+    )
 
 
 def _differences(device: Device) -> tuple[float, float]:
-    """Largest differences of a device's boxes in px, and of their scores, from the CPU's boxes of clear objects."""
+    """Largest differences of a device's boxes in px, and of their scores, from the CPU's boxes of
+    clear objects.
+    """
     own, cpu = tested(device).boxes, tested("cpu").boxes
-    difference = np.abs(own[:, None] - cpu[cpu[:, 4] >= CLEAR_SCORE])  # (boxes, boxes of the CPU, 5)
+    # (boxes, boxes of the CPU, 5)
+    difference = np.abs(own[:, None] - cpu[cpu[:, 4] >= CLEAR_SCORE])
     if not difference.size:
         return math.inf, math.inf
     px = difference[..., :4].max(axis=2)
-    return float(px.min(axis=0).max()), float(np.take_along_axis(difference[..., 4], px.argmin(axis=0)[None], 0).max())
+    return float(px.min(axis=0).max()), float(
+        np.take_along_axis(difference[..., 4], px.argmin(axis=0)[None], 0).max()
+    )
 
 
 def _device_text(device: Device) -> str:
     if missing := tested(device).missing:
         return missing
     px, score = _differences(device)
-    difference = "" if device == "cpu" else f"; boxes up to {px:.1f} px and scores up to {score:.2f} off the CPU's"
+    difference = (
+        ""
+        if device == "cpu"
+        else f"; boxes up to {px:.1f} px and scores up to {score:.2f} off the CPU's"
+    )
     return f"{tested(device).time_ms:.1f} ms per image{difference}"
 
 
 @cache
 def _drive() -> tuple[tempfile.TemporaryDirectory[str], Drive]:
-    """A folder that lasts as long as the program, and one second of a simulated drive in this folder."""
+    """A folder that lasts as long as the program, and one second of a simulated drive in this
+    folder.
+    """
     from track_range.simulation.drive import write_drive
     from track_range.simulation.render.renderer import kitti_like_rig
 
@@ -215,7 +264,9 @@ def _model_cache() -> str:
 
 
 def _text(describe: Callable[[], str]) -> str:
-    """The description, or the exception that prevents it: the rest of the report is still useful."""
+    """The description, or the exception that prevents it: the rest of the report is still
+    useful.
+    """
     try:
         return describe()
     except Exception as error:  # any: a broken installation is what doctor is for
@@ -224,17 +275,28 @@ def _text(describe: Callable[[], str]) -> str:
 
 def _check_packages() -> str:
     missing = [name for name in PACKAGES if _version(name) == _NOT_INSTALLED]
-    return f"not installed: {', '.join(missing)}; reinstall track-range" if missing else " ".join(conflicts())
+    return (
+        f"not installed: {', '.join(missing)}; reinstall track-range"
+        if missing
+        else " ".join(conflicts())
+    )
 
 
 def _check_codecs() -> str:
     missing = [name for name in ENCODERS if not _has_codec(name, "w")]
-    return f"FFmpeg has no encoder {', '.join(missing)}; reinstall PyAV from its wheel" if missing else ""
+    return (
+        f"FFmpeg has no encoder {', '.join(missing)}; reinstall PyAV from its wheel"
+        if missing
+        else ""
+    )
 
 
 def _check_disk() -> str:
     free = shutil.disk_usage(Path.cwd()).free
-    enough = f"expected at least {MIN_FREE_BYTES / 1e9:.1f} GB free in the current folder, found {free / 1e9:.1f} GB"
+    enough = (
+        f"expected at least {MIN_FREE_BYTES / 1e9:.1f} GB free in the current folder, found "
+        f"{free / 1e9:.1f} GB"
+    )
     return "" if free >= MIN_FREE_BYTES else enough
 
 
@@ -250,21 +312,32 @@ def _check_run() -> str:
         for _ in run:
             pass
     summary = run.summary
-    n_tracks, error_pct = summary["tracks"]["n"], summary["methods"]["fused"].get("median_relative_error_pct")
+    n_tracks, error_pct = (
+        summary["tracks"]["n"],
+        summary["methods"]["fused"].get("median_relative_error_pct"),
+    )
     if n_tracks < MIN_TRACKS or error_pct is None or error_pct > MAX_MEDIAN_ERROR_PCT:
         return (
-            f"expected at least {MIN_TRACKS} tracks and a median error of at most {MAX_MEDIAN_ERROR_PCT:g} % on a "
-            f"simulated drive, found {n_tracks} tracks and {error_pct} %"
+            f"expected at least {MIN_TRACKS} tracks and a median error of at most "
+            f"{MAX_MEDIAN_ERROR_PCT:g} % on a simulated drive, found {n_tracks} tracks and "
+            f"{error_pct} %"
         )
     return ""
 
 
 def _check_devices() -> str:
     """Whether the devices of this machine find the same boxes as the CPU."""
-    devices = [name for name in get_args(Device) if name not in ("auto", "cpu") and not tested(name).missing]
-    wrong = [name for name in devices if not np.less_equal(_differences(name), MAX_DIFFERENCES).all()]
+    devices = [
+        name
+        for name in get_args(Device)
+        if name not in ("auto", "cpu") and not tested(name).missing
+    ]
+    wrong = [
+        name for name in devices if not np.less_equal(_differences(name), MAX_DIFFERENCES).all()
+    ]
     return (
-        f"the boxes found on {', '.join(wrong)} differ from the boxes found on the CPU; use --device cpu"
+        f"the boxes found on {', '.join(wrong)} differ from the boxes found on the CPU; use "
+        "--device cpu"
         if wrong
         else ""
     )

@@ -12,7 +12,9 @@ def _export(settings: ExportSettings) -> None:
     exported = export(settings)
     print_notes(console, exported.notes)
     images = f" and {counted(exported.n_images, 'image')}" if settings.images else ""
-    print_line(console, f"Written: {settings.out}, {counted(exported.n_boxes, 'box', 'boxes')}{images}")
+    print_line(
+        console, f"Written: {settings.out}, {counted(exported.n_boxes, 'box', 'boxes')}{images}"
+    )
 
 
 app = command(ExportSettings, _export)

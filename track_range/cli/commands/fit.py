@@ -1,4 +1,6 @@
-"""`track-range fit`: fits size curves to labels and compares them; measures the errors of a detector's boxes."""
+"""`track-range fit`: fits size curves to labels and compares them; measures the errors of a
+detector's boxes.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,12 +12,22 @@ import numpy as np
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
 from track_range.detection.box_errors import BoxError
-from track_range.detection.evaluation.box_error_fit import MIN_HEIGHT_PX, MIN_MATCHES, MIN_SCORE, BoxErrorSamples
+from track_range.detection.evaluation.box_error_fit import (
+    MIN_HEIGHT_PX,
+    MIN_MATCHES,
+    MIN_SCORE,
+    BoxErrorSamples,
+)
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.models.lookup import PACKAGED_FOLDER
 from track_range.detection.models.onnx_session import ModelError
 from track_range.evaluation.sequences.labelled_images import LabelledSource
-from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+from track_range.evaluation.sequences.settings import (
+    LabelFormatField,
+    LabelNamesField,
+    ManifestField,
+    SplitField,
+)
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_text
@@ -35,22 +47,24 @@ from track_range.views.report import tables
 
 
 class FitOptions(FitSettings):
-    """Options of `track-range fit`: of size curves, and of the measurement of a detector's boxes."""
+    """Options of `track-range fit`: of size curves, and of the measurement of a detector's
+    boxes.
+    """
 
     detector_boxes: Annotated[
         str | None,
         option(
-            "Detector whose boxes are compared with the labels of --images, a file or a name from `track-range models "
-            "list`. The mean errors of height and width by class are written to MODEL.yaml beside the model, for all "
-            "later runs.",
+            "Detector whose boxes are compared with the labels of --images, a file or a name from "
+            "`track-range models list`. The mean errors of height and width by class are written "
+            "to MODEL.yaml beside the model, for all later runs.",
             metavar="FILE|NAME",
         ),
     ] = None
     images: Annotated[
         Path | None,
         option(
-            "Labelled images for --detector-boxes, not used for training, with YOLO, KITTI or COCO --labels: a folder, "
-            "or the video of KITTI tracking labels.",
+            "Labelled images for --detector-boxes, not used for training, with YOLO, KITTI or COCO "
+            "--labels: a folder, or the video of KITTI tracking labels.",
             metavar="DIR|FILE",
         ),
     ] = None
@@ -64,16 +78,22 @@ class FitOptions(FitSettings):
 
 def _fit_detector_boxes(options: FitOptions) -> None:
     if options.images is None or options.labels is None:
-        raise UsageError("--detector-boxes requires --images and --labels, the labelled images for the measurement.")
+        raise UsageError(
+            "--detector-boxes requires --images and --labels, the labelled images for "
+            "the measurement."
+        )
     path = ready_model(options.detector_boxes or "", console)
     out = options.out or path.with_suffix(".yaml")
     if options.out is None and path.parent == PACKAGED_FOLDER:
         raise UsageError(
-            f"--detector-boxes {options.detector_boxes}: this is a packaged model; measure a copy, or give --out."
+            f"--detector-boxes {options.detector_boxes}: this is a packaged model; measure a copy, "
+            "or give --out."
         )
     content = read_yaml(out, ModelError, "the attributes of a model") if out.is_file() else {}
     if not isinstance(content, dict) or not isinstance(content.setdefault("box_errors", {}), dict):
-        raise ModelError(f"{out}: expected the attributes of a model, found other YAML; choose another --out.")
+        raise ModelError(
+            f"{out}: expected the attributes of a model, found other YAML; choose another --out."
+        )
     detector = open_detector(path, replace(DetectorOptions.of(options), min_score=str(MIN_SCORE)))
     source = LabelledSource.of(options)
     frames = source.open()
@@ -85,17 +105,22 @@ def _fit_detector_boxes(options: FitOptions) -> None:
     fits = samples.fit(is_drawn=source.format != "kitti")
     if not fits:
         raise LabelFileError(
-            f"{options.labels}: expected at least {MIN_MATCHES} labels of one class that match a box, are at least "
-            f"{MIN_HEIGHT_PX:g} px high, inside the image and not covered, in {counted(samples.n_images, 'image')}; "
-            "give more images of classes that the detector knows, and check --format and --label-names."
+            f"{options.labels}: expected at least {MIN_MATCHES} labels of one class that match a "
+            f"box, are at least {MIN_HEIGHT_PX:g} px high, inside the image and not covered, in "
+            f"{counted(samples.n_images, 'image')}; give more images of classes that the detector "
+            "knows, and check --format and --label-names."
         )
     content["box_errors"] |= {name: list(error) for name, (error, _) in fits.items()}
     write_text(out, yaml_text(content, default_flow_style=None))
     print_grid(console, _box_error_grid(fits))
     notes = [
-        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive; it "
-        "is larger for labels drawn around visible parts (all except KITTI's).",
-        *(f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}" for one in frames.unreadable[:1]),
+        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect "
+        "in another drive; it is larger for labels drawn around visible parts (all except "
+        "KITTI's).",
+        *(
+            f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}"
+            for one in frames.unreadable[:1]
+        ),
     ]
     print_notes(console, notes)
     print_line(console, f"Written: {out}")
@@ -117,11 +142,17 @@ def _fit(settings: FitOptions) -> None:
     fitted = fit_sizes(settings)
     print_grid(console, *map(_comparison_grid, fitted.comparison.values()))
     if settings.picture is not None:
-        from track_range.views.report.figures import curve_picture  # imports matplotlib: a third of a second
+        # imports matplotlib: a third of a second
+        from track_range.views.report.figures import curve_picture
 
-        points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
+        points = {
+            name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison
+        }
         curve_picture(
-            {name: (points[name].wh_over_f, points[name].distance_m, fitted.comparison[name]) for name in points},
+            {
+                name: (points[name].wh_over_f, points[name].distance_m, fitted.comparison[name])
+                for name in points
+            },
             settings.picture,
         )
         print_line(console, f"Written: {settings.picture}")
@@ -135,7 +166,12 @@ def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
     columns = [
         tables.Column("residual m2", [fit.residual_m2 for fit in fits], "{:.0f}", cost=abs),
         tables.Column("fitted %", [fit.fitted_error_pct for fit in fits], "{:.2f}", cost=abs),
-        tables.Column("other sequences %", _known([fit.other_drives_error_pct for fit in fits]), "{:.2f}", cost=abs),
+        tables.Column(
+            "other sequences %",
+            _known([fit.other_drives_error_pct for fit in fits]),
+            "{:.2f}",
+            cost=abs,
+        ),
     ]
     columns += [
         tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits]))
@@ -166,7 +202,9 @@ def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
         raise TypeError(f"{name}: no table for {type(model).__name__}")
     curves = model.whole if isinstance(model, SizeCurves) else model.curves
     columns = [
-        tables.Column(f"{tables.SIGMA} %", [100 * curve.sigma_relative for curve in curves.values()]),
+        tables.Column(
+            f"{tables.SIGMA} %", [100 * curve.sigma_relative for curve in curves.values()]
+        ),
         tables.Column("boxes", [curve.n for curve in curves.values()], "{:.0f}"),
     ]
     if isinstance(model, SizeCurves):

@@ -24,13 +24,16 @@ class ReportOptions(Options):
     out: Annotated[
         Path | None,
         option(
-            "Page to write (default: report.html in the folder of a single run, comparison.html in the current folder "
-            "for several runs).",
+            "Page to write (default: report.html in the folder of a single run, comparison.html in "
+            "the current folder for several runs).",
             metavar="FILE",
         ),
     ] = None
     clips: Annotated[
-        bool, option("Short video of each event, cut from overlay.mp4 into the folder clips of each run.")
+        bool,
+        option(
+            "Short video of each event, cut from overlay.mp4 into the folder clips of each run."
+        ),
     ] = False
 
 

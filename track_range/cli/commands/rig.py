@@ -23,9 +23,14 @@ from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
 from track_range.views.report.tables import Column, grid_of
 
-_Size = Annotated[str | None, option("Image size in pixels, for formats without a size.", metavar="WIDTHxHEIGHT")]
+_Size = Annotated[
+    str | None, option("Image size in pixels, for formats without a size.", metavar="WIDTHxHEIGHT")
+]
 _Unit = Annotated[
-    str | None, option("Unit of the lengths in the file, if track-range reads the wrong unit.", metavar="mm|cm|m")
+    str | None,
+    option(
+        "Unit of the lengths in the file, if track-range reads the wrong unit.", metavar="mm|cm|m"
+    ),
 ]
 
 
@@ -33,13 +38,17 @@ class ConvertOptions(Options):
     """Options of `track-range rig convert`."""
 
     source: Annotated[
-        Path, option("Calibration file to read, in any supported format.", metavar="IN", is_argument=True)
+        Path,
+        option(
+            "Calibration file to read, in any supported format.", metavar="IN", is_argument=True
+        ),
     ]
     out: Annotated[Path, option("Calibration file to write.", metavar="OUT", is_argument=True)]
     to: Annotated[
         str,
         option(
-            "Format of OUT: track-range's rig.yaml (ours) or OpenCV's stereo_calib (opencv).", metavar="ours|opencv"
+            "Format of OUT: track-range's rig.yaml (ours) or OpenCV's stereo_calib (opencv).",
+            metavar="ours|opencv",
         ),
     ] = "ours"
     size: _Size = None
@@ -49,7 +58,9 @@ class ConvertOptions(Options):
 class ShowOptions(Options):
     """Options of `track-range rig show`."""
 
-    source: Annotated[Path, option("Calibration file in any supported format.", metavar="FILE", is_argument=True)]
+    source: Annotated[
+        Path, option("Calibration file in any supported format.", metavar="FILE", is_argument=True)
+    ]
     size: _Size = None
     unit: _Unit = None
 
@@ -57,7 +68,9 @@ class ShowOptions(Options):
 class TemplateOptions(Options):
     """Options of `track-range rig template`."""
 
-    source: Annotated[Path, option("Calibration file of any kind.", metavar="FILE", is_argument=True)]
+    source: Annotated[
+        Path, option("Calibration file of any kind.", metavar="FILE", is_argument=True)
+    ]
     out: Annotated[Path | None, option("File to write (default: the text is printed).")] = None
     unit: _Unit = None
 
@@ -73,7 +86,9 @@ def _convert(options: ConvertOptions) -> None:
     if options.to not in writers:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if real_path(source) == real_path(out):
-        raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
+        raise UsageError(
+            f"{out}: expected a file other than the input; choose another name for OUT."
+        )
     size_px = _size_of(options.size)
     calibration, loading_notes = reading.load_calibration(
         source, size_px=size_px, metres_per_unit=_unit_of(options.unit)
@@ -81,32 +96,55 @@ def _convert(options: ConvertOptions) -> None:
     camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
         raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
-    content, notes = reading.read_calibration(source, is_grey=False, is_pair=False), list(loading_notes)
-    shift_m = float(np.linalg.norm(reading.left_from_reference_m(source, is_grey=False, size_px=size_px)))
+    content, notes = (
+        reading.read_calibration(source, is_grey=False, is_pair=False),
+        list(loading_notes),
+    )
+    shift_m = float(
+        np.linalg.norm(reading.left_from_reference_m(source, is_grey=False, size_px=size_px))
+    )
     if shift_m:  # of KITTI files
         notes.append(
-            f"OUT does not store that the reference frame of KITTI labels is {shift_m:.3f} m from the left camera: use "
-            f"--rig {source.name} in runs with --truth."
+            f"OUT does not store that the reference frame of KITTI labels is {shift_m:.3f} m from "
+            f"the left camera: use --rig {source.name} in runs with --truth."
         )
     comments = [f"from {source.name}"]
     if options.to == _OURS and isinstance(calibration, PinholeCamera):
-        save_camera(calibration, out, comments=comments, mounting=content.mounting, accuracy=content.accuracy)
+        save_camera(
+            calibration,
+            out,
+            comments=comments,
+            mounting=content.mounting,
+            accuracy=content.accuracy,
+        )
     elif options.to == _OURS and isinstance(calibration, StereoRig):
         save_rig(calibration, out, comments=comments, accuracy=content.accuracy)
     else:
         writers[options.to](calibration, out, comments)
         if content.mounting is not None or content.accuracy is not None:
-            notes.append(f"OUT does not store the uncertainty of the calibration: use --rig {source.name}.")
+            notes.append(
+                f"OUT does not store the uncertainty of the calibration: use --rig {source.name}."
+            )
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, *notes, f"Written: {out}, {cameras}.")
 
 
 def _show(options: ShowOptions) -> None:
-    source, size_px, metres_per_unit = options.source, _size_of(options.size), _unit_of(options.unit)
-    calibration, notes = reading.load_calibration(source, size_px=size_px, metres_per_unit=metres_per_unit)
+    source, size_px, metres_per_unit = (
+        options.source,
+        _size_of(options.size),
+        _unit_of(options.unit),
+    )
+    calibration, notes = reading.load_calibration(
+        source, size_px=size_px, metres_per_unit=metres_per_unit
+    )
     content = reading.read_calibration(source, is_grey=False, is_pair=True).in_unit(metres_per_unit)
     if source.is_file():
-        unit = f"; lengths in the file: {UNIT_NAMES.get(content.metres_per_unit, 'metres')}" if content.right else ""
+        unit = (
+            f"; lengths in the file: {UNIT_NAMES.get(content.metres_per_unit, 'metres')}"
+            if content.right
+            else ""
+        )
         print_line(console, f"Recognised: {reading.format_of(source)[0].title}{unit}.")
     if isinstance(calibration, StereoRig):
         cameras = {"left": calibration.left, "right": calibration.right}
@@ -116,9 +154,18 @@ def _show(options: ShowOptions) -> None:
     print_grid(console, grid_of(str(source), "camera", list(cameras), columns))
     for other in content.others if size_px is None else ():
         section = [camera for camera in (other.left, other.right) if camera is not None]
-        size = f"{other.left.width_px}x{other.left.height_px} px (--size {other.left.width_px}x{other.left.height_px})"
+        size = (
+            f"{other.left.width_px}x{other.left.height_px} px (--size "
+            f"{other.left.width_px}x{other.left.height_px})"
+        )
         print_grid(
-            console, grid_of(f"Images of {size}", "camera", list(cameras)[: len(section)], _camera_columns(section))
+            console,
+            grid_of(
+                f"Images of {size}",
+                "camera",
+                list(cameras)[: len(section)],
+                _camera_columns(section),
+            ),
         )
     for name, camera in cameras.items():
         terms = ", ".join(f"{term:.5g}" for term in camera.distortion) or "none"
@@ -135,7 +182,8 @@ def _template(options: TemplateOptions) -> None:
         print_line(console, text.rstrip("\n"))
         return
     write_rig_text(options.out, text)
-    n_blanks = sum(":  #" in line for line in text.splitlines()) - 1  # that of right_from_left is a heading
+    # that of right_from_left is a heading
+    n_blanks = sum(":  #" in line for line in text.splitlines()) - 1
     print_line(console, f"Written: {options.out}, {counted(n_blanks, 'blank')} to fill in.")
 
 
@@ -153,7 +201,10 @@ def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
     if not all(camera.width_px for camera in cameras):
         return columns
     # angles between the outer edges of the first and the last pixel
-    angles = [field_of_view(camera if camera.is_wide else camera.without_distortion()) for camera in cameras]
+    angles = [
+        field_of_view(camera if camera.is_wide else camera.without_distortion())
+        for camera in cameras
+    ]
     return [
         column("width", "{:.0f}"),
         column("height", "{:.0f}"),
@@ -165,15 +216,24 @@ def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
 
 def _show_pair(rig: StereoRig, source: Path) -> None:
     x_m, y_m, z_m = rig.right_from_left[:3, 3].tolist()
-    print_line(console, f"baseline {rig.baseline_m:.4f} m (translation {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
+    print_line(
+        console, f"baseline {rig.baseline_m:.4f} m (translation {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m)."
+    )
     rotation = rig.right_from_left[:3, :3]  # Rz Ry Rx
     pitch = math.degrees(math.atan2(rotation[2, 1], rotation[2, 2])) + 0.0  # + 0.0 avoids -0.0
     yaw = math.degrees(math.asin(float(np.clip(-rotation[2, 0], -1, 1)))) + 0.0
     roll = math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])) + 0.0
     state = "already rectified" if rig.is_rectified else "not rectified"
-    print_line(console, f"right relative to left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll {roll:.3f} degrees; {state}.")
+    print_line(
+        console,
+        f"right relative to left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll "
+        f"{roll:.3f} degrees; {state}.",
+    )
     if not (rig.is_rectified or rig.left.width_px):
-        print_line(console, "The file has no image size: give --size WIDTHxHEIGHT to show disparities by distance.")
+        print_line(
+            console,
+            "The file has no image size: give --size WIDTHxHEIGHT to show disparities by distance.",
+        )
         return
     rectified = Rectifier(rig, source=source).rig
     disparity_px = rectified.left.fx_px * rectified.baseline_m / _SHOWN_M
@@ -184,7 +244,9 @@ def _show_pair(rig: StereoRig, source: Path) -> None:
     ]
     names = [f"{distance:.0f} m" for distance in _SHOWN_M]
     print_line(
-        console, f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline {rectified.baseline_m:.4f} m."
+        console,
+        f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline "
+        f"{rectified.baseline_m:.4f} m.",
     )
     print_grid(console, grid_of("Disparity and range resolution", "distance", names, columns))
 
@@ -209,17 +271,22 @@ app = lazy_app(
         "show": Lazy(
             "track_range.cli.commands.rig:show_app",
             "Show angles of view, baseline, and metres per pixel of disparity.",
-            examples=("track-range rig show rig.yaml", "track-range rig show calib.txt --size 1242x375"),
+            examples=(
+                "track-range rig show rig.yaml",
+                "track-range rig show calib.txt --size 1242x375",
+            ),
         ),
         "template": Lazy(
             "track_range.cli.commands.rig:template_app",
-            "Write a rig.yaml with the values that could be read from a file, and blanks for the rest.",
+            "Write a rig.yaml with the values that could be read from a file, and blanks for the "
+            "rest.",
             examples=("track-range rig template calib.yml --out rig.yaml",),
         ),
         "check": Lazy(
             "track_range.cli.commands.align:check_app",
             "Measure the distance errors of a rig on a drive.",
-            "The drive goes past static objects; no distance has to be known. `align` writes the correction.",
+            "The drive goes past static objects; no distance has to be known. `align` writes the "
+            "correction.",
             ("track-range rig check --stereo left.mp4 right.mp4 --rig rig.yaml",),
         ),
         "convert": Lazy(

@@ -1,4 +1,6 @@
-"""`track-range run`, the main command: options of `RunSettings`, live view, and printing of the results."""
+"""`track-range run`, the main command: options of `RunSettings`, live view, and printing of the
+results.
+"""
 
 from __future__ import annotations
 
@@ -27,26 +29,34 @@ class RunView(Options):
     """Options of a run that do not affect its results."""
 
     settings: Annotated[
-        Path | None, option("Settings of an earlier run (settings.yaml); other options override them.", panel="Input")
+        Path | None,
+        option(
+            "Settings of an earlier run (settings.yaml); other options override them.",
+            panel="Input",
+        ),
     ] = None
     views: Annotated[
         str | None,
         option(
-            "With --mono, several runs on one video of a wide lens, in these directions in degrees to the right of "
-            "its axis, in subfolders of the output folder; views.csv in the output folder has the tracks of all runs.",
+            "With --mono, several runs on one video of a wide lens, in these directions in degrees "
+            "to the right of its axis, in subfolders of the output folder; views.csv in the output "
+            "folder has the tracks of all runs.",
             metavar="DEG,DEG,...",
             panel="Input",
         ),
     ] = None
     verbose: Annotated[
-        bool, option("Coverage, uncertainty and run time of each method, printed at the end.", panel="Output")
+        bool,
+        option(
+            "Coverage, uncertainty and run time of each method, printed at the end.", panel="Output"
+        ),
     ] = False
     show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[
         str | None,
         option(
-            "Address of the live view: a port on this machine, or HOST:PORT to make the view reachable from other "
-            "machines.",
+            "Address of the live view: a port on this machine, or HOST:PORT to make the view "
+            "reachable from other machines.",
             metavar="PORT|HOST:PORT",
             panel="Output",
         ),
@@ -71,15 +81,22 @@ def _run(**values: Any) -> None:
     printed = partial(_print_tables, is_verbose=options.verbose)
     settings = settings_from(_with_sources(given_values(RunSettings, values)), options.settings)
     if options.views is None:
-        with open_view(show=options.show, serve=options.serve, n_viewers=options.viewers) or nullcontext() as view:
+        with (
+            open_view(show=options.show, serve=options.serve, n_viewers=options.viewers)
+            or nullcontext() as view
+        ):
             run_and_print(settings, console, view, print_results=printed)
         return
     from track_range.run.views import directions_deg, run_views
 
     if options.show or options.serve is not None:
-        raise UsageError("--views makes several runs: it cannot be combined with --show or --serve.")
+        raise UsageError(
+            "--views makes several runs: it cannot be combined with --show or --serve."
+        )
     views_deg = directions_deg(options.views, settings)
-    path = run_views(settings, views_deg, lambda one: run_and_print(one, console, print_results=printed))
+    path = run_views(
+        settings, views_deg, lambda one: run_and_print(one, console, print_results=printed)
+    )
     print_line(console, f"The tracks of all views are in {path}.")
 
 
@@ -92,7 +109,8 @@ def run_and_print(
 ) -> Path:
     """Process a whole run, print its notes and results, and return its output folder.
 
-    A run that is interrupted (RunStoppedError), or in which an input fails, finishes its files first.
+    A run that is interrupted (RunStoppedError), or in which an input fails, finishes its files
+    first.
     """
     from track_range.foundation.errors import RunStoppedError
     from track_range.run.interrupts import stop_on_interrupt
@@ -104,12 +122,18 @@ def run_and_print(
             with run:
                 _process(run, console, view, print_results)
         except KeyboardInterrupt:
-            state = "; all results until then were written." if run.is_finished else " before any frame was processed."
+            state = (
+                "; all results until then were written."
+                if run.is_finished
+                else " before any frame was processed."
+            )
             raise RunStoppedError(f"stopped by the user{state}") from None
     return settings.out_dir
 
 
-def _process(run: Run, console: Console, view: LiveView | None, print_results: Callable[[Run, Console], None]) -> None:
+def _process(
+    run: Run, console: Console, view: LiveView | None, print_results: Callable[[Run, Console], None]
+) -> None:
     from track_range.cli.console import print_notes
 
     opening_notes = run.notes
@@ -139,7 +163,11 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
             print_summary(console, run.summary)
         print_outcome(run, console)
         rate = frames_per_s(run.summary)
-        print_line(console, counted(run.summary["frames"], "frame") + (f", {rate:.1f} per second." if rate else "."))
+        print_line(
+            console,
+            counted(run.summary["frames"], "frame")
+            + (f", {rate:.1f} per second." if rate else "."),
+        )
     if run.files:
         names = ", ".join(file.name for file in run.files)
         print_line(console, f"Results in {run.files[0].parent}: {names}")
@@ -161,7 +189,9 @@ def print_outcome(run: Run, console: Console) -> None:
 
 @contextmanager
 def _ignore_broken_pipe() -> Iterator[None]:
-    """Context in which a closed pipe, a full disk or a terminal without sigma ends the printing, but not the run."""
+    """Context in which a closed pipe, a full disk or a terminal without sigma ends the printing,
+    but not the run.
+    """
     with suppress(OSError, UnicodeError, SystemExit):  # Rich raises SystemExit for a closed pipe
         yield
 
@@ -174,10 +204,14 @@ def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
     if sides := given.get("stereo"):
         left, right = sides[0::2], [side for side in sides[1::2] if side]
         if len(left) > 1 and 0 < len(right) < len(left):
-            raise UsageError("--stereo: expected LEFT and RIGHT for each option, found a single value.")
+            raise UsageError(
+                "--stereo: expected LEFT and RIGHT for each option, found a single value."
+            )
         pair = (left, right) if right else (left,)
         sources["stereo"] = tuple(side[0] if len(side) == 1 else side for side in pair)
     return sources
 
 
-app = command_of(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)], PairCommand)
+app = command_of(
+    _run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)], PairCommand
+)

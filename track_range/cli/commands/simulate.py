@@ -1,4 +1,6 @@
-"""`track-range simulate`: a stereo drive with exact ground truth, or labelled images to train detectors."""
+"""`track-range simulate`: a stereo drive with exact ground truth, or labelled images to train
+detectors.
+"""
 
 from contextlib import nullcontext
 from functools import partial
@@ -19,7 +21,9 @@ def _simulate(settings: SimulationSettings) -> None:
     print_line(console, *simulated.notes)
     drive = simulated.drive
     if drive is None:
-        print_line(console, f"Written: {counted(simulated.n_images, 'image')}, and {simulated.data_yaml}")
+        print_line(
+            console, f"Written: {counted(simulated.n_images, 'image')}, and {simulated.data_yaml}"
+        )
         return
     fps = settings.fps or DEFAULT_FPS
     rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""

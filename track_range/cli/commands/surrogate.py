@@ -1,4 +1,6 @@
-"""`track-range surrogate`: surrogate measures of safety of a run or a fleet, by class and road user."""
+"""`track-range surrogate`: surrogate measures of safety of a run or a fleet, by class and road
+user.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,15 +32,27 @@ class SurrogateOptions(Options):
 
     source: Annotated[
         Path,
-        option("Result folder of a run, or local folder of a fleet.", metavar="RUN|FLEET", is_argument=True),
+        option(
+            "Result folder of a run, or local folder of a fleet.",
+            metavar="RUN|FLEET",
+            is_argument=True,
+        ),
     ]
-    csv: Annotated[Path | None, option("CSV file to write, one row per road user.", metavar="FILE")] = None
-    parquet: Annotated[Path | None, option("Parquet file with the same rows, in full precision.", metavar="FILE")] = (
-        None
-    )
+    csv: Annotated[
+        Path | None, option("CSV file to write, one row per road user.", metavar="FILE")
+    ] = None
+    parquet: Annotated[
+        Path | None, option("Parquet file with the same rows, in full precision.", metavar="FILE")
+    ] = None
 
 
-def _grid(title: str, corner: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]], *more: ColumnSpec) -> Grid:
+def _grid(
+    title: str,
+    corner: str,
+    names: Sequence[str],
+    rows: Sequence[Mapping[str, Any]],
+    *more: ColumnSpec,
+) -> Grid:
     return grid_of(title, corner, names, columns_of(rows, (*more, *_MEASURES)))
 
 
@@ -47,21 +61,32 @@ def _surrogate(options: SurrogateOptions) -> None:
     classes = by_class(rows)
     counts = ("road users", "n", "{:.0f}"), ("with TET", "n_exposed", "{:.0f}")
     print_grid(
-        console, _grid("Extremes and sums by class", "class", [row["class"] for row in classes], classes, *counts)
+        console,
+        _grid(
+            "Extremes and sums by class",
+            "class",
+            [row["class"] for row in classes],
+            classes,
+            *counts,
+        ),
     )
     exposed = sorted(
-        (row for row in rows if row["min_ttc_front_s"] is not None), key=lambda row: row["min_ttc_front_s"]
+        (row for row in rows if row["min_ttc_front_s"] is not None),
+        key=lambda row: row["min_ttc_front_s"],
     )
     shown = exposed[:_N_SHOWN]
-    names = [" ".join(filter(None, (row["clip"], row["class"], str(row["track_id"])))) for row in shown]
+    names = [
+        " ".join(filter(None, (row["clip"], row["class"], str(row["track_id"])))) for row in shown
+    ]
     title = f"Road users with a TTC, shortest first ({len(shown)} of {len(exposed)})"
     print_grid(console, _grid(title, "road user", names, shown, ("at s", "min_ttc_front_s_at_s")))
     print_line(
         console,
-        "All distances are from the front of the ego vehicle. The gap covers all road users, all other measures only "
-        "road users on the path. TTC: time to collision. TET: time with a TTC below 3 s. TIT: integral of 3 s - TTC "
-        "over that time. DRAC: smallest deceleration that avoids a collision; MDRAC: the same after 1 s of reaction. "
-        "PET: time between the passages of the place where two paths cross. lead: time as the next vehicle ahead.",
+        "All distances are from the front of the ego vehicle. The gap covers all road users, all "
+        "other measures only road users on the path. TTC: time to collision. TET: time with a TTC "
+        "below 3 s. TIT: integral of 3 s - TTC over that time. DRAC: smallest deceleration that "
+        "avoids a collision; MDRAC: the same after 1 s of reaction. PET: time between the passages "
+        "of the place where two paths cross. lead: time as the next vehicle ahead.",
     )
     for path, is_parquet in ((options.csv, False), (options.parquet, True)):
         if path is not None:

@@ -14,13 +14,17 @@ from track_range.views.report.tables import Column, Grid, grid_of
 
 
 def _track(settings: TrackSettings) -> None:
-    tracked = track(settings, partial(frame_progress, console), lambda note: print_line(console, f"- {note}"))
+    tracked = track(
+        settings, partial(frame_progress, console), lambda note: print_line(console, f"- {note}")
+    )
     if tracked.done:
         print_grid(console, _grid(tracked.done))
         print_line(console, f"Written: {settings.out / MOT_FOLDER}")
     if tracked.failed:
         n_sequences = len(tracked.done) + len(tracked.failed)
-        failed = f"{len(tracked.failed)} of {n_sequences} sequences could not be tracked (reasons above)"
+        failed = (
+            f"{len(tracked.failed)} of {n_sequences} sequences could not be tracked (reasons above)"
+        )
         raise LabelFileError(f"{settings.detections}: {failed}: {listed(list(tracked.failed))}.")
 
 

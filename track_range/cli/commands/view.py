@@ -34,7 +34,9 @@ def _view(options: ViewOptions) -> None:
     print_line(console, f"Opening {path}; close the viewer or press Ctrl-C to end.")
     try:
         status = subprocess.run(
-            viewer_command(path, is_web=options.web), env={**os.environ, **VIEWER_VARIABLES}, check=False
+            viewer_command(path, is_web=options.web),
+            env={**os.environ, **VIEWER_VARIABLES},
+            check=False,
         ).returncode
     except OSError as error:
         raise ViewError(f"{path}: the Rerun viewer cannot be started ({error}).") from error
@@ -42,20 +44,23 @@ def _view(options: ViewOptions) -> None:
         return
     if status > 0:
         raise ViewError(
-            f"{path}: the Rerun viewer ended with status {status}; without a display, use track-range view --web."
+            f"{path}: the Rerun viewer ended with status {status}; without a display, use "
+            "track-range view --web."
         )
 
 
 def recording_of(run: Path) -> Path:
-    """The run.rrd of a run, made from its other files if there is none; ViewError or OutputError."""
+    """The run.rrd of a run, made from its other files if there is none; ViewError or
+    OutputError.
+    """
     path = run / RERUN_FILE
     if not is_run(run):
         raise ViewError(f"{run}: expected the result folder of a run, found none.")
     if not path.is_file():  # not written, or the run was killed
         if is_locked(run):
             raise ViewError(
-                f"{run}: the run is in progress; wait for its end, or export it with `track-range export --to rrd` to "
-                "another folder."
+                f"{run}: the run is in progress; wait for its end, or export it with `track-range "
+                "export --to rrd` to another folder."
             )
         print_notes(console, export(ExportSettings(source=run, to="rrd", out=path)).notes)
     return path
@@ -63,7 +68,15 @@ def recording_of(run: Path) -> Path:
 
 def viewer_command(path: Path, *, is_web: bool) -> list[str]:
     """Command line of the viewer, which can be reached from this machine only."""
-    return [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *(["--web-viewer"] if is_web else []), str(path)]
+    return [
+        sys.executable,
+        "-m",
+        "rerun",
+        "--bind",
+        "127.0.0.1",
+        *(["--web-viewer"] if is_web else []),
+        str(path),
+    ]
 
 
 app = command(ViewOptions, _view)

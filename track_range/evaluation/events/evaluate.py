@@ -1,7 +1,8 @@
 """Evaluation of the events of a run: warnings against contacts, or events against labelled events.
 
-Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the tracks of the run and
-labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
+Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the
+tracks of the run and labelled boxes with closing speeds are known, the errors of the closing speeds
+are added, by class.
 """
 
 import math
@@ -33,18 +34,27 @@ from track_range.ranging.evaluation.errors import match_truth, score_closing
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event
-from track_range.results.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
+from track_range.results.events.files import (
+    EVENTS_FILE,
+    NEEDED_COLUMNS,
+    EventFileError,
+    read_events,
+)
 from track_range.results.folder import read_run_rows, rows_file
 
-BOX_FILES = ("truth.csv", "truth.txt")  # labels of a simulated drive beside its contacts, the first that exists
+# labels of a simulated drive beside its contacts, the first that exists
+BOX_FILES = ("truth.csv", "truth.txt")
 
 _MAX_SUMMARY_BYTES = 50_000_000
 _MAX_HOURS = 1e6
 
-BY_BOXES = "object of a warning: the labelled object that the warning's track overlaps most often (IoU at least 0.3)"
+BY_BOXES = (
+    "object of a warning: the labelled object that the warning's track overlaps most often (IoU at "
+    "least 0.3)"
+)
 BY_TIME = (
-    "object of a warning: the object of a contact of the same class with the same number, or at most 10 s after the "
-    "warning"
+    "object of a warning: the object of a contact of the same class with the same number, or at "
+    "most 10 s after the warning"
 )
 
 
@@ -67,7 +77,9 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
         if hours is None:
             hours = inputs.last_hours([*events, *labelled], ())
         scores = event_scores(events, labelled, hours=hours)
-        return scores | inputs.facts(settings, events, "labelled events of the same kind and class, at most 1 s apart")
+        return scores | inputs.facts(
+            settings, events, "labelled events of the same kind and class, at most 1 s apart"
+        )
     contacts = read_contacts(settings.truth)
     if hours is None:
         hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
@@ -76,21 +88,36 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
         objects, protocol = objects_by_time(events, contacts), BY_TIME
         inputs.notes.append(
             "Warnings are assigned to contacts by number, class and time, because "
-            f"{'the tracks of the run are' if columns is None else 'labels of the objects are'} missing "
-            f"({'--tracks' if columns is None else '--boxes'})."
+            f"{'the tracks of the run are' if columns is None else 'labels of the objects are'} "
+            f"missing ({'--tracks' if columns is None else '--boxes'})."
         )
     else:
         objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
-        if missing := sorted({contact.object_id for contact in contacts} - set(boxes.track_id.tolist())):
+        if missing := sorted(
+            {contact.object_id for contact in contacts} - set(boxes.track_id.tolist())
+        ):
             inputs.notes.append(
                 f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
-                f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the labels belong to this "
-                "drive."
+                f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the "
+                "labels belong to this drive."
             )
-    counted_contacts = inputs.seen(contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)})
-    scores = contact_scores(events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s)
-    closing = {} if columns is None or boxes is None else {"closing": closing_errors(columns, boxes, inputs.vans())}
-    return {**scores, **inputs.facts(settings, events, protocol), "min_lead_s": settings.min_lead_s, **closing}
+    counted_contacts = inputs.seen(
+        contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)}
+    )
+    scores = contact_scores(
+        events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s
+    )
+    closing = (
+        {}
+        if columns is None or boxes is None
+        else {"closing": closing_errors(columns, boxes, inputs.vans())}
+    )
+    return {
+        **scores,
+        **inputs.facts(settings, events, protocol),
+        "min_lead_s": settings.min_lead_s,
+        **closing,
+    }
 
 
 def _is_file_of_events(path: Path) -> bool:
@@ -115,11 +142,15 @@ class _Inputs:
     drive: Path
     notes: list[str] = field(default_factory=list)  # for the user
     starts_s: float = 0.0  # time of the first processed frame
-    ends_s: float = math.inf  # end of the processed part of the video, from summary.json; inf = unknown
-    last_s: float = math.inf  # time after which there are no events: `ends_s`, or that of the last row
+    # end of the processed part of the video, from summary.json; inf = unknown
+    ends_s: float = math.inf
+    # time after which there are no events: `ends_s`, or that of the last row
+    last_s: float = math.inf
 
     def columns(self, path: Path | None) -> Columns | None:
-        """Rows of the run; None without a file, or if the file in the folder of the events cannot be read."""
+        """Rows of the run; None without a file, or if the file in the folder of the events cannot
+        be read.
+        """
         if path is not None:
             return read_run_rows(path, self.notes)
         beside = rows_file(self.folder)
@@ -128,12 +159,16 @@ class _Inputs:
         try:
             return read_run_rows(beside, self.notes)
         except OutputError as error:
-            self.notes.append(f"The tracks in the folder of the events cannot be read ({str(error).rstrip('.')}).")
+            self.notes.append(
+                f"The tracks in the folder of the events cannot be read ({str(error).rstrip('.')})."
+            )
             return None
 
     def boxes(self, path: Path | None) -> Truth | None:
         beside = [self.drive / name for name in BOX_FILES]
-        chosen = path or next((file for file in beside if file.is_file() and not is_blank(file, "labels")), None)
+        chosen = path or next(
+            (file for file in beside if file.is_file() and not is_blank(file, "labels")), None
+        )
         return None if chosen is None else read_boxes(chosen)
 
     def vans(self) -> set[int]:
@@ -145,13 +180,19 @@ class _Inputs:
         return set(labels.track_id[labels.kitti_type == "van"].tolist())
 
     def hours(self, columns: Columns | None) -> float | None:
-        """Duration of the processed video from summary.json, else from the rows of the tracks; None = unknown."""
+        """Duration of the processed video from summary.json, else from the rows of the tracks; None
+        = unknown.
+        """
         file = self.folder / "summary.json"
         if file.is_file():
             try:
-                summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
+                summary = read_json(
+                    file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES
+                )
             except OutputError as error:
-                self.notes.append(f"The duration is taken from the rows of the tracks ({str(error).rstrip('.')}).")
+                self.notes.append(
+                    f"The duration is taken from the rows of the tracks ({str(error).rstrip('.')})."
+                )
             else:
                 hours = _number(summary, "events", "hours")
                 if hours is not None and 0 < hours < _MAX_HOURS:
@@ -166,38 +207,48 @@ class _Inputs:
         return (float(time_s[-1] - time_s[0]) + step_s) / 3600 or None
 
     def seen(self, contacts: Sequence[Contact], warned: Container[int | None]) -> list[Contact]:
-        """Contacts in the processed part of the video or with a warning on their object; a note on other contacts."""
+        """Contacts in the processed part of the video or with a warning on their object; a note on
+        other contacts.
+        """
         from_s, to_s = self.starts_s, self.ends_s
-        chosen = [row for row in contacts if from_s <= row.contact_s <= to_s or row.object_id in warned]
+        chosen = [
+            row for row in contacts if from_s <= row.contact_s <= to_s or row.object_id in warned
+        ]
         if len(chosen) < len(contacts):
             self.notes.append(
-                f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside the processed part "
-                f"of the video, {from_s:.1f} to {to_s:.1f} s, and are not evaluated."
+                f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside "
+                f"the processed part of the video, {from_s:.1f} to {to_s:.1f} s, and are not "
+                "evaluated."
             )
         return chosen
 
-    def facts(self, settings: EventEvaluationSettings, events: Sequence[Event], protocol: str) -> dict[str, Any]:
+    def facts(
+        self, settings: EventEvaluationSettings, events: Sequence[Event], protocol: str
+    ) -> dict[str, Any]:
         """Files, protocol and notes; a note on events after the end of the video is added."""
         n_beyond = sum(event.start_s > self.last_s + 1.0 for event in events)
         if n_beyond:
             self.notes.append(
-                f"{n_beyond} of {len(events)} events start after the end of the video at {self.last_s:.1f} s; check "
-                "that the events belong to this video."
+                f"{n_beyond} of {len(events)} events start after the end of the video at "
+                f"{self.last_s:.1f} s; check that the events belong to this video."
             )
         files = {"events": str(settings.events), "truth": str(settings.truth)}
         return {**files, "protocol": protocol, "notes": self.notes}
 
     def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
-        """Time of the last event or contact as the smallest possible duration, with a note; None if there is none."""
+        """Time of the last event or contact as the smallest possible duration, with a note; None if
+        there is none.
+        """
         last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
         if last_s <= 0:
             self.notes.append(
-                "The duration of the video is unknown, so the rate of false alarms is unknown too; give --hours."
+                "The duration of the video is unknown, so the rate of false alarms is unknown too; "
+                "give --hours."
             )
             return None
         self.notes.append(
-            f"The duration of the video is unknown (give --hours); it is at least {last_s:.1f} s, until the last event "
-            "or contact, so the rate of false alarms is an upper limit."
+            f"The duration of the video is unknown (give --hours); it is at least {last_s:.1f} s, "
+            "until the last event or contact, so the rate of false alarms is an upper limit."
         )
         return last_s / 3600
 
@@ -206,21 +257,32 @@ def _number(content: Any, *keys: str) -> float | None:
     """Number below nested keys; None if there is none."""
     for key in keys:
         content = content.get(key) if isinstance(content, dict) else None
-    return float(content) if isinstance(content, int | float) and not isinstance(content, bool) else None
+    return (
+        float(content)
+        if isinstance(content, int | float) and not isinstance(content, bool)
+        else None
+    )
 
 
-NEAREST_M, FARTHEST_M = 10.0, 40.0  # where closing speeds are scored: nearer, boxes are cut; farther, warnings are rare
-TALL = "tall vehicles"  # section of buses, trucks and vans, whose rear is far behind their tallest visible edge
+# where closing speeds are scored: nearer, boxes are cut; farther, warnings are rare
+NEAREST_M, FARTHEST_M = 10.0, 40.0
+# section of buses, trucks and vans, whose rear is far behind their tallest visible edge
+TALL = "tall vehicles"
 
 _TALL_CLASSES = ("bus", "truck", "van")
 
 
 def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -> dict[str, Any]:
-    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as in `score_closing`.
+    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as
+    in `score_closing`.
 
     `vans` are numbers of objects that are vans, for labels with the class car.
     """
-    in_range = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= FARTHEST_M) & np.isfinite(boxes.closing_mps)
+    in_range = (
+        (boxes.distance_m >= NEAREST_M)
+        & (boxes.distance_m <= FARTHEST_M)
+        & np.isfinite(boxes.closing_mps)
+    )
     if not in_range.any():
         return {}
     rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), boxes)
@@ -228,7 +290,10 @@ def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -
     is_tall = np.isin(boxes.kitti_type, _TALL_CLASSES) | np.isin(boxes.track_id, list(vans))
     classes = np.array([road_class_of(name) or str(name) for name in boxes.kitti_type], np.str_)
     sections = {}
-    for name, chosen in [*((name, classes == name) for name in np.unique(classes[in_range])), (TALL, is_tall)]:
+    for name, chosen in [
+        *((name, classes == name) for name in np.unique(classes[in_range])),
+        (TALL, is_tall),
+    ]:
         class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)
         score = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], class_mps)
         if score is not None:

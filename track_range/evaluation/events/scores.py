@@ -1,26 +1,27 @@
 """Hits, misses, false alarms and lead times of warnings and events.
 
-A warning is an event of one of `WARNING_KINDS` with a `warning_s`, and its lead is the time from `warning_s` to the
-contact.
+A warning is an event of one of `WARNING_KINDS` with a `warning_s`, and its lead is the time from
+`warning_s` to the contact.
 
     hit           contact with a warning on its object at least `min_lead_s` before it, with the lead of the first
     miss          contact without one; a later warning is too late
     false alarm   warning on an object that has no contact
 
-An object with several contacts: a warning belongs to the next contact after the warning, or to the last contact. Each
-contact counts for one kind: the kind of its first warning in time; a miss counts for the kind of its first late
-warning, else for the kind that its class leads to expect (person: pedestrian_on_path, others: forward_collision). So
-the counts of the kinds add up to the overall counts.
+An object with several contacts: a warning belongs to the next contact after the warning, or to the
+last contact. Each contact counts for one kind: the kind of its first warning in time; a miss counts
+for the kind of its first late warning, else for the kind that its class leads to expect (person:
+pedestrian_on_path, others: forward_collision). So the counts of the kinds add up to the overall
+counts.
 
-Labelled events are matched to events of the same kind and class one to one, so that as many as possible match, if they
-overlap in time or are at most `TOLERANCE_S` apart. The lead is the time from `warning_s` (without a warning from
-`start_s`) to `peak_s` of the labelled event.
+Labelled events are matched to events of the same kind and class one to one, so that as many as
+possible match, if they overlap in time or are at most `TOLERANCE_S` apart. The lead is the time
+from `warning_s` (without a warning from `start_s`) to `peak_s` of the labelled event.
 
-The object of an event: with the tracks of the run and labelled boxes, the object that its track overlaps most often
-(IoU at least `MIN_IOU`) from `MARGIN_S` before the event to its end; none if it overlaps no object in at least
-`MIN_FRACTION` of these frames. Without tracks or labels, a warning belongs to a contact of the same class group and
-number; if no warning has the number of the contact, to contacts of the same class group whose contact is at most
-`WINDOW_S` after the warning.
+The object of an event: with the tracks of the run and labelled boxes, the object that its track
+overlaps most often (IoU at least `MIN_IOU`) from `MARGIN_S` before the event to its end; none if it
+overlaps no object in at least `MIN_FRACTION` of these frames. Without tracks or labels, a warning
+belongs to a contact of the same class group and number; if no warning has the number of the
+contact, to contacts of the same class group whose contact is at most `WINDOW_S` after the warning.
 """
 
 import math
@@ -47,7 +48,10 @@ from track_range.results.events.files import EventFileError
 
 CONTACT_COLUMNS = ("object_id", "class", "contact_s")
 
-_LIMITS = {"object_id": (0.0, 2.0**53, "an integer from 0"), "contact_s": (0.0, 1e9, "a time in seconds from 0")}
+_LIMITS = {
+    "object_id": (0.0, 2.0**53, "an integer from 0"),
+    "contact_s": (0.0, 1e9, "a time in seconds from 0"),
+}
 """Smallest and largest value of each column of numbers, and the expected value for messages."""
 
 
@@ -61,8 +65,12 @@ class Contact:
 
 
 def read_contacts(path: Path) -> tuple[Contact, ...]:
-    """Contacts of a contacts.csv, in its order; EventFileError if it cannot be read or lacks a valid value."""
-    table = read_csv_table(path, EventFileError, f"contacts with the columns {','.join(CONTACT_COLUMNS)}", exact=True)
+    """Contacts of a contacts.csv, in its order; EventFileError if it cannot be read or lacks a
+    valid value.
+    """
+    table = read_csv_table(
+        path, EventFileError, f"contacts with the columns {','.join(CONTACT_COLUMNS)}", exact=True
+    )
     table.require(CONTACT_COLUMNS)
     numbers = {}
     for name, (low, high, expected) in _LIMITS.items():
@@ -75,14 +83,18 @@ def read_contacts(path: Path) -> tuple[Contact, ...]:
     classes = list[str]()
     for row, name in enumerate(table.texts("class")):
         if (road_class := road_class_of(name)) is None:
-            raise table.fault(row, f"expected one of the classes {', '.join(ROAD_CLASSES)}, got {quoted(name)}.")
+            raise table.fault(
+                row, f"expected one of the classes {', '.join(ROAD_CLASSES)}, got {quoted(name)}."
+            )
         classes.append(road_class)
     rows = zip(numbers["object_id"], classes, numbers["contact_s"], strict=True)
     return tuple(Contact(int(object_id), name, contact_s) for object_id, name, contact_s in rows)
 
 
-Scores = dict[str, Any]  # sections `overall` and `by_kind`, and lists of single results, as in the JSON file
-TOLERANCE_S = 1.0  # largest time between a labelled event and one that matches it, s: labels are set by hand
+# sections `overall` and `by_kind`, and lists of single results, as in the JSON file
+Scores = dict[str, Any]
+# largest time between a labelled event and one that matches it, s: labels are set by hand
+TOLERANCE_S = 1.0
 
 _COUNTS = ("hits", "misses", "false_alarms")
 _NO_MATCH = 1e9  # cost of a pair that does not match
@@ -107,8 +119,8 @@ def contact_scores(
 ) -> Scores:
     """Scores of collision warnings against all contacts of a drive of `hours`; None = unknown.
 
-    Events that are not warnings are ignored. `object_ids` are the identities of the objects of the N events; None =
-    none, or unknown. `min_lead_s` is the shortest lead of a hit.
+    Events that are not warnings are ignored. `object_ids` are the identities of the objects of the
+    N events; None = none, or unknown. `min_lead_s` is the shortest lead of a hit.
     """
     on_contact: dict[int, list[Event]] = {}
     false_alarms = []
@@ -119,7 +131,10 @@ def contact_scores(
                 false_alarms.append(event)
             else:
                 on_contact.setdefault(index, []).append(event)
-    rows = [_contact_row(contact, on_contact.get(i, []), min_lead_s) for i, contact in enumerate(contacts)]
+    rows = [
+        _contact_row(contact, on_contact.get(i, []), min_lead_s)
+        for i, contact in enumerate(contacts)
+    ]
     results = [(row["kind"], "hits" if row["is_hit"] else "misses", row["lead_s"]) for row in rows]
     results += [(event.kind, "false_alarms", None) for event in false_alarms]
     false_warnings = [
@@ -131,12 +146,18 @@ def contact_scores(
         }
         for event in false_alarms
     ]
-    return {**_sections(results, WARNING_KINDS, hours), "contacts": rows, "false_warnings": false_warnings}
+    return {
+        **_sections(results, WARNING_KINDS, hours),
+        "contacts": rows,
+        "false_warnings": false_warnings,
+    }
 
 
 def _contact_of(event: Event, object_id: int | None, contacts: Sequence[Contact]) -> int | None:
     """Index of the contact that a warning belongs to; None = its object has no contact."""
-    by_time = sorted((row.contact_s, i) for i, row in enumerate(contacts) if row.object_id == object_id)
+    by_time = sorted(
+        (row.contact_s, i) for i, row in enumerate(contacts) if row.object_id == object_id
+    )
     if not by_time:
         return None
     after = [i for contact_s, i in by_time if contact_s >= event.warning_s]
@@ -144,7 +165,9 @@ def _contact_of(event: Event, object_id: int | None, contacts: Sequence[Contact]
 
 
 def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float) -> dict[str, Any]:
-    """Result of a contact: its columns, and `is_hit`, `kind`, `lead_s` of the first warning (None = no warning)."""
+    """Result of a contact: its columns, and `is_hit`, `kind`, `lead_s` of the first warning (None =
+    no warning).
+    """
     first = min(warnings, key=lambda event: event.warning_s, default=None)
     lead_s = None if first is None else _rounded(contact.contact_s - first.warning_s)
     expected = "pedestrian_on_path" if contact.class_name == "person" else "forward_collision"
@@ -158,7 +181,9 @@ def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float)
     }
 
 
-def event_scores(events: Sequence[Event], labelled: Sequence[Event], *, hours: float | None) -> Scores:
+def event_scores(
+    events: Sequence[Event], labelled: Sequence[Event], *, hours: float | None
+) -> Scores:
     """Scores of events against labelled events of a video of `hours`; None = unknown."""
     cost = np.array([[_cost(event, label) for event in events] for label in labelled]).reshape(
         len(labelled), len(events)
@@ -175,26 +200,44 @@ def event_scores(events: Sequence[Event], labelled: Sequence[Event], *, hours: f
         else:
             results.append((label.kind, "misses", None))
     used = set(matched.values())
-    results += [(event.kind, "false_alarms", None) for index, event in enumerate(events) if index not in used]
+    results += [
+        (event.kind, "false_alarms", None)
+        for index, event in enumerate(events)
+        if index not in used
+    ]
     return _sections(results, EVENT_KINDS, hours)
 
 
 def _cost(event: Event, label: Event) -> float:
     """Time between two events in s, plus a small part of the time between their peaks."""
     gap_s = max(event.start_s - label.end_s, label.start_s - event.end_s, 0.0)
-    if event.kind != label.kind or gap_s > TOLERANCE_S or not are_same_class(event.class_name, label.class_name):
+    if (
+        event.kind != label.kind
+        or gap_s > TOLERANCE_S
+        or not are_same_class(event.class_name, label.class_name)
+    ):
         return _NO_MATCH
     return gap_s + 1e-3 * min(abs(event.peak_s - label.peak_s), 1e3)
 
 
 def are_same_class(one: str, other: str) -> bool:
-    """Whether two objects may be one: detectors confuse vehicles, and riders with two-wheelers; "" = unknown class."""
-    groups = {_GROUPS.get(road_class_of(name) or name.lower(), name.lower()) for name in (one, other) if name}
+    """Whether two objects may be one: detectors confuse vehicles, and riders with two-wheelers; ""
+    = unknown class.
+    """
+    groups = {
+        _GROUPS.get(road_class_of(name) or name.lower(), name.lower())
+        for name in (one, other)
+        if name
+    }
     return len(groups) < 2
 
 
-def _sections(results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None) -> Scores:
-    """Sections of the results; each result has a kind, the name of a count, and the lead of a hit."""
+def _sections(
+    results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None
+) -> Scores:
+    """Sections of the results; each result has a kind, the name of a count, and the lead of a
+    hit.
+    """
     results = list(results)
 
     def section(chosen: Sequence[tuple[str, str, float | None]]) -> dict[str, Any]:
@@ -215,14 +258,18 @@ def _rounded(value: float) -> float:
     return round(float(value), 4)
 
 
-MIN_IOU = 0.3  # of a track with its object: boxes that the image border cuts, near a contact, fit badly
+# of a track with its object: boxes that the image border cuts, near a contact, fit badly
+MIN_IOU = 0.3
 MARGIN_S = 1.0  # time before the start of an event for which its track is compared, s
-MIN_FRACTION = 0.2  # of the frames, in which a track overlaps its object: objects that are largely hidden have no label
-WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0  # from a warning to a contact of its class, and of its number too
+# of the frames, in which a track overlaps its object: objects that are largely hidden have no label
+MIN_FRACTION = 0.2
+# from a warning to a contact of its class, and of its number too
+WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0
 
 
 def read_boxes(path: Path) -> Truth:
-    """Objects of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot be read.
+    """Objects of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot
+    be read.
 
     All objects count, and objects that are less than half visible have no distance.
     """
@@ -230,24 +277,34 @@ def read_boxes(path: Path) -> Truth:
         labels = read_csv_labels(path)
         distance_m = np.where(labels.visible_share >= 0.5, labels.distance_m, np.nan)
         columns = (labels.xyxy_px, distance_m, labels.closing_mps)
-        return Truth(labels.frame, labels.track_id, labels.class_name, np.zeros_like(labels.frame), *columns)
+        return Truth(
+            labels.frame, labels.track_id, labels.class_name, np.zeros_like(labels.frame), *columns
+        )
     table = read_labels(path, expected="labels of the objects")
     columns = (table.xyxy_px, table.distance_m, np.full(len(table), np.nan))
-    return Truth(table.frame, table.track_id, table.class_name, np.zeros_like(table.frame), *columns)
+    return Truth(
+        table.frame, table.track_id, table.class_name, np.zeros_like(table.frame), *columns
+    )
 
 
 def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) -> list[int | None]:
-    """Identity of the object of each event, from the boxes of its track in the rows of the run; None = no object."""
+    """Identity of the object of each event, from the boxes of its track in the rows of the run;
+    None = no object.
+    """
     xyxy_px = boxes_px(columns)
     order = np.argsort(boxes.frame, kind="stable")
     frames = boxes.frame[order]
     objects: list[int | None] = []
     for event in events:
-        is_near = (columns["time_s"] >= event.start_s - MARGIN_S) & (columns["time_s"] <= event.end_s)
+        is_near = (columns["time_s"] >= event.start_s - MARGIN_S) & (
+            columns["time_s"] <= event.end_s
+        )
         rows = np.flatnonzero((columns["track_id"] == event.track_id) & is_near)
         votes: Counter[int] = Counter()
         for row in rows.tolist():
-            first, last = np.searchsorted(frames, [columns["frame"][row], columns["frame"][row] + 1]).tolist()
+            first, last = np.searchsorted(
+                frames, [columns["frame"][row], columns["frame"][row] + 1]
+            ).tolist()
             labels = order[first:last]
             labels = labels[boxes.track_id[labels] >= 0]
             if len(labels):
@@ -260,10 +317,16 @@ def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) ->
 
 
 def objects_by_time(events: Sequence[Event], contacts: Sequence[Contact]) -> list[int | None]:
-    """Identity of the object of each event, from numbers, classes and times alone; None = no object."""
+    """Identity of the object of each event, from numbers, classes and times alone; None = no
+    object.
+    """
     objects: list[int | None] = [None] * len(events)
     for contact in sorted(contacts, key=lambda contact: contact.contact_s):
-        near = [i for i, event in enumerate(events) if objects[i] is None and _may_belong(event, contact, WINDOW_S)]
+        near = [
+            i
+            for i, event in enumerate(events)
+            if objects[i] is None and _may_belong(event, contact, WINDOW_S)
+        ]
         same = [
             i
             for i, event in enumerate(events)
@@ -277,4 +340,7 @@ def objects_by_time(events: Sequence[Event], contacts: Sequence[Contact]) -> lis
 def _may_belong(event: Event, contact: Contact, window_s: float) -> bool:
     if not is_warning(event) or not are_same_class(event.class_name, contact.class_name):
         return False
-    return event.start_s - MARGIN_S <= contact.contact_s and contact.contact_s - event.warning_s <= window_s
+    return (
+        event.start_s - MARGIN_S <= contact.contact_s
+        and contact.contact_s - event.warning_s <= window_s
+    )

@@ -1,1 +1,3 @@
-"""Evaluation of closing speed, speed over ground, time to collision and warnings against labelled motion."""
+"""Evaluation of closing speed, speed over ground, time to collision and warnings against labelled
+motion.
+"""

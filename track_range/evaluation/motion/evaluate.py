@@ -1,4 +1,6 @@
-"""Evaluation of closing speed, speed over ground, time to collision and warnings on labelled drives."""
+"""Evaluation of closing speed, speed over ground, time to collision and warnings on labelled
+drives.
+"""
 
 from typing import Any
 
@@ -13,10 +15,11 @@ from track_range.ranging.evaluation.box_methods import MethodOptions
 
 
 def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
-    """Errors of the motion by distance band, class and time to collision, with the settings, as JSON values.
+    """Errors of the motion by distance band, class and time to collision, with the settings, as
+    JSON values.
 
-    Raises LabelFileError, RigError: labels, poses or calibration cannot be used; UsageError: an unknown method, or
-    folders that are missing.
+    Raises LabelFileError, RigError: labels, poses or calibration cannot be used; UsageError: an
+    unknown method, or folders that are missing.
     """
     shown = {"labels": str(settings.labels), "data": settings.data}
     if settings.data == "tusimple":
@@ -31,15 +34,24 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         measured = measured_motion(truth, settings.method, options, **known)
         figures, note = motion_figures(truth, measured), f"Ego speed: {settings.ego}."
         names = ("boxes", "noise_px", "seed", "method", "ego", "look_ahead")
-        shown |= {name: getattr(settings, name) for name in names} | {"cross_validated": settings.cross_validate}
-    return {**shown, "n_boxes": len(truth.boxes), **figures, "notes": [f"Truth: {truth.protocol}. {note}"]}
+        shown |= {name: getattr(settings, name) for name in names} | {
+            "cross_validated": settings.cross_validate
+        }
+    return {
+        **shown,
+        "n_boxes": len(truth.boxes),
+        **figures,
+        "notes": [f"Truth: {truth.protocol}. {note}"],
+    }
 
 
 def _truth(settings: MotionEvaluationSettings) -> LabelledMotion:
     if settings.data == "nuscenes":
         return nuscenes_motion(settings.labels, noise_px=settings.noise_px, seed=settings.seed)
     if settings.calib is None or settings.poses is None:
-        raise UsageError("expected --calib and --poses, the folders of calibrations and poses; give both.")
+        raise UsageError(
+            "expected --calib and --poses, the folders of calibrations and poses; give both."
+        )
     return kitti_motion(
         settings.labels,
         settings.calib,

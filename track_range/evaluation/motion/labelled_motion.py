@@ -1,11 +1,13 @@
-"""LabelledMotion: boxes with the true motion of their objects, and its reader for KITTI's labels with poses.
+"""LabelledMotion: boxes with the true motion of their objects, and its reader for KITTI's labels
+with poses.
 
     closing speed   -dz/dt          z: depth of the object's centre in the frame of the camera
     speed           |dX/dt|         X: position (x, z) of the bottom centre in the frame of the first camera
     derivatives     slope of the straight line fitted by least squares to the labels within +-0.5 s, if at least 0.3 s
                     before and after are labelled
 
-The labels of a track before and after are used whether they are visible or not, since KITTI's 3-D boxes are from lidar.
+The labels of a track before and after are used whether they are visible or not, since KITTI's 3-D
+boxes are from lidar.
 """
 
 from dataclasses import dataclass
@@ -37,18 +39,28 @@ class LabelledMotion:
 
     @property
     def ttc_s(self) -> FloatArray:
-        """(N,) true time to collision, distance / closing speed, negative for objects that draw away; NaN = unknown."""
+        """(N,) true time to collision, distance / closing speed, negative for objects that draw
+        away; NaN = unknown.
+        """
         is_moving = np.abs(self.closing_mps) > 1e-3
-        return np.where(is_moving, self.boxes.distance_m / np.where(is_moving, self.closing_mps, 1.0), np.nan)
+        return np.where(
+            is_moving, self.boxes.distance_m / np.where(is_moving, self.closing_mps, 1.0), np.nan
+        )
 
 
 def kitti_motion(
-    labels: Path, calib: Path, poses: Path, *, boxes: str = "labels", noise_px: float = 0.0, seed: int = 0
+    labels: Path,
+    calib: Path,
+    poses: Path,
+    *,
+    boxes: str = "labels",
+    noise_px: float = 0.0,
+    seed: int = 0,
 ) -> LabelledMotion:
     """Boxes of KITTI tracking labels with their true motion; for the arguments see `box_set`.
 
-    Raises LabelFileError: labels, poses or detections cannot be read, or a label has no pose; RigError: a calibration
-    cannot be read.
+    Raises LabelFileError: labels, poses or detections cannot be read, or a label has no pose;
+    RigError: a calibration cannot be read.
     """
     every = box_set(labels, calib, selection=BoxSelection(has_all_objects=True, reference="centre"))
     every = every.with_reference()
@@ -62,12 +74,14 @@ def kitti_motion(
         rows = every.sequence == number
         if rows.any() and every.frame[rows].max() >= len(pose):
             raise LabelFileError(
-                f"{poses / name}.txt: expected a pose for each labelled frame, up to frame {every.frame[rows].max()}, "
-                f"found {len(pose)} poses."
+                f"{poses / name}.txt: expected a pose for each labelled frame, up to frame "
+                f"{every.frame[rows].max()}, found {len(pose)} poses."
             )
         camera_m = np.stack([every.x_m[rows], np.zeros(rows.sum()), every.distance_m[rows]], axis=1)
         pose_of = pose[every.frame[rows]]
-        position_m[rows] = (np.einsum("nij,nj->ni", pose_of[:, :, :3], camera_m) + pose_of[:, :, 3])[:, ::2]
+        position_m[rows] = (
+            np.einsum("nij,nj->ni", pose_of[:, :, :3], camera_m) + pose_of[:, :, 3]
+        )[:, ::2]
         speed_mps, yaw = _ego_motion(pose)
         rows = measured.sequence == number
         ego_mps[rows], yaw_rad_s[rows] = speed_mps[measured.frame[rows]], yaw[measured.frame[rows]]
@@ -84,12 +98,15 @@ def kitti_motion(
         ego_mps=ego_mps,
         yaw_rad_s=yaw_rad_s,
         duration_s=n_frames * FRAME_STEP_S,
-        protocol="slopes over +-0.5 s of the depth of the label's centre, and of its position by the poses",
+        protocol="slopes over +-0.5 s of the depth of the label's centre, and of its position by "
+        "the poses",
     )
 
 
 def _keys(boxes: BoxSet) -> list[tuple[int, int, int]]:
-    return list(zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True))
+    return list(
+        zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True)
+    )
 
 
 def read_poses(path: Path) -> FloatArray:
@@ -98,19 +115,27 @@ def read_poses(path: Path) -> FloatArray:
     try:
         values = np.array([line.split() for line in lines], np.float64).reshape(len(lines), 12)
     except ValueError as error:
-        raise LabelFileError(f"{path}: expected 12 numbers in each row, the 3 x 4 pose of a frame.") from error
+        raise LabelFileError(
+            f"{path}: expected 12 numbers in each row, the 3 x 4 pose of a frame."
+        ) from error
     if not len(values) or not np.isfinite(values).all():
-        raise LabelFileError(f"{path}: expected a row of 12 finite numbers per frame, found other content.")
+        raise LabelFileError(
+            f"{path}: expected a row of 12 finite numbers per frame, found other content."
+        )
     return values.reshape(-1, 3, 4)
 
 
 def _ego_motion(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N,) speed along the camera's axis and yaw rate (positive = to the right) from (N, 3, 4) poses."""
+    """(N,) speed along the camera's axis and yaw rate (positive = to the right) from (N, 3, 4)
+    poses.
+    """
     n, axis = len(pose), pose[:, :, 2]
     heading_rad = np.unwrap(np.arctan2(axis[:, 0], axis[:, 2]))
     time_s = np.arange(n, dtype=np.float64) * FRAME_STEP_S
     values = np.column_stack([pose[:, :, 3], heading_rad])
-    slopes = track_slopes(np.zeros((1, n), np.int64), time_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0)
+    slopes = track_slopes(
+        np.zeros((1, n), np.int64), time_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0
+    )
     return np.asarray((slopes[:, :3] * axis).sum(axis=1)), slopes[:, 3]
 
 
@@ -122,9 +147,11 @@ def track_slopes(
     half_span_s: float = _HALF_SPAN_S,
     min_side_s: float = _MIN_SIDE_S,
 ) -> FloatArray:
-    """(N, V) slopes per second of the values (N, V) of each track, by straight lines within the half span.
+    """(N, V) slopes per second of the values (N, V) of each track, by straight lines within the
+    half span.
 
-    `key` (K, N) identifies tracks. NaN where less than `min_side_s` before or after is labelled, or for a single label.
+    `key` (K, N) identifies tracks. NaN where less than `min_side_s` before or after is labelled, or
+    for a single label.
     """
     slopes = np.full(values.shape, np.nan)
     order = np.lexsort((time_s, *key))
@@ -139,5 +166,7 @@ def track_slopes(
         spread = (weight * dt).sum(axis=1)
         known = (n > 1) & (np.where(near, dt, 0.0).max(axis=1) >= min_side_s - 0.02)
         known &= np.where(near, -dt, 0.0).max(axis=1) >= min_side_s - 0.02
-        slopes[rows] = np.where(known[:, None], weight @ x / np.where(known, spread, 1.0)[:, None], np.nan)
+        slopes[rows] = np.where(
+            known[:, None], weight @ x / np.where(known, spread, 1.0)[:, None], np.nan
+        )
     return slopes

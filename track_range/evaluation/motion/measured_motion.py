@@ -1,6 +1,8 @@
-"""MeasuredMotion: closing speeds, times to collision, speeds over ground and alarms, from boxes as in a run.
+"""MeasuredMotion: closing speeds, times to collision, speeds over ground and alarms, from boxes as
+in a run.
 
-Methods measure each frame's boxes; the stage of a run fuses and filters them, and the collision warning follows.
+Methods measure each frame's boxes; the stage of a run fuses and filters them, and the collision
+warning follows.
 """
 
 import math
@@ -31,15 +33,18 @@ from track_range.tracking.tracks import Tracks
 
 
 def combined(forward: ConstantVelocity, backward: ConstantVelocity) -> ConstantVelocity:
-    """State of (N,) tracks from states forwards and backwards in time, or from one direction if only one is known.
+    """State of (N,) tracks from states forwards and backwards in time, or from one direction if
+    only one is known.
 
-    The backward filter has negative times and speeds, so that its rate is -v. Given the state, the errors of both
-    directions are independent (Fraser and Potter, IEEE TAC 1969), except that both contain the measurement of that
-    time:
+    The backward filter has negative times and speeds, so that its rate is -v. Given the state, the
+    errors of both directions are independent (Fraser and Potter, IEEE TAC 1969), except that both
+    contain the measurement of that time:
 
         P^-1 = P_f^-1 + P_b^-1        x = P (P_f^-1 x_f + P_b^-1 x_b)
     """
-    backward = ConstantVelocity(backward.x, -backward.v, backward.P_xx, -backward.P_xv, backward.P_vv)
+    backward = ConstantVelocity(
+        backward.x, -backward.v, backward.P_xx, -backward.P_xv, backward.P_vv
+    )
     f_information, f_vector = _information(forward)
     b_information, b_vector = _information(backward)
     information = f_information + b_information
@@ -84,13 +89,17 @@ def measured_motion(
     is_ego_known: bool = True,
     look_ahead: bool = False,
 ) -> MeasuredMotion:
-    """Motion of the boxes by a method, or by a fusion of methods (`mono+ground`); UsageError if it is unknown.
+    """Motion of the boxes by a method, or by a fusion of methods (`mono+ground`); UsageError if it
+    is unknown.
 
-    With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead of the frames so far.
+    With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead
+    of the frames so far.
     """
     names, known = method.split("+"), [listed.name for listed in box_methods()]
     if not set(names) <= set(known):
-        raise UsageError(f"--method {method}: expected {' or '.join(known)}, or several methods joined by +.")
+        raise UsageError(
+            f"--method {method}: expected {' or '.join(known)}, or several methods joined by +."
+        )
     boxes = motion.boxes
     if not is_ego_known:
         unknown = np.full(len(boxes), np.nan)
@@ -103,7 +112,9 @@ def measured_motion(
         if boxes.sequence[rows[0]] != sequence:
             sequence, warning = int(boxes.sequence[rows[0]]), CollisionWarning()
         time_s = float(boxes.time_s[rows[0]])
-        alarm = warning.update(tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
+        alarm = warning.update(
+            tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
+        )
         is_alarm[rows] = alarm.active
         ground = over_ground(state, lateral, tracks.class_id, ego)
         closing = (-state.rate_mps, state.rate_sigma_mps, state.ttc_s)
@@ -117,19 +128,33 @@ def measured_motion(
 def _filtered(
     motion: LabelledMotion, columns: Mapping[str, MethodColumn], *, sign: int = 1
 ) -> Iterator[tuple[IntArray, Tracks, EgoMotion, FilteredRanges, LateralMotion]]:
-    """Row indices, tracks, ego motion and filtered motion of each frame; `sign` -1 = backwards in time."""
+    """Row indices, tracks, ego motion and filtered motion of each frame; `sign` -1 = backwards in
+    time.
+    """
     boxes, sequence = motion.boxes, -1
     for rows, tracks, frame, _ in list(as_frames(boxes, boxes.class_id))[::sign]:
         if boxes.sequence[rows[0]] != sequence:
             sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
-        speed_mps, yaw_rad_s = sign * float(motion.ego_mps[rows[0]]), sign * float(motion.yaw_rad_s[rows[0]])
-        ego = EgoMotion(speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s)
+        speed_mps, yaw_rad_s = (
+            sign * float(motion.ego_mps[rows[0]]),
+            sign * float(motion.yaw_rad_s[rows[0]]),
+        )
+        ego = EgoMotion(
+            speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s
+        )
         ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
-        yield rows, tracks, ego, *stage.update(replace(frame, time_s=sign * frame.time_s), tracks, ranges, ego)
+        yield (
+            rows,
+            tracks,
+            ego,
+            *stage.update(replace(frame, time_s=sign * frame.time_s), tracks, ranges, ego),
+        )
 
 
 def _state(filtered: FilteredRanges) -> FloatArray:
-    """(6, N) columns of the state of the filter, and variance of the rate by the systematic error of the distance."""
+    """(6, N) columns of the state of the filter, and variance of the rate by the systematic error
+    of the distance.
+    """
     state = filtered.state
     by_size = (filtered.ranges.sigma_m**2 - state.P_xx) * (state.v / state.x) ** 2
     known = filtered.rate_sigma_mps**2 - state.P_vv  # less than by size if the object may be static
@@ -139,7 +164,9 @@ def _state(filtered: FilteredRanges) -> FloatArray:
 def _with_look_ahead(
     motion: LabelledMotion, columns: Mapping[str, MethodColumn], forward: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) closing speeds, sigmas and times to collision, from forward states (6, N) and a filter backwards in time."""
+    """(N,) closing speeds, sigmas and times to collision, from forward states (6, N) and a filter
+    backwards in time.
+    """
     backward = np.full_like(forward, np.nan)
     for rows, _, _, filtered, _ in _filtered(motion, columns, sign=-1):
         backward[:, rows] = _state(filtered)

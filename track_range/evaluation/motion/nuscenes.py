@@ -1,8 +1,9 @@
 """Labelled motion of nuScenes: COCO files of mono3d labels, of six cameras at 2 Hz.
 
-An annotation has the 2-D box of its projected 3-D box (looser than a drawn one), the centre, length, height, width and
-yaw of the 3-D box in the frame of the camera, and its velocity over ground along the camera's x and z axis. An object
-has the same size in all images, which is its identity. V is the speed of the camera along its axis, w its yaw rate:
+An annotation has the 2-D box of its projected 3-D box (looser than a drawn one), the centre,
+length, height, width and yaw of the 3-D box in the frame of the camera, and its velocity over
+ground along the camera's x and z axis. An object has the same size in all images, which is its
+identity. V is the speed of the camera along its axis, w its yaw rate:
 
     closing speed = V - v_z - w x
 """
@@ -42,16 +43,19 @@ def read_mono3d(path: Path) -> Mono3dLabels:
     """The labels of a file; LabelFileError if it cannot be read."""
     expected = "a COCO file of mono3d labels"
     text = read_text(path, LabelFileError, expected, max_bytes=MAX_TABLE_BYTES)
-    content = parse_json(text.replace("NaN", "null"), path, LabelFileError, expected)  # unknown velocities
+    # unknown velocities
+    content = parse_json(text.replace("NaN", "null"), path, LabelFileError, expected)
     try:
         return _labels(content)
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise LabelFileError(
-            f"{path}: expected mono3d labels of nuScenes with bbox_cam3d and velo_cam3d, found other data ({error!r})."
+            f"{path}: expected mono3d labels of nuScenes with bbox_cam3d and velo_cam3d, found "
+            f"other data ({error!r})."
         ) from error
 
 
-_CLASSES = ("car", "truck", "bus", "bicycle", "motorcycle", "pedestrian")  # nuScenes' categories that are evaluated
+# nuScenes' categories that are evaluated
+_CLASSES = ("car", "truck", "bus", "bicycle", "motorcycle", "pedestrian")
 
 
 def _labels(content: Any) -> Mono3dLabels:
@@ -60,9 +64,15 @@ def _labels(content: Any) -> Mono3dLabels:
     rows = [row for row in content["annotations"] if names[row["category_id"]] in _CLASSES]
     images = [image_of[row["image_id"]] for row in rows]
     K = np.array([image["cam_intrinsic"] for image in images], np.float64)
-    cameras, sequence = np.unique([image["file_name"].split("/")[-2] for image in images], return_inverse=True)
-    time_s = np.array([int(Path(image["file_name"]).stem.split("__")[-1]) for image in images]) / 1e6
-    x_m, y_m, z_m, length_m, height_m, width_m, yaw_rad = np.array([row["bbox_cam3d"] for row in rows]).T
+    cameras, sequence = np.unique(
+        [image["file_name"].split("/")[-2] for image in images], return_inverse=True
+    )
+    time_s = (
+        np.array([int(Path(image["file_name"]).stem.split("__")[-1]) for image in images]) / 1e6
+    )
+    x_m, y_m, z_m, length_m, height_m, width_m, yaw_rad = np.array(
+        [row["bbox_cam3d"] for row in rows]
+    ).T
     size_hwl_m = np.stack([height_m, width_m, length_m], axis=1)
     left, top, width, height = np.array([row["bbox"] for row in rows]).T
     rays = np.stack([left + width / 2, top + height / 2, np.ones(len(rows))], axis=1)
@@ -93,10 +103,16 @@ def _labels(content: Any) -> Mono3dLabels:
         rotation_y_rad=yaw_rad,
         occluded=np.zeros(len(rows), np.int64),
     )
-    is_whole = (left > _BORDER_PX) & (left + width < size_px[:, 0] - 1 - _BORDER_PX) & np.isfinite(distance_m)
+    is_whole = (
+        (left > _BORDER_PX)
+        & (left + width < size_px[:, 0] - 1 - _BORDER_PX)
+        & np.isfinite(distance_m)
+    )
     chosen = np.flatnonzero(is_whole)[np.lexsort((boxes.frame[is_whole], sequence[is_whole]))]
     velocity_mps = np.array([row["velo_cam3d"] for row in rows], np.float64)
-    return Mono3dLabels(boxes.select(chosen), velocity_mps[chosen], pose[chosen], camera[chosen, 2, 3])
+    return Mono3dLabels(
+        boxes.select(chosen), velocity_mps[chosen], pose[chosen], camera[chosen, 2, 3]
+    )
 
 
 def _poses(images: list[Any], name: str) -> FloatArray:
@@ -112,11 +128,17 @@ def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> Labe
     """Boxes of mono3d labels with their true motion; LabelFileError if the file cannot be read."""
     labels = read_mono3d(path)
     boxes, axis = labels.boxes, labels.pose[:, :, 2]
-    _, first, image = np.unique([boxes.sequence, boxes.frame], axis=1, return_index=True, return_inverse=True)
+    _, first, image = np.unique(
+        [boxes.sequence, boxes.frame], axis=1, return_index=True, return_inverse=True
+    )
     heading_rad = np.arctan2(axis[:, 1], axis[:, 0])  # to the left
-    values = np.column_stack([labels.pose[:, :, 3], np.cos(heading_rad), np.sin(heading_rad)])[first]
+    values = np.column_stack([labels.pose[:, :, 3], np.cos(heading_rad), np.sin(heading_rad)])[
+        first
+    ]
     key, time_s = boxes.sequence[None, first], boxes.time_s[first]
-    slopes = track_slopes(key, time_s, values, half_span_s=_HALF_SPAN_S, min_side_s=_MIN_SIDE_S)[image.reshape(-1)]
+    slopes = track_slopes(key, time_s, values, half_span_s=_HALF_SPAN_S, min_side_s=_MIN_SIDE_S)[
+        image.reshape(-1)
+    ]
     ego_mps = (slopes[:, :3] * axis).sum(axis=1)
     yaw_rad_s = np.sin(heading_rad) * slopes[:, 3] - np.cos(heading_rad) * slopes[:, 4]
     own_mps = labels.velocity_mps
@@ -129,5 +151,6 @@ def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> Labe
         ego_mps=ego_mps,
         yaw_rad_s=yaw_rad_s,
         duration_s=float(np.ptp(boxes.time_s)) * len(boxes.sequence_names),
-        protocol="velocities of the labels, and the poses of the camera over half a second before and after",
+        protocol="velocities of the labels, and the poses of the camera over half a second before "
+        "and after",
     )

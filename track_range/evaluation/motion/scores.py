@@ -1,8 +1,8 @@
 """Scores of measured motion: closing speed, speed over ground, time to collision, warnings.
 
-An answer is a closing speed with a sigma below 1.5 m/s; coverage is the fraction of the labels with a known motion that
-have an answer. The errors of times to collision T are defined as in TSTTC (Shi et al., 2023), with measured times
-clipped to +-20 s, over objects that approach:
+An answer is a closing speed with a sigma below 1.5 m/s; coverage is the fraction of the labels with
+a known motion that have an answer. The errors of times to collision T are defined as in TSTTC (Shi
+et al., 2023), with measured times clipped to +-20 s, over objects that approach:
 
     RTE   mean |T - T*| / T*           MiD   10^4 mean |log s - log s*|,  s = T / (T + 0.1 s)       T*: true time
 
@@ -26,8 +26,8 @@ _TTC_LIMIT_S = 20.0  # to which measured times are clipped
 _STEP_S = 0.1  # interval of the size ratio s
 
 _SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
-"""Limits above which each is the cause of a false alarm, in this order: relative error of the distance, error of the
-closing speed, and lateral offset at which the object will truly pass."""
+"""Limits above which each is the cause of a false alarm, in this order: relative error of the
+distance, error of the closing speed, and lateral offset at which the object will truly pass."""
 
 
 def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
@@ -37,38 +37,54 @@ def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str,
     return {
         **_by_band_and_class(truth, closing),
         "speed": _by_band_and_class(truth, speed),
-        "ttc": {f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)},
+        "ttc": {
+            f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)
+        },
         "warnings": warning_figures(truth, measured),
     }
 
 
 def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, Any]:
-    """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and band."""
+    """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and
+    band.
+    """
     z, names = truth.boxes.distance_m, truth.boxes.class_name
     in_bands = {band: (z >= low) & (z < high) for band, (low, high) in BANDS.items()}
     classes = np.unique(names[np.isfinite(values[2])]).tolist()
     return {
         "bands": {band: speed_figures(values, rows) for band, rows in in_bands.items()},
         "by_class": {
-            name: {band: speed_figures(values, rows & (names == name)) for band, rows in in_bands.items()}
+            name: {
+                band: speed_figures(values, rows & (names == name))
+                for band, rows in in_bands.items()
+            }
             for name in classes
         },
     }
 
 
 def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
-    """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None without values."""
+    """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None
+    without values.
+    """
     speed_mps, sigma_mps, true_mps = values
     known = rows & np.isfinite(true_mps)
     answered = known & np.isfinite(speed_mps) & (sigma_mps < MAX_SIGMA_MPS)
     error = np.abs(speed_mps - true_mps)[answered]
     median, p95 = np.percentile(error, [50, 95]).round(4).tolist() if len(error) else (None, None)
-    figures = {"n": int(known.sum()), "coverage": fraction(answered[known]), "median_mps": median, "p95_mps": p95}
+    figures = {
+        "n": int(known.sum()),
+        "coverage": fraction(answered[known]),
+        "median_mps": median,
+        "p95_mps": p95,
+    }
     return {**figures, **within_sigmas(error / sigma_mps[answered])}
 
 
 def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:
-    """Errors of (N,) times to collision where the true time is at most `limit_s`; None without an answer."""
+    """Errors of (N,) times to collision where the true time is at most `limit_s`; None without an
+    answer.
+    """
     known = (true_s > 0) & (true_s <= limit_s)
     rows = known & np.isfinite(ttc_s)
     figures: dict[str, float | None] = dict.fromkeys(("median_pct", "rte_pct", "mid"))
@@ -82,7 +98,9 @@ def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[s
 
 
 def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
-    """Alarms per hour on drives without a contact (each alarm is false), the time in alarm, and counts by cause."""
+    """Alarms per hour on drives without a contact (each alarm is false), the time in alarm, and
+    counts by cause.
+    """
     first, last = _alarm_spans(truth, measured)
     causes = Counter(_false_alarm_cause(truth, measured, row) for row in first.tolist())
     hours = truth.duration_s / 3600
@@ -108,7 +126,9 @@ def _alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntAr
 
 
 def _false_alarm_cause(truth: LabelledMotion, measured: MeasuredMotion, row: int) -> str:
-    """The error when an alarm began: "scale", "box error" (the speed), "wrong path", or else "driver" braked."""
+    """The error when an alarm began: "scale", "box error" (the speed), "wrong path", or else
+    "driver" braked.
+    """
     true_m, x_m = truth.boxes.distance_m[row], truth.boxes.x_m[row]
     if abs(measured.distance_m[row] / true_m - 1) > _SCALE_ERROR:
         return "scale"

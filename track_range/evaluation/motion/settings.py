@@ -15,24 +15,27 @@ class MotionEvaluationSettings(Options):
     labels: Annotated[
         Path,
         option(
-            "Folder of KITTI tracking labels, NAME.txt for each sequence, or the labels of --data.", metavar="DIR|FILE"
+            "Folder of KITTI tracking labels, NAME.txt for each sequence, or the labels of --data.",
+            metavar="DIR|FILE",
         ),
     ]
     data: Annotated[
         Literal["kitti", "tusimple", "nuscenes"],
         option(
-            "Data set of the labels: kitti; tusimple (a clip of the velocity challenge with images, or a folder of "
-            "clips, which a run measures); or nuscenes (a COCO file of mono3d labels)."
+            "Data set of the labels: kitti; tusimple (a clip of the velocity challenge with "
+            "images, or a folder of clips, which a run measures); or nuscenes (a COCO file of "
+            "mono3d labels)."
         ),
     ] = "kitti"
     calib: Annotated[
-        Path | None, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")
+        Path | None,
+        option("Folder of KITTI calibration files, named like the labels.", metavar="DIR"),
     ] = None
     poses: Annotated[
         Path | None,
         option(
-            "Folder of poses, named like the labels: a row of 12 numbers per frame, the 3 x 4 matrix from the camera "
-            "to the first camera in metres.",
+            "Folder of poses, named like the labels: a row of 12 numbers per frame, the 3 x 4 "
+            "matrix from the camera to the first camera in metres.",
             metavar="DIR",
         ),
     ] = None
@@ -42,19 +45,29 @@ class MotionEvaluationSettings(Options):
     method: Annotated[
         str,
         option(
-            "Ranging method that needs only boxes, or several methods joined by +, which are fused.",
+            "Ranging method that needs only boxes, or several methods joined by +, which are "
+            "fused.",
             metavar="NAME[+NAME]",
         ),
     ] = "mono"
     ego: Annotated[
         Literal["poses", "none"],
         option(
-            "Known speed and yaw rate of the camera: from the poses, as a wheel sensor would give them, or unknown."
+            "Known speed and yaw rate of the camera: from the poses, as a wheel sensor would give "
+            "them, or unknown."
         ),
     ] = "poses"
     look_ahead: Annotated[
-        bool, option("Closing speeds and times to collision from all frames of a sequence, including later frames.")
+        bool,
+        option(
+            "Closing speeds and times to collision from all frames of a sequence, "
+            "including later frames."
+        ),
     ] = False
     cross_validate: Annotated[
-        bool, option("Cross-validation: sizes refitted for each sequence on the boxes of the other sequences.")
+        bool,
+        option(
+            "Cross-validation: sizes refitted for each sequence on the boxes of the other "
+            "sequences."
+        ),
     ] = False

@@ -1,1 +1,3 @@
-"""Labelled sequences and images: finding them, tracking, and the evaluation of tracks and detectors."""
+"""Labelled sequences and images: finding them, tracking, and the evaluation of tracks and
+detectors.
+"""

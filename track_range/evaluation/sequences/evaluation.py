@@ -8,7 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import KITTI_IGNORED, ROAD_CLASSES, map_to_road_classes, road_class_id
+from track_range.detection.classes import (
+    KITTI_IGNORED,
+    ROAD_CLASSES,
+    map_to_road_classes,
+    road_class_id,
+)
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
@@ -20,7 +25,12 @@ from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvalua
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
-from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned, of_kitti_type
+from track_range.tracking.evaluation.benchmark_rules import (
+    KITTI_TYPES,
+    kitti_cleaned,
+    mot_cleaned,
+    of_kitti_type,
+)
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_figures
 from track_range.tracking.evaluation.scores import TrackingCounts
@@ -28,35 +38,49 @@ from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBox
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 
-COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")  # metrics that are counts; the others are in per cent
+# metrics that are counts; the others are in per cent
+COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
 
 
 def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
-    """Metrics per sequence and of all sequences combined, as plain values for JSON; MOT metrics in per cent.
+    """Metrics per sequence and of all sequences combined, as plain values for JSON; MOT metrics in
+    per cent.
 
-    Raises LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are missing. Raises
-    UsageError, ClassNameError: the class cannot be evaluated.
+    Raises LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are
+    missing. Raises UsageError, ClassNameError: the class cannot be evaluated.
     """
     truth, results = settings.truth, settings.results
     labelled = find.find_sequences(truth, "gt")
     form = settings.truth_format or _form_of(labelled[0].path)
-    # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
+    # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth
+    # distinguishes.
     folders = [
-        results / name for name in ((find.KITTI_FOLDER, find.MOT_FOLDER) if form == "kitti" else (find.MOT_FOLDER,))
+        results / name
+        for name in (
+            (find.KITTI_FOLDER, find.MOT_FOLDER) if form == "kitti" else (find.MOT_FOLDER,)
+        )
     ]
     results_folder = next((folder for folder in folders if folder.is_dir()), results)
     tracked = find.find_sequences(results_folder, "det")
     pairs = find.paired(labelled, tracked)
     notes: list[str] = []
-    if form == "kitti" or (form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)):
+    if form == "kitti" or (
+        form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)
+    ):
         name = _class_of(form, settings.road_class, [labels.path for labels, _ in pairs])
         boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
     else:
-        tables = {labels.name: _truth_table(labels.path, settings.truth_format, notes) for labels, _ in pairs}
+        tables = {
+            labels.name: _truth_table(labels.path, settings.truth_format, notes)
+            for labels, _ in pairs
+        }
         name = _class_of_labels(tables.values(), settings.road_class)
         notes += [note for _, tracks in pairs for note in _no_classes_note(tracks.path, name)]
         boxes = {
-            labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name, form))
+            labels.name: (
+                _boxes_of(tables[labels.name], name, labels.path),
+                _read_results(tracks.path, name, form),
+            )
             for labels, tracks in pairs
         }
     if not any(len(tracked_boxes) for _, tracked_boxes in boxes.values()):
@@ -76,7 +100,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *find.ignored_files_note(results_folder, tracked),
             *find.no_truth_note(labelled, tracked),
             *(
-                f"{labels.path}: the file is empty, so all tracks of {labels.name} are false positives."
+                f"{labels.path}: the file is empty, so all tracks of {labels.name} are false "
+                "positives."
                 for labels, _ in pairs
                 if is_blank(labels.path, "ground truth")
             ),
@@ -84,7 +109,9 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *(
                 note
                 for key, (true, tracked_boxes) in boxes.items()
-                for note in frame_shift_note(key, true.frame, true.xyxy_px, tracked_boxes.frame, tracked_boxes.xyxy_px)
+                for note in frame_shift_note(
+                    key, true.frame, true.xyxy_px, tracked_boxes.frame, tracked_boxes.xyxy_px
+                )
             ),
         ],
     }
@@ -108,46 +135,66 @@ def _form_of(path: Path) -> str:
 
 
 def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
-    """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended."""
+    """The labels of a file in one of the formats without rules for boxes that are ignored; notes
+    are appended.
+    """
     label_format = label_format_of(path, "ground truth")
     if form not in (None, label_format.name):
-        raise LabelFileError(f"{path}: expected the format {form} (--format), found {label_format.title}.")
+        raise LabelFileError(
+            f"{path}: expected the format {form} (--format), found {label_format.title}."
+        )
     table = read_labels(path, NO_FACTS, expected="ground truth")
     notes += [*table.notes, *other_labels_note(table, path)]
     if n_regions := int(table.is_region.sum()):
         notes.append(
-            f"{path.name}: did not apply {counted(n_regions, 'ignore region')} of the ground truth; tracks in such "
-            "regions count as false positives."
+            f"{path.name}: did not apply {counted(n_regions, 'ignore region')} of the ground "
+            "truth; tracks in such regions count as false positives."
         )
     return table
 
 
 def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
     """A note on results without classes, which `--class` cannot filter."""
-    if is_blank(path, "tracks") or label_format_of(path, "tracks").name != "mot" or any(read_mot(path).class_name):
+    if (
+        is_blank(path, "tracks")
+        or label_format_of(path, "tracks").name != "mot"
+        or any(read_mot(path).class_name)
+    ):
         return ()
-    return (f"{path.name}: rows of MOTChallenge have no class, so all tracks count as {road_class}.",)
+    return (
+        f"{path.name}: rows of MOTChallenge have no class, so all tracks count as {road_class}.",
+    )
 
 
 def _other_classes_note(paths: Iterable[Path], road_class: str) -> tuple[str, ...]:
     """A note on results without the evaluated class."""
-    names = [read_labels(path, expected="tracks").class_name for path in paths if not is_blank(path, "tracks")]
+    names = [
+        read_labels(path, expected="tracks").class_name
+        for path in paths
+        if not is_blank(path, "tracks")
+    ]
     if not (counts := names_with_counts(np.concatenate([np.zeros(0, np.str_), *names]))):
         return ()
     return (
-        f"No track has the evaluated class {road_class}; the boxes of the results have the classes {counts}; choose "
-        "one with --class.",
+        f"No track has the evaluated class {road_class}; the boxes of the results have the classes "
+        f"{counts}; choose one with --class.",
     )
 
 
 def _boxes_of(table: BoxTable, road_class: str, path: Path, form: str = "") -> TrackedBoxes:
-    """The boxes of a class; for ground truth in KITTI's format (`form`), without boxes of its neighbouring types."""
+    """The boxes of a class; for ground truth in KITTI's format (`form`), without boxes of its
+    neighbouring types.
+    """
     is_class = table.class_id == ROAD_CLASSES.index(road_class)
     if form == "kitti":
-        is_class &= ~np.isin(table.class_name, [name.lower() for name in KITTI_IGNORED if name != "Person"])
+        is_class &= ~np.isin(
+            table.class_name, [name.lower() for name in KITTI_IGNORED if name != "Person"]
+        )
     table = table.select(is_class)
     if (table.track_id < 0).any():
-        raise LabelFileError(f"{path}: expected a track id for each box, found boxes without track ids.")
+        raise LabelFileError(
+            f"{path}: expected a track id for each box, found boxes without track ids."
+        )
     try:
         return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
     except ValueError as error:
@@ -158,28 +205,40 @@ def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
     """The class to evaluate: the given class, else the most frequent class."""
     if road_class is not None:
         return ROAD_CLASSES[road_class_id(road_class)]
-    class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])
-    return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
+    class_id = np.concatenate(
+        [np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)]
+    )
+    return (
+        ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())]
+        if len(class_id)
+        else "car"
+    )
 
 
 def _is_mot_challenge(path: Path) -> bool:
-    """Whether rows have MOTChallenge's class numbers, or no class numbers, so that its rules apply."""
+    """Whether rows have MOTChallenge's class numbers, or no class numbers, so that its rules
+    apply.
+    """
     return is_blank(path, "ground truth") or read_mot(path).names == MOT_CLASSES
 
 
 def _class_of(form: str, road_class: str | None, paths: Iterable[Path]) -> str:
-    """The class to evaluate by the rules of KITTI or MOTChallenge; truth without classes has the class of `--class`."""
+    """The class to evaluate by the rules of KITTI or MOTChallenge; truth without classes has the
+    class of `--class`.
+    """
     if road_class is None:
         return "car" if form == "kitti" else "person"
     name = ROAD_CLASSES[road_class_id(road_class)]
     if form == "mot" and name != "person" and any(any(read_mot(path).class_name) for path in paths):
         raise UsageError(
-            f"--class {road_class}: expected person, the only class that MOTChallenge evaluates in ground truth with "
-            "its class numbers; for other numbers, write their names into labels.txt beside the file."
+            f"--class {road_class}: expected person, the only class that MOTChallenge evaluates in "
+            "ground truth with its class numbers; for other numbers, write their names into "
+            "labels.txt beside the file."
         )
     if form == "kitti" and name not in KITTI_TYPES:
         raise UsageError(
-            f"--class {road_class}: expected a class of KITTI's tracking labels: {', '.join(KITTI_TYPES)}."
+            f"--class {road_class}: expected a class of KITTI's tracking labels: "
+            f"{', '.join(KITTI_TYPES)}."
         )
     return name
 
@@ -187,12 +246,16 @@ def _class_of(form: str, road_class: str | None, paths: Iterable[Path]) -> str:
 def _cleaned(
     truth: find.SequenceFile, results: find.SequenceFile, form: str, road_class: str
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
-    """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
+    """The boxes of truth and results of one sequence that are evaluated by the benchmark's
+    rules.
+    """
     tracked = _read_results(results.path, road_class, form)
     if form == "mot":
         rows = read_mot(truth.path)
         _check_once(truth.path, rows.frame, rows.track_id)
-        is_mot20 = any("mot20" in part.lower() for part in (truth.name, *real_path(truth.path).parts))
+        is_mot20 = any(
+            "mot20" in part.lower() for part in (truth.name, *real_path(truth.path).parts)
+        )
         return mot_cleaned(rows, tracked, is_mot20=is_mot20)
     labels = read_kitti(truth.path)
     named = labels.track_id >= 0
@@ -207,7 +270,9 @@ def _read_results(path: Path, road_class: str, truth_form: str) -> TrackedBoxes:
     """
     class_id = ROAD_CLASSES.index(road_class)
     if is_blank(path, "tracks"):
-        return TrackedBoxes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.int64))
+        return TrackedBoxes(
+            np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.int64)
+        )
     form = label_format_of(path, "tracks").name
     if form == "kitti" and truth_form == "kitti":
         labels = read_kitti(path)
@@ -216,8 +281,14 @@ def _read_results(path: Path, road_class: str, truth_form: str) -> TrackedBoxes:
     elif form == "mot":
         rows = read_mot(path)
         names = rows.class_name
-        is_class = (map_to_road_classes(names) == class_id) | np.array([not name for name in names], np.bool_)
-        frame, track_id, xyxy_px = rows.frame[is_class], rows.track_id[is_class], rows.xyxy_px[is_class]
+        is_class = (map_to_road_classes(names) == class_id) | np.array(
+            [not name for name in names], np.bool_
+        )
+        frame, track_id, xyxy_px = (
+            rows.frame[is_class],
+            rows.track_id[is_class],
+            rows.xyxy_px[is_class],
+        )
     else:
         table = read_labels(path, NO_FACTS, expected="tracks")
         if form == "kitti":

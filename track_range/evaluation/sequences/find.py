@@ -1,4 +1,5 @@
-"""Finding the sequences for `track` and `evaluate tracks`: single files or folders of boxes or tracks.
+"""Finding the sequences for `track` and `evaluate tracks`: single files or folders of boxes or
+tracks.
 
 FILE                        one sequence, named after the file
 DIR/NAME.txt                layout of KITTI and RRC
@@ -24,7 +25,8 @@ from track_range.results.folder import clip_rows, rows_file
 
 _SUFFIXES = (".json", ".xml", ".csv")  # of files of sequences in a folder without text files
 Kind = Literal["det", "gt"]  # detections or ground truth, as in MOTChallenge's file names
-MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"  # folders for the results of `track`, one NAME.txt per sequence
+# folders for the results of `track`, one NAME.txt per sequence
+MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,9 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class SequenceFile:
-    """One sequence: its name, which its results share, its file of boxes or ground truth, and seqinfo.ini."""
+    """One sequence: its name, which its results share, its file of boxes or ground truth, and
+    seqinfo.ini.
+    """
 
     name: str
     path: Path
@@ -46,10 +50,11 @@ class SequenceFile:
 
 
 def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
-    """All sequences of a file, a folder of files, a folder in MOTChallenge's layout or one sequence of it, by name.
+    """All sequences of a file, a folder of files, a folder in MOTChallenge's layout or one sequence
+    of it, by name.
 
-    `kind` selects which of MOTChallenge's files are read. LabelFileError if there is no sequence, or two have the same
-    name.
+    `kind` selects which of MOTChallenge's files are read. LabelFileError if there is no sequence,
+    or two have the same name.
     """
     if os.path.isfile(path):
         return [_sequence(path)]
@@ -62,17 +67,24 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     with readable(path, LabelFileError):
         folders = [path, *sorted(path.iterdir())]
     mot_files = [folder / inner for folder in folders if (folder / inner).is_file()]
-    sequences = [_sequence(file) for file in mot_files or _text_files(path) or _text_files(path, _SUFFIXES)]
+    sequences = [
+        _sequence(file) for file in mot_files or _text_files(path) or _text_files(path, _SUFFIXES)
+    ]
     names = [sequence.name for sequence in sequences]
     if duplicate := next((name for name in names if names.count(name) > 1), None):
         raise LabelFileError(f"{path}: two sequences have the name {duplicate}; rename one.")
     if not sequences:
-        raise LabelFileError(f"{path}: expected NAME.txt files, or folders NAME with {inner.as_posix()}, found none.")
+        raise LabelFileError(
+            f"{path}: expected NAME.txt files, or folders NAME with {inner.as_posix()}, found none."
+        )
     return sequences
 
 
-def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
-    """Pairs of truth and results with equal names; one file of each is a pair even if their names differ.
+def paired(
+    truth: Sequence[SequenceFile], results: Sequence[SequenceFile]
+) -> list[tuple[SequenceFile, SequenceFile]]:
+    """Pairs of truth and results with equal names; one file of each is a pair even if their names
+    differ.
 
     LabelFileError for truth without results, since ignoring such sequences would raise the score.
     """
@@ -82,27 +94,38 @@ def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> li
     missing = [sequence.name for sequence in truth if sequence.name not in by_name]
     if missing:
         raise LabelFileError(
-            f"expected results for every sequence of the truth, found none for {listed(missing)}; for a sequence "
-            "without tracks write an empty NAME.txt."
+            f"expected results for every sequence of the truth, found none for {listed(missing)}; "
+            "for a sequence without tracks write an empty NAME.txt."
         )
     return [(sequence, by_name[sequence.name]) for sequence in truth]
 
 
 def ignored_files_note(path: Path, sequences: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """Note about NAME.txt files that were ignored because the folder also has MOTChallenge's layout."""
+    """Note about NAME.txt files that were ignored because the folder also has MOTChallenge's
+    layout.
+    """
     used = {sequence.path for sequence in sequences}
     is_plain = path.is_dir() and not _rows_of_run(path)
     ignored = [file.name for file in _text_files(path) if file not in used] if is_plain else []
-    return (f"{path}: MOTChallenge's layout is used; ignored files: {listed(ignored)}.",) if ignored else ()
+    return (
+        (f"{path}: MOTChallenge's layout is used; ignored files: {listed(ignored)}.",)
+        if ignored
+        else ()
+    )
 
 
-def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
+def no_truth_note(
+    truth: Sequence[SequenceFile], results: Sequence[SequenceFile]
+) -> tuple[str, ...]:
     """Note about results without ground truth."""
     names = {sequence.name for sequence in truth}
     extra = [sequence.name for sequence in results if sequence.name not in names]
     if not extra or len(truth) == len(results) == 1:
         return ()
-    return (f"{len(extra)} of {len(results)} sequences have no ground truth and are not evaluated: {listed(extra)}.",)
+    return (
+        f"{len(extra)} of {len(results)} sequences have no ground truth and are not evaluated: "
+        f"{listed(extra)}.",
+    )
 
 
 def listed(names: Sequence[str]) -> str:
@@ -111,7 +134,9 @@ def listed(names: Sequence[str]) -> str:
 
 
 def _rows_of_run(folder: Path) -> Path | None:
-    """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is not a run's folder."""
+    """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is
+    not a run's folder.
+    """
     path = clip_rows(folder)
     if path is None and not os.path.isfile(folder / "settings.yaml"):
         return None
@@ -120,7 +145,9 @@ def _rows_of_run(folder: Path) -> Path | None:
         return rows
     if path is not None or (os.path.isfile(folder / "summary.json") and not _text_files(folder)):
         expected = path or folder / "tracks.csv"
-        raise LabelFileError(f"{folder}: expected the rows of the run in {expected}, found no such file.")
+        raise LabelFileError(
+            f"{folder}: expected the rows of the run in {expected}, found no such file."
+        )
     return None
 
 
@@ -133,7 +160,9 @@ def _sequence(path: Path) -> SequenceFile:
     is_mot = path.stem in ("det", "gt") and path.parent.name == path.stem
     folder = path.parent.parent if is_mot else path.parent
     name = real_path(folder).name if is_mot else path.stem
-    return SequenceFile(name, path, _read_info(folder / "seqinfo.ini") if is_mot else SequenceInfo())
+    return SequenceFile(
+        name, path, _read_info(folder / "seqinfo.ini") if is_mot else SequenceInfo()
+    )
 
 
 def _read_info(file: Path) -> SequenceInfo:
@@ -148,19 +177,24 @@ def _read_info(file: Path) -> SequenceInfo:
         raise LabelFileError(
             f"{file}: expected a section [Sequence] as in MOTChallenge ({type(error).__name__})."
         ) from error
-    fps, n_frames, width, height = (_value_of(section, key, limits, file) for key, limits in _INFO_LIMITS.items())
+    fps, n_frames, width, height = (
+        _value_of(section, key, limits, file) for key, limits in _INFO_LIMITS.items()
+    )
     size_px = None if width is None or height is None else (int(width), int(height))
     return SequenceInfo(fps, None if n_frames is None else int(n_frames), size_px)
 
 
-def _value_of(section: Mapping[str, str], key: str, limits: tuple[float, float], file: Path) -> float | None:
+def _value_of(
+    section: Mapping[str, str], key: str, limits: tuple[float, float], file: Path
+) -> float | None:
     if key not in section:
         return None
     value, (low, high) = number(section[key]), limits
     if not low <= value <= high or (key != "frameRate" and value % 1):
         kind = "a number" if key == "frameRate" else "an integer"
         raise LabelFileError(
-            f"{file}: expected {kind} from {low:g} to {high:.10g} as {key}, got {quoted(section[key])}."
+            f"{file}: expected {kind} from {low:g} to {high:.10g} as {key}, got "
+            f"{quoted(section[key])}."
         )
     return value
 

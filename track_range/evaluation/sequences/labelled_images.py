@@ -46,9 +46,12 @@ class LabelledSource:
 
     images: Path  # folder of images, or a video
     labels: Path  # folder or file of labels
-    label_format: str | None = None  # in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO
-    label_names: tuple[str, ...] | None = None  # of YOLO's numbers; None = of a file beside them, or the road classes
-    manifest: Path | None = None  # CSV file with the split of each image and its completely labelled classes
+    # in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO
+    label_format: str | None = None
+    # of YOLO's numbers; None = of a file beside them, or the road classes
+    label_names: tuple[str, ...] | None = None
+    # CSV file with the split of each image and its completely labelled classes
+    manifest: Path | None = None
     split: str = "val"  # split of the manifest to use
     leave_out: frozenset[Path] = frozenset()  # images of the folder to exclude
     classes: tuple[str, ...] = ()  # road classes to evaluate; empty = all
@@ -57,7 +60,9 @@ class LabelledSource:
     def of(cls, options: object) -> Self:
         """The source from the attributes of the same names that the options of a command have."""
         names = ("images", "labels", "label_format", "label_names", "manifest", "split", "classes")
-        values: dict[str, Any] = {name: getattr(options, name) for name in names if hasattr(options, name)}
+        values: dict[str, Any] = {
+            name: getattr(options, name) for name in names if hasattr(options, name)
+        }
         return cls(**{**values, "label_names": class_names(values["label_names"])})
 
     @property
@@ -90,29 +95,37 @@ class LabelledSource:
         if split_images := of_split(images, manifest, self.split):
             return split_images
         splits = ", ".join(sorted({split for split, _ in manifest.values()}))
-        raise LabelFileError(f"{self.manifest}: no image in the split '{self.split}'; splits in the file: {splits}.")
+        raise LabelFileError(
+            f"{self.manifest}: no image in the split '{self.split}'; splits in the file: {splits}."
+        )
 
     def open(self) -> LabelledFrames:
         """Read all labels and open the images.
 
-        Raises ClassNameError for an unknown class, UsageError for a video whose labels are not one KITTI tracking file,
-        LabelFileError, ImageFileError or VideoError if labels, images or the video cannot be read.
+        Raises ClassNameError for an unknown class, UsageError for a video whose labels are not one
+        KITTI tracking file, LabelFileError, ImageFileError or VideoError if labels, images or the
+        video cannot be read.
         """
         road_class_ids(self.classes)
         if not self.is_video:
             return _FolderFrames(self)
         if self.format != "kitti" or not self.labels.is_file() or self.manifest is not None:
             raise UsageError(
-                f"--images {self.images}: a video needs one KITTI tracking file; give --format kitti --labels FILE."
+                f"--images {self.images}: a video needs one KITTI tracking file; give --format "
+                "kitti --labels FILE."
             )
         return _VideoFrames(self)
 
 
 class _FolderFrames:
     def __init__(self, source: LabelledSource) -> None:
-        self._images = [item for item in source.labelled_files() if item.path not in source.leave_out]
+        self._images = [
+            item for item in source.labelled_files() if item.path not in source.leave_out
+        ]
         if not self._images:
-            raise LabelFileError(f"{source.images}: expected labelled images for the evaluation, found none.")
+            raise LabelFileError(
+                f"{source.images}: expected labelled images for the evaluation, found none."
+            )
         self._class_truth, self.n_images = source.class_truth, len(self._images)
         self.unreadable: list[str] = []
 

@@ -34,15 +34,15 @@ LabelFormatField = Annotated[
 LabelNamesField = Annotated[
     str | None,
     option(
-        "Class names of the numbers in YOLO labels: a,b,c or a file with one name per line (default: classes.txt or "
-        "data.yaml beside the labels, else the 8 road classes)."
+        "Class names of the numbers in YOLO labels: a,b,c or a file with one name per line "
+        "(default: classes.txt or data.yaml beside the labels, else the 8 road classes)."
     ),
 ]
 ManifestField = Annotated[
     Path | None,
     option(
-        "CSV with the columns file, split and labels_complete (8 flags), which selects images and the classes to "
-        "evaluate in each image."
+        "CSV with the columns file, split and labels_complete (8 flags), which selects images and "
+        "the classes to evaluate in each image."
     ),
 ]
 SplitField = Annotated[str, option("Split of the manifest to evaluate on.")]
@@ -54,49 +54,57 @@ class TrackSettings(Options):
     detections: Annotated[
         Path,
         option(
-            "Detections in MOTChallenge's det.txt, rows frame,x1,y1,x2,y2,score, or another format of --detections: a "
-            "file, a folder of files NAME.txt, or a folder of sequences NAME/det/det.txt.",
+            "Detections in MOTChallenge's det.txt, rows frame,x1,y1,x2,y2,score, or another format "
+            "of --detections: a file, a folder of files NAME.txt, or a folder of sequences "
+            "NAME/det/det.txt.",
             metavar="DETECTIONS",
             is_argument=True,
         ),
     ]
-    out: Annotated[Path, option("Folder of the results: mot/NAME.txt for each sequence.", metavar="DIR")]
+    out: Annotated[
+        Path, option("Folder of the results: mot/NAME.txt for each sequence.", metavar="DIR")
+    ]
     images: Annotated[
         Path | None,
         option(
-            "Images of the frames, for appearance and camera-motion compensation: a video, a folder of images, or a "
-            "folder with a video or image folder for each sequence.",
+            "Images of the frames, for appearance and camera-motion compensation: a video, a "
+            "folder of images, or a folder with a video or image folder for each sequence.",
             metavar="VIDEO|DIR",
         ),
     ] = None
     form: Annotated[
         Literal["mot", "kitti", "rrc"] | None,
         option(
-            "Format of the detections; rrc is frame,x1,y1,x2,y2,score (default: detected from the file).",
+            "Format of the detections; rrc is frame,x1,y1,x2,y2,score (default: detected from the "
+            "file).",
             flag="--format",
         ),
     ] = None
     road_class: Annotated[
         str | None,
         option(
-            "Road class of rows without a class (default: car or person if the folder name contains it, else person).",
+            "Road class of rows without a class (default: car or person if the folder name "
+            "contains it, else person).",
             flag="--classes",
             metavar="CLASS",
         ),
     ] = None
     fps: Annotated[
-        float | None, option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000)
+        float | None,
+        option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000),
     ] = None
     tracker: TrackerField = "deepsort"
     reid: ReidField = None
     online: Annotated[
         bool,
         option(
-            "Tracks as a live run reports them, without filled gaps and without boxes before the confirmation of a "
-            "track."
+            "Tracks as a live run reports them, without filled gaps and without boxes before the "
+            "confirmation of a track."
         ),
     ] = False
-    kitti: Annotated[bool, option("Additional output of the tracks in KITTI's format, kitti/NAME.txt.")] = False
+    kitti: Annotated[
+        bool, option("Additional output of the tracks in KITTI's format, kitti/NAME.txt.")
+    ] = False
 
 
 class TrackEvaluationSettings(Options):
@@ -105,21 +113,23 @@ class TrackEvaluationSettings(Options):
     truth: Annotated[
         Path,
         option(
-            f"Ground truth: a file or folder of {', '.join(form.title for form in TRUTH_FORMATS.values())}; or a "
-            "folder of sequences NAME.txt or NAME/gt/gt.txt."
+            "Ground truth: a file or folder of "
+            f"{', '.join(form.title for form in TRUTH_FORMATS.values())}; or a folder of sequences "
+            "NAME.txt or NAME/gt/gt.txt."
         ),
     ]
     results: Annotated[
         Path,
         option(
-            "Tracks in one of these formats: a file, a folder of files NAME.txt, or the output folder of a run or of "
-            "`track-range track`."
+            "Tracks in one of these formats: a file, a folder of files NAME.txt, or the output "
+            "folder of a run or of `track-range track`."
         ),
     ]
     truth_format: Annotated[
         str | None,
         option(
-            f"Format of the ground truth: {', '.join(TRUTH_FORMATS)} (default: detected from its content).",
+            f"Format of the ground truth: {', '.join(TRUTH_FORMATS)} (default: detected from its "
+            "content).",
             flag="--format",
             metavar="NAME",
             choices=TRUTH_FORMATS.keys,
@@ -128,8 +138,8 @@ class TrackEvaluationSettings(Options):
     road_class: Annotated[
         str | None,
         option(
-            "Class to evaluate; for KITTI car, person or bicycle (default: KITTI car, MOTChallenge person, other "
-            "formats the most frequent class).",
+            "Class to evaluate; for KITTI car, person or bicycle (default: KITTI car, MOTChallenge "
+            "person, other formats the most frequent class).",
             flag="--class",
             metavar="NAME",
         ),
@@ -146,8 +156,8 @@ class DetectionEvaluationSettings(Options):
     models: Annotated[
         tuple[str, ...],
         option(
-            "Detector to evaluate: an ONNX file, or a name from `track-range models list`; repeat the option to "
-            "compare several.",
+            "Detector to evaluate: an ONNX file, or a name from `track-range models list`; repeat "
+            "the option to compare several.",
             flag="--model",
             metavar="FILE|NAME",
             is_repeated=True,
@@ -155,28 +165,41 @@ class DetectionEvaluationSettings(Options):
     ]
     images: Annotated[Path, option("Folder of images, or a video.", metavar="DIR|VIDEO")]
     labels: Annotated[
-        Path, option("Labels of the images: a folder, a COCO file, or a KITTI tracking file.", metavar="DIR|FILE")
+        Path,
+        option(
+            "Labels of the images: a folder, a COCO file, or a KITTI tracking file.",
+            metavar="DIR|FILE",
+        ),
     ]
     label_format: LabelFormatField = None
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    classes: Annotated[tuple[str, ...], option("Road classes to evaluate (default: all).", metavar="A,B,...")] = ()
+    classes: Annotated[
+        tuple[str, ...], option("Road classes to evaluate (default: all).", metavar="A,B,...")
+    ] = ()
     min_height: Annotated[
-        float, option("Minimum height of an object in pixels; smaller objects are ignored.", metavar="PX", ge=0.0)
+        float,
+        option(
+            "Minimum height of an object in pixels; smaller objects are ignored.",
+            metavar="PX",
+            ge=0.0,
+        ),
     ] = 0.0
     min_score: Annotated[
         str | None,
         option(
-            "Confidence threshold at which precision and recall are reported, also by class (default: 0.25).",
+            "Confidence threshold at which precision and recall are reported, also by class "
+            "(default: 0.25).",
             metavar="S[,CLASS=S...]",
         ),
     ] = None
     by: Annotated[
         SizeMeasure,
         option(
-            "Measure of the table by size of object: area of the box (COCO's small, medium and large: limits of 32^2 "
-            "and 96^2 px) or its height (limits of 25, 50 and 100 px), both in pixels of the image."
+            "Measure of the table by size of object: area of the box (COCO's small, medium and "
+            "large: limits of 32^2 and 96^2 px) or its height (limits of 25, 50 and 100 px), both "
+            "in pixels of the image."
         ),
     ] = "area"
     names: NamesField = None

@@ -1,6 +1,7 @@
 """Tracking of recorded detections; no video or rig is needed, and no distances are measured.
 
-MOTChallenge's files of results count frames and pixels from 1, KITTI's, which have fewer classes, from 0.
+MOTChallenge's files of results count frames and pixels from 1, KITTI's, which have fewer classes,
+from 0.
 """
 
 import math
@@ -23,7 +24,12 @@ from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import readable, real_path
-from track_range.foundation.files.output_files import OutputError, locked_output, make_folder, write_text
+from track_range.foundation.files.output_files import (
+    OutputError,
+    locked_output,
+    make_folder,
+    write_text,
+)
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.recording.frame import VideoError
 from track_range.recording.open_video import open_video
@@ -32,11 +38,17 @@ from track_range.run.export.source import facts_of_video
 from track_range.run.options.detection import check_tracker
 from track_range.run.options.opened import open_tracker_options
 from track_range.tracking.offline_refinement import OfflineRefinement
-from track_range.tracking.registry import ObjectTracker, RefinableTracker, checked_tracks, create_tracker
+from track_range.tracking.registry import (
+    ObjectTracker,
+    RefinableTracker,
+    checked_tracks,
+    create_tracker,
+)
 from track_range.tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0  # frame rate of sequences without seqinfo.ini: KITTI's
-_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}  # RRC's files have no classes
+# RRC's files have no classes
+_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,23 +75,30 @@ def track(
     progress: FrameProgress = no_frame_progress,
     note: Callable[[str], object] = lambda _note: None,
 ) -> TrackedFiles:
-    """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge defines.
+    """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge
+    defines.
 
-    If one of several sequences cannot be read, the other sequences are tracked; a single unreadable sequence raises
-    LabelFileError or VideoError, invalid settings raise TrackerError, ModelError, ClassNameError or UsageError, `out`
-    OutputError or FolderLockError.
+    If one of several sequences cannot be read, the other sequences are tracked; a single unreadable
+    sequence raises LabelFileError or VideoError, invalid settings raise TrackerError, ModelError,
+    ClassNameError or UsageError, `out` OutputError or FolderLockError.
     """
     check_tracker(settings.tracker, settings.reid)
     sequences = find.find_sequences(settings.detections, "det")
     class_id = _class_of(settings)
     is_single = len(sequences) == 1
-    all_images = [images_of(sequence, settings.images, is_single=is_single) for sequence in sequences]
+    all_images = [
+        images_of(sequence, settings.images, is_single=is_single) for sequence in sequences
+    ]
     if settings.reid is not None and None in all_images:
         raise UsageError("--reid needs the images of every sequence; give --images.")
     for sequence in sequences:
         for folder in (find.MOT_FOLDER, find.KITTI_FOLDER):
-            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
-                raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
+            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(
+                sequence.path
+            ):
+                raise OutputError(
+                    f"{sequence.path}: the result would overwrite this input; choose another --out."
+                )
     tracker_options = replace(open_tracker_options(settings.reid), is_smoothed=True)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*find.ignored_files_note(settings.detections, sequences), *reid_notes):
@@ -106,15 +125,23 @@ def track(
     return TrackedFiles(tuple(done), failed)
 
 
-def _read(path: Path, class_id: int, settings: TrackSettings, images: Path | None) -> RecordedDetections:
-    """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
+def _read(
+    path: Path, class_id: int, settings: TrackSettings, images: Path | None
+) -> RecordedDetections:
+    """The boxes of a sequence, with notes for the user; an empty file is a sequence without
+    boxes.
+    """
     video = NO_FACTS if images is None else facts_of_video(images)
     recorded = read_detections(path, default_class_id=class_id, form=settings.form, video=video)
-    detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
+    # the first note is on the detected format
+    detections, notes = recorded.detections, recorded.notes[1:]
     if settings.reid is not None:  # its embeddings replace those of the file
         detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
     if recorded.has_classes and settings.road_class is not None:
-        notes = (*notes, f"--classes {settings.road_class} is ignored: the rows of {path.name} contain classes.")
+        notes = (
+            *notes,
+            f"--classes {settings.road_class} is ignored: the rows of {path.name} contain classes.",
+        )
     return replace(recorded, detections=detections, notes=notes)
 
 
@@ -122,11 +149,16 @@ def _class_of(settings: TrackSettings) -> int:
     if settings.road_class is None:
         path = real_path(settings.detections)  # `.` has no name
         words = [part.lower() for part in (path.name, path.parent.name)]
-        name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
+        name = next(
+            (_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person"
+        )
         return ROAD_CLASSES.index(name)
     ids = road_class_ids(settings.road_class.split(","))
     if len(ids) != 1:
-        raise UsageError(f"--classes {settings.road_class}: expected one class for rows without a class, such as car.")
+        raise UsageError(
+            f"--classes {settings.road_class}: expected one class for rows without a "
+            "class, such as car."
+        )
     return int(ids[0])
 
 
@@ -162,18 +194,25 @@ def _track_one(
         notes = (*notes, *_write_kitti(frames, settings.out, sequence.name))
     track_ids = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
     n_boxes = sum(len(tracks) for tracks in frames)
-    return TrackedFile(sequence.name, n_frames, n_boxes, len(track_ids), tracked.us_per_frame), notes
+    return TrackedFile(
+        sequence.name, n_frames, n_boxes, len(track_ids), tracked.us_per_frame
+    ), notes
 
 
 def _write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
-    """Write kitti/NAME.txt, frames from 0; returns a note about boxes omitted because KITTI has no such class."""
+    """Write kitti/NAME.txt, frames from 0; returns a note about boxes omitted because KITTI has no
+    such class.
+    """
     file = Path(find.KITTI_FOLDER) / f"{name}.txt"
     unknown_m = (math.nan, math.nan, math.nan)
     rows = [
         kitti_line(frame, track_id, KITTI_TYPE_OF[ROAD_CLASSES[i]], box, unknown_m, score)
         for frame, tracks in enumerate(frames)
         for track_id, i, box, score in zip(
-            *(column.tolist() for column in (tracks.track_id, tracks.class_id, tracks.xyxy_px, tracks.score)),
+            *(
+                column.tolist()
+                for column in (tracks.track_id, tracks.class_id, tracks.xyxy_px, tracks.score)
+            ),
             strict=True,
         )
         if ROAD_CLASSES[i] in KITTI_TYPE_OF
@@ -184,11 +223,16 @@ def _write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, .
     if not omitted:
         return ()
     n, names = int(np.isin(class_id, omitted).sum()), ", ".join(ROAD_CLASSES[i] for i in omitted)
-    return (f"{n} of {len(class_id)} boxes are omitted from {file.as_posix()}: KITTI has no class for {names}.",)
+    return (
+        f"{n} of {len(class_id)} boxes are omitted from {file.as_posix()}: KITTI has no class "
+        f"for {names}.",
+    )
 
 
-_VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")  # suffixes of videos, in the order of preference
-_MAX_OUTSIDE = 0.05  # fraction of boxes with centres outside the images above which the user is warned
+# suffixes of videos, in the order of preference
+_VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
+# fraction of boxes with centres outside the images above which the user is warned
+_MAX_OUTSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,9 +247,10 @@ class TrackedSequence:
 def images_of(sequence: find.SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
     """The video or folder of images of a sequence; None = no images.
 
-    `path` is the user's video, or a folder with NAME.mp4, NAME/ or NAME/img1/; without it, only MOTChallenge's img1
-    next to the boxes is used. If there is no other sequence (`is_single`), `path` or `path`/img1 may be the images.
-    VideoError if `path` does not exist, or contains no images of this sequence.
+    `path` is the user's video, or a folder with NAME.mp4, NAME/ or NAME/img1/; without it, only
+    MOTChallenge's img1 next to the boxes is used. If there is no other sequence (`is_single`),
+    `path` or `path`/img1 may be the images. VideoError if `path` does not exist, or contains no
+    images of this sequence.
     """
     if path is None:
         neighbour = sequence.path.parent.parent / "img1"
@@ -214,18 +259,31 @@ def images_of(sequence: find.SequenceFile, path: Path | None, *, is_single: bool
         return path
     if not path.exists():
         raise VideoError(f"{path}: no such file or folder; check the name.")
-    candidates = [path / sequence.name / "img1", path / sequence.name, *_videos(path, sequence.name)]
+    candidates = [
+        path / sequence.name / "img1",
+        path / sequence.name,
+        *_videos(path, sequence.name),
+    ]
     candidates += [path / "img1", path] if is_single else []
     if images := next((candidate for candidate in candidates if candidate.exists()), None):
         return images
-    raise VideoError(f"{path}: expected {sequence.name}.mp4 or a folder {sequence.name}, found neither.")
+    raise VideoError(
+        f"{path}: expected {sequence.name}.mp4 or a folder {sequence.name}, found neither."
+    )
 
 
 def _videos(folder: Path, name: str) -> list[Path]:
-    """Videos with this stem in a folder, by preference of the suffix, which may be in upper case."""
+    """Videos with this stem in a folder, by preference of the suffix, which may be in upper
+    case.
+    """
     with readable(folder, VideoError):
         files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
-    return [file for suffix in _VIDEO_SUFFIXES for file in sorted(files) if file.suffix.lower() == suffix]
+    return [
+        file
+        for suffix in _VIDEO_SUFFIXES
+        for file in sorted(files)
+        if file.suffix.lower() == suffix
+    ]
 
 
 def track_sequence(
@@ -238,11 +296,12 @@ def track_sequence(
     is_online: bool = False,
     advance: Callable[[], None] = lambda: None,
 ) -> TrackedSequence:
-    """Run a new tracker on `n_frames` frames, with the images of a video or folder if `images` is given.
+    """Run a new tracker on `n_frames` frames, with the images of a video or folder if `images` is
+    given.
 
-    `fps` applies if no video states a frame rate. The output is as in a live run (`is_online`), or refined with
-    later frames (`tracking.offline_refinement`). `advance` is called after each frame. VideoError if the images cannot
-    be read.
+    `fps` applies if no video states a frame rate. The output is as in a live run (`is_online`), or
+    refined with later frames (`tracking.offline_refinement`). `advance` is called after each frame.
+    VideoError if the images cannot be read.
     """
     video = None if images is None else open_video(images, folder_fps=fps)
     refinable = tracker if isinstance(tracker, RefinableTracker) else None
@@ -260,34 +319,49 @@ def track_sequence(
         spent_s += time.perf_counter() - began_s
         advance()
     began_s = time.perf_counter()
-    frames = online if is_online else refinement.refine(refinable.track_activation_threshold if refinable else None)
+    frames = (
+        online
+        if is_online
+        else refinement.refine(refinable.track_activation_threshold if refinable else None)
+    )
     spent_s += time.perf_counter() - began_s
     notes = () if video is None else (*video.notes, *_image_notes(with_image, images, n_frames))
     return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)
 
 
 def _size_and_outside(xyxy_px: FloatArray, image: Image) -> tuple[str, BoolArray]:
-    """The size of the image of a frame in words, and (N,) whether the centres of its boxes are outside the image."""
+    """The size of the image of a frame in words, and (N,) whether the centres of its boxes are
+    outside the image.
+    """
     height, width = image.shape[:2]
     centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
     outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
     return f"{width} x {height}", np.asarray(outside.any(axis=1))
 
 
-def _image_notes(with_image: Sequence[tuple[str, BoolArray]], images: Path | None, n_frames: int) -> Iterator[str]:
+def _image_notes(
+    with_image: Sequence[tuple[str, BoolArray]], images: Path | None, n_frames: int
+) -> Iterator[str]:
     if len(with_image) < n_frames:
-        yield f"{images}: found images for {len(with_image)} of {n_frames} frames; the other frames use boxes only."
+        yield (
+            f"{images}: found images for {len(with_image)} of {n_frames} frames; the other frames "
+            "use boxes only."
+        )
     n_boxes = sum(len(is_outside) for _, is_outside in with_image)
     n_outside = sum(int(is_outside.sum()) for _, is_outside in with_image)
     if n_outside > _MAX_OUTSIDE * n_boxes:
         yield (
-            f"{n_outside} of {n_boxes} boxes are outside the images of {with_image[-1][0]} px; check that boxes and "
-            "images belong together."
+            f"{n_outside} of {n_boxes} boxes are outside the images of {with_image[-1][0]} px; "
+            "check that boxes and images belong together."
         )
 
 
-def _frames(video: RecordedVideo | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:
-    """Number, time and image of each frame; frames that the video lacks get interpolated times, or times at `fps`."""
+def _frames(
+    video: RecordedVideo | None, n_frames: int, fps: float
+) -> Iterator[tuple[int, float, Image | None]]:
+    """Number, time and image of each frame; frames that the video lacks get interpolated times, or
+    times at `fps`.
+    """
     next_frame, time_s = 0, -1 / fps
     if video is not None:
         fps, start_s = video.fps, None

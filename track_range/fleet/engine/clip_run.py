@@ -1,8 +1,10 @@
 """Processing of one clip in a worker: fetch, run, publish.
 
-    fetch -> compare the content -> open -> frames -> tracks.parquet -> other files -> record (the clip is complete)
+    fetch -> compare the content -> open -> frames -> tracks.parquet -> other files -> record (the
+    clip is complete)
 
-A clip that cannot be processed is a record with an error. Only storage that refuses the results ends the fleet.
+A clip that cannot be processed is a record with an error. Only storage that refuses the results
+ends the fleet.
 """
 
 from __future__ import annotations
@@ -44,8 +46,10 @@ if TYPE_CHECKING:
 
 _DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
 _MAX_ERROR = 600  # longest error of a clip, in characters
-_MIN_BYTES_PER_S = 1000.0  # lowest plausible data rate of a video; a damaged header may state any duration
-_NOT_PUBLISHED = {"settings.yaml", data_set.TRACKS_FILE, EVENTS_PARQUET}  # with paths, or published elsewhere
+# lowest plausible data rate of a video; a damaged header may state any duration
+_MIN_BYTES_PER_S = 1000.0
+# with paths, or published elsewhere
+_NOT_PUBLISHED = {"settings.yaml", data_set.TRACKS_FILE, EVENTS_PARQUET}
 
 
 class _PublishingError(Exception):
@@ -79,19 +83,26 @@ class _ClipRun:
             self._progress.phase = "fetching"
             listings = FolderListings()
             for location in map(Location.of, self._clip.named_files().values()):
-                weight = 0.05 if location.is_local else 1.0  # files on this machine only have to be read
+                # files on this machine only have to be read
+                weight = 0.05 if location.is_local else 1.0
                 if (state := listings.state(location)) is not None:
                     self._progress.fetch_bytes += max(state.size, 0) * weight
             with (
                 tempfile.TemporaryDirectory(prefix="clip-", ignore_cleanup_errors=True) as name,
-                fetched(self._clip, Path(name, "inputs"), size_bytes(self._plan.settings.cache_size)) as (local, files),
+                fetched(
+                    self._clip, Path(name, "inputs"), size_bytes(self._plan.settings.cache_size)
+                ) as (local, files),
             ):
-                self._names = {str(file.path): str(Location.of(file.address)) for file in files.values()}
+                self._names = {
+                    str(file.path): str(Location.of(file.address)) for file in files.values()
+                }
                 states = {role: (file.size, file.mtime_ns) for role, file in files.items()}
                 self._record = replace(
                     self._record,
                     inputs=fingerprint(self._clip, states),
-                    content_hash=content_hash(self._clip, {role: file.sha256 for role, file in files.items()}),
+                    content_hash=content_hash(
+                        self._clip, {role: file.sha256 for role, file in files.items()}
+                    ),
                 )
                 if self._record.content_hash == self._task.known_hash:
                     return ClipOutcome(self._record.row(), is_unchanged=True)
@@ -108,7 +119,9 @@ class _ClipRun:
 
     def failed(self, kind: str, message: str) -> dict[str, Any]:
         text = printable(" ".join(self._with_names(message).split()))[:_MAX_ERROR]
-        return self._with_times(replace(self._record, status="failed", error=text, error_kind=kind)).row()
+        return self._with_times(
+            replace(self._record, status="failed", error=text, error_kind=kind)
+        ).row()
 
     def _failure(self, kind: str, error: Exception, *, is_transient: bool = False) -> ClipOutcome:
         if _is_full(error):
@@ -128,20 +141,30 @@ class _ClipRun:
         """Run the clip with local files, the largest of `n_bytes`, and publish the results."""
         progress, plan, out, name = self._progress, self._plan, self._out, self._clip.name
         settings = clip_settings(plan.options, clip)
-        names = set(settings.write if "write" in {**plan.options, **clip.settings} else ()) - {"parquet"}
+        names = set(settings.write if "write" in {**plan.options, **clip.settings} else ()) - {
+            "parquet"
+        }
         has_files = plan.settings.reports or bool(names) or settings.overlay or settings.disparity
         run_folder = folder / "run" if has_files else None
         settings = settings.model_copy(update={"out": run_folder, "write": tuple(names)})
         start_s = time.perf_counter()
         progress.phase = "opening"
         header = next(
-            check_clips([clip], folder_fps=settings.folder_fps, stereo_layout=settings.stereo_layout, threads=1)
+            check_clips(
+                [clip],
+                folder_fps=settings.folder_fps,
+                stereo_layout=settings.stereo_layout,
+                threads=1,
+            )
         )
         stated_s = header.duration_s or 0.0
         if settings.duration_s is not None:
             stated_s = min(stated_s, settings.duration_s)
         progress.video_s = max(0.0, min(stated_s, n_bytes / _MIN_BYTES_PER_S))
-        with Run(settings, opened_detectors=_DETECTORS) as run, tuned_process(has_dense_stereo=settings.sgbm):
+        with (
+            Run(settings, opened_detectors=_DETECTORS) as run,
+            tuned_process(has_dense_stereo=settings.sgbm),
+        ):
             progress.phase = "processing"
             for _ in run:
                 progress.frames += 1
@@ -158,15 +181,23 @@ class _ClipRun:
         write_events_parquet(folder / EVENTS_PARQUET, run.events, metadata)
         self._add_summary(run.summary, table.num_rows, run)
         try:
-            data_set.publish(out, data_set.tracks_location(out, name), folder / data_set.TRACKS_FILE)
+            data_set.publish(
+                out, data_set.tracks_location(out, name), folder / data_set.TRACKS_FILE
+            )
             data_set.publish(out, data_set.events_location(out, name), folder / EVENTS_PARQUET)
             if run_folder is not None:
-                left_out = _NOT_PUBLISHED | (set() if plan.settings.reports else {"report.html", "summary.json"})
+                left_out = _NOT_PUBLISHED | (
+                    set() if plan.settings.reports else {"report.html", "summary.json"}
+                )
                 for file in sorted(run_folder.iterdir()):
                     if file.is_file() and file.name not in left_out and file.name[0] != ".":
-                        data_set.publish(out, data_set.runs_location(out, name).child(file.name), file)
+                        data_set.publish(
+                            out, data_set.runs_location(out, name).child(file.name), file
+                        )
                 if settings.clips:
-                    data_set.publish_event_videos(out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4")))
+                    data_set.publish_event_videos(
+                        out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4"))
+                    )
             self._record = self._with_times(self._record)
             data_set.publish_record(out, self._record.row())
         except StorageError as error:
@@ -174,7 +205,10 @@ class _ClipRun:
 
     def _add_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> None:
         methods: Mapping[str, Mapping[str, Any]] = summary["methods"]
-        errors = {name: _numbers({key: values.get(key) for key in ERROR_FIGURES}) for name, values in methods.items()}
+        errors = {
+            name: _numbers({key: values.get(key) for key in ERROR_FIGURES})
+            for name, values in methods.items()
+        }
         self._record = replace(
             self._record,
             status="done",
@@ -191,7 +225,9 @@ class _ClipRun:
             stages_ms=summary["stages_ms"],
             coverage={name: values.get("coverage") for name, values in methods.items()},
             errors={name: values for name, values in errors.items() if values},
-            alignment={key: float(value) for key, value in _numbers(summary.get("alignment", {})).items()},
+            alignment={
+                key: float(value) for key, value in _numbers(summary.get("alignment", {})).items()
+            },
         )
 
     def _with_times(self, record: ClipRecord) -> ClipRecord:
@@ -205,23 +241,30 @@ class _ClipRun:
         )
 
     def _with_names(self, text: str) -> str:
-        """A text with the names of the recordings in the results instead of the paths of their local copies."""
+        """A text with the names of the recordings in the results instead of the paths of their
+        local copies.
+        """
         for local, name in self._names.items():
             text = text.replace(local, name)
         return self._file_names.text(text)
 
 
 def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
-    """Settings of the run of a clip with local files; its settings have precedence over the options of all clips.
+    """Settings of the run of a clip with local files; its settings have precedence over the options
+    of all clips.
 
     Raises UsageError for a setting of the clip that is invalid, or does not suit its video.
     """
-    video: dict[str, Any] = {"mono": clip.left} if clip.right is None else {"stereo": (clip.left, clip.right)}
+    video: dict[str, Any] = (
+        {"mono": clip.left} if clip.right is None else {"stereo": (clip.left, clip.right)}
+    )
     own: dict[str, Any] = dict(clip.settings)
     n_topics = len([topic for topic in str(own.get("topics", "")).split(",") if topic])
     if clip.right is None and (n_topics > 1 or "stereo_layout" in {**options, **own}):
         video = {"stereo": (clip.left,)}
-    shared = {key: value for key, value in options.items() if not (key == "focal_px" and "rig" in own)}
+    shared = {
+        key: value for key, value in options.items() if not (key == "focal_px" and "rig" in own)
+    }
     return settings_from({**shared, **video, **own})
 
 
@@ -243,5 +286,7 @@ def _is_full(error: BaseException | None) -> bool:
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        key: value for key, value in values.items() if isinstance(value, int | float) and not isinstance(value, bool)
+        key: value
+        for key, value in values.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
     }

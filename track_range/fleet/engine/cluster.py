@@ -1,8 +1,9 @@
-"""The Ray cluster of a fleet: a cluster on this machine for the duration of the run, or an existing cluster.
+"""The Ray cluster of a fleet: a cluster on this machine for the duration of the run, or an existing
+cluster.
 
-A cluster of this machine listens on the loopback interface only, with a random token, so that other users of the
-machine cannot run code in it; nothing is written to the home folder. Its files are in the temporary folder, and are
-removed at the end.
+A cluster of this machine listens on the loopback interface only, with a random token, so that other
+users of the machine cannot run code in it; nothing is written to the home folder. Its files are in
+the temporary folder, and are removed at the end.
 """
 
 from __future__ import annotations
@@ -29,14 +30,17 @@ from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.foundation.processes import n_usable_cores
 from track_range.run.interrupts import ignore_interrupts
 
-_OBJECT_STORE_BYTES = 80 * 2**20  # on this machine: above Ray's minimum of 75 MB, for settings and records
-_MAX_FOLDER = 40  # longest temporary folder for Ray, whose sockets have paths of at most 107 characters
+# on this machine: above Ray's minimum of 75 MB, for settings and records
+_OBJECT_STORE_BYTES = 80 * 2**20
+# longest temporary folder for Ray, whose sockets have paths of at most 107 characters
+_MAX_FOLDER = 40
 _CONNECT_S = 15.0  # time limit for reaching the address of a cluster, s
 _END_S = 5.0  # time in which Ray's processes end after a shutdown, s
 _FOLDER_PREFIX = "tr-ray-"
 _TOKEN = secrets.token_hex(32)  # token of the clusters of this process; Ray reads it once
 
-# environment of this process, which Ray reads when it is imported: no paragraph for what the driver reports by clip
+# environment of this process, which Ray reads when it is imported: no paragraph for what the driver
+# reports by clip
 _VARIABLES = {"RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed"}
 # environment of a cluster of this machine: the node has the address of the loopback interface
 _LOCAL_VARIABLES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
@@ -50,14 +54,20 @@ class RayMissingError(UserError):
 def connected(settings: FleetSettings) -> Iterator[int]:
     """Connection to the cluster of the settings; the number of workers to start.
 
-    Raises RayMissingError: Ray is not installed; FleetError: there is no cluster at the address, or no node of it is
-    large enough for a worker.
+    Raises RayMissingError: Ray is not installed; FleetError: there is no cluster at the address, or
+    no node of it is large enough for a worker.
     """
     disable_telemetry()
     if find_spec("ray") is None:
-        raise RayMissingError("fleet run requires the package ray: install it with pip install 'track-range[fleet]'.")
+        raise RayMissingError(
+            "fleet run requires the package ray: install it with pip install 'track-range[fleet]'."
+        )
     os.environ.update(_VARIABLES)
-    with _local_cluster(settings) if settings.address is None else _existing_cluster(settings) as n_workers:
+    with (
+        _local_cluster(settings)
+        if settings.address is None
+        else _existing_cluster(settings) as n_workers
+    ):
         yield n_workers
 
 
@@ -71,8 +81,9 @@ def _local_cluster(settings: FleetSettings) -> Iterator[int]:
         import ray
 
         try:
-            # Ray's dashboard process asks the metadata services of three cloud providers for the kind of machine, also
-            # where the dashboard and the usage statistics are disabled; it does not start at a port that is in use
+            # Ray's dashboard process asks the metadata services of three cloud providers for the
+            # kind of machine, also where the dashboard and the usage statistics are disabled; it
+            # does not start at a port that is in use
             with socket.create_server(("127.0.0.1", 0)) as occupied:
                 _init(
                     address="local",
@@ -107,14 +118,20 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
 
 
 def _check_reachable(address: str) -> None:
-    """Raise FleetError unless a server of a cluster listens at HOST:PORT; Ray itself would wait for minutes."""
-    if address == "auto" or "://" in address:  # the latter is a Ray Client, which has its own time limit
+    """Raise FleetError unless a server of a cluster listens at HOST:PORT; Ray itself would wait for
+    minutes.
+    """
+    # the latter is a Ray Client, which has its own time limit
+    if address == "auto" or "://" in address:
         return
     host, _, port = address.rpartition(":")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S) as connection:
+        with socket.create_connection(
+            (host.strip("[]"), int(port)), timeout=_CONNECT_S
+        ) as connection:
             if os.environ.get("RAY_USE_TLS", "0") == "0":
-                connection.recv(1)  # the server of a cluster (gRPC) speaks first; most others wait for a request
+                # the server of a cluster (gRPC) speaks first; most others wait for a request
+                connection.recv(1)
     except ValueError as error:
         raise _no_cluster(address, "expected HOST:PORT or auto") from error
     except (OSError, OverflowError) as error:
@@ -123,20 +140,23 @@ def _check_reachable(address: str) -> None:
 
 def _no_cluster(address: str, reason: object) -> FleetError:
     return FleetError(
-        f"--address {shortened(address)}: expected a running Ray cluster ({shortened(str(reason), 120)}); start one "
-        "with `ray start --head`, or omit --address."
+        f"--address {shortened(address)}: expected a running Ray cluster "
+        f"({shortened(str(reason), 120)}); start one with `ray start --head`, or omit --address."
     )
 
 
 def _init(**options: Any) -> None:
-    """Start a cluster, at the second try if needed, or join a cluster; raises FleetError if this is not possible."""
+    """Start a cluster, at the second try if needed, or join a cluster; raises FleetError if this is
+    not possible.
+    """
     import ray
 
     logging.getLogger("ray").setLevel(logging.CRITICAL)
     try:
         try:
             ray.init(log_to_driver=False, configure_logging=False, **options)
-        except Exception:  # also the plain one of Ray's time limit of 30 s for a start, on a busy machine
+        # also the plain one of Ray's time limit of 30 s for a start, on a busy machine
+        except Exception:
             if options["address"] != "local":
                 raise
             ray.shutdown()
@@ -146,28 +166,42 @@ def _init(**options: Any) -> None:
         if options["address"] != "local":
             raise _no_cluster(options["address"], reason) from error
         raise FleetError(
-            f"Ray failed to start on this machine in two attempts ({reason}); repeat the command when the "
-            "machine is less busy, or process each clip with `track-range run`, without Ray."
+            f"Ray failed to start on this machine in two attempts ({reason}); repeat the command "
+            "when the machine is less busy, or process each clip with `track-range run`, without "
+            "Ray."
         ) from error
 
 
 def _fitting(settings: FleetSettings, n_requested: int) -> int:
-    """Number of workers for which this machine has memory and GPUs; FleetError: too little for the requested number."""
+    """Number of workers for which this machine has memory and GPUs; FleetError: too little for the
+    requested number.
+    """
     import ray
 
     resources: Mapping[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
     memory, gpus = resources.get("memory", 0.0), resources.get("GPU", 0.0)
     size, n_gpus = settings.worker_memory, settings.gpus_per_worker
-    memory_text, gpu_text = f"--worker-memory {size}: expected memory", f"--gpus-per-worker {n_gpus:g}: expected GPUs"
+    memory_text, gpu_text = (
+        f"--worker-memory {size}: expected memory",
+        f"--gpus-per-worker {n_gpus:g}: expected GPUs",
+    )
     n_fitting = n_requested
     for needed, available, requirement, stock, remedy in (
-        (size_bytes(size), memory, memory_text, f"{memory / 1e9:.1f} GB for all workers", "less memory"),
+        (
+            size_bytes(size),
+            memory,
+            memory_text,
+            f"{memory / 1e9:.1f} GB for all workers",
+            "less memory",
+        ),
         (n_gpus, gpus, gpu_text, f"{gpus:g}", "a smaller fraction"),
     ):
         n_fitting = min(n_fitting, int(available / needed)) if needed else n_fitting
         if n_fitting < n_requested and (settings.workers is not None or not n_fitting):
             workers = counted(n_requested, "worker")
-            raise FleetError(f"{requirement} for {workers}, found {stock}; give fewer --workers or {remedy}.")
+            raise FleetError(
+                f"{requirement} for {workers}, found {stock}; give fewer --workers or {remedy}."
+            )
     return n_fitting
 
 
@@ -195,12 +229,15 @@ def _ray_folder() -> Iterator[Path]:
     try:
         folder = Path(tempfile.mkdtemp(prefix=f"{_FOLDER_PREFIX}{os.getpid()}-", dir=parent))
     except OSError as error:
-        raise FleetError(f"{parent}: cannot be written ({error.strerror}); set TMPDIR to another folder.") from error
+        raise FleetError(
+            f"{parent}: cannot be written ({error.strerror}); set TMPDIR to another folder."
+        ) from error
     try:
         yield folder
     finally:
         with ignore_interrupts():
             end_s = time.monotonic() + _END_S
-            while folder.exists() and time.monotonic() < end_s:  # Ray's processes write logs until they have ended
+            # Ray's processes write logs until they have ended
+            while folder.exists() and time.monotonic() < end_s:
                 shutil.rmtree(folder, ignore_errors=True)
                 time.sleep(0.1)

@@ -3,8 +3,8 @@
     todo -> worker -> record in the journal -> clips.parquet
              |  worker lost: again at the end of the queue, or a record with an error
 
-A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. The driver holds one clip
-per worker in progress, and only the names of all other clips.
+A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. The
+driver holds one clip per worker in progress, and only the names of all other clips.
 
 failure                              attempts in all
 input, internal (application error)  1
@@ -30,7 +30,13 @@ import ray
 from track_range.fleet.engine import worker
 from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FileNames, FleetPlan, Process
 from track_range.fleet.engine.remaining import present_fingerprint
-from track_range.fleet.engine.worker import FOLDER_PREFIX, WorkerState, process_clip, remove_dead_folders, shared_files
+from track_range.fleet.engine.worker import (
+    FOLDER_PREFIX,
+    WorkerState,
+    process_clip,
+    remove_dead_folders,
+    shared_files,
+)
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_record
 from track_range.fleet.output.record import Row, utc_now
@@ -39,20 +45,26 @@ from track_range.fleet.settings import size_bytes
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.processes import is_running
 
-ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "internal"]  # kind of a failure; "" = none
+# kind of a failure; "" = none
+ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "internal"]
 
 _REPEATED: frozenset[ErrorKind] = frozenset(("crash", "memory", "timeout", "fetch"))
 
-_N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4  # attempts for a clip, and those if workers died with other clips as well
+# attempts for a clip, and those if workers died with other clips as well
+_N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4
 BASE_S = 60.0  # time for opening a clip, in addition to that for its frames
 _FETCH_BYTES_PER_S = 1e6  # lowest rate of downloads that is not taken for a hang
-_FRAMES_PER_S = 10.0  # frames that extend the limit like 1 s of video: slow machines, videos of high rate or size
+# frames that extend the limit like 1 s of video: slow machines, videos of high rate or size
+_FRAMES_PER_S = 10.0
 _POLL_S = 0.5  # longest wait for the workers at a time, s
 _MAX_STARTS = 3  # workers that may die before any of them has started
-_END_S = 5.0  # longest wait for the end of cancelled workers of this machine, whose folders are then removed
-_START_S = 900.0  # time in which the first worker has to start, s: a cluster may have to start machines
+# longest wait for the end of cancelled workers of this machine, whose folders are then removed
+_END_S = 5.0
+# time in which the first worker has to start, s: a cluster may have to start machines
+_START_S = 900.0
 _CANCEL_S = 30.0  # time in which Ray ends a cancelled task; its node is taken for lost afterwards
-_NODE_S = 30.0  # time in which Ray notices that a node is lost: five health checks at intervals of 3 s, and reserve
+# time in which Ray notices that a node is lost: five health checks at intervals of 3 s, and reserve
+_NODE_S = 30.0
 
 
 class Attempts:
@@ -74,16 +86,21 @@ class Attempts:
         kinds = self._failures.get(clip, [])
         if not _REPEATED.issuperset(kinds):
             return False
-        crashed_elsewhere = any("crash" in others for name, others in self._failures.items() if name != clip)
+        crashed_elsewhere = any(
+            "crash" in others for name, others in self._failures.items() if name != clip
+        )
         is_elsewhere = set(kinds) == {"crash"} and crashed_elsewhere
         return len(kinds) < (_N_ATTEMPTS_ELSEWHERE if is_elsewhere else _N_ATTEMPTS)
 
 
-def time_limit_s(time_factor: float, video_s: float, fetch_bytes: float = 0.0, n_frames: int = 0) -> float:
-    """Time limit of a clip; it grows with the processed frames, since a worker that makes progress does not hang.
+def time_limit_s(
+    time_factor: float, video_s: float, fetch_bytes: float = 0.0, n_frames: int = 0
+) -> float:
+    """Time limit of a clip; it grows with the processed frames, since a worker that makes progress
+    does not hang.
 
-    `time_factor`: seconds for each second of video, or for ten frames; `video_s`: duration, 0 = not known yet;
-    `fetch_bytes`: bytes to download; `n_frames`: frames processed so far.
+    `time_factor`: seconds for each second of video, or for ten frames; `video_s`: duration, 0 = not
+    known yet; `fetch_bytes`: bytes to download; `n_frames`: frames processed so far.
     """
     length_s = max(video_s, n_frames / _FRAMES_PER_S)
     return BASE_S + time_factor * length_s + fetch_bytes / _FETCH_BYTES_PER_S
@@ -100,12 +117,15 @@ class Slot:
     start_s: float = 0.0  # time of the first state, monotonic clock
     verdict: tuple[ErrorKind, str] | None = None  # kind and reason for which the task was cancelled
     cancel_s: float = 0.0  # time of the cancellation, monotonic clock
-    death_s: float | None = None  # time at which its worker died on another node, monotonic clock; None = it lives
+    # time at which its worker died on another node, monotonic clock; None = it lives
+    death_s: float | None = None
     n_clips: int = 0  # clips that have been finished in it
 
 
 class Driver:
-    """Scheduling of the clips `todo`, with `table` and `state` updated, and `report` called about twice a second."""
+    """Scheduling of the clips `todo`, with `table` and `state` updated, and `report` called about
+    twice a second.
+    """
 
     def __init__(
         self,
@@ -132,14 +152,17 @@ class Driver:
         files = {} if plan.settings.address is None else shared_files(plan)
         self._arguments = (ray.put(plan), process, ray.put(files))
         self._slots = [Slot(number) for number in range(n_workers)]
-        self._node = ray.get_runtime_context().get_node_id()  # not lost as long as the driver is at work
+        # not lost as long as the driver is at work
+        self._node = ray.get_runtime_context().get_node_id()
         self._cancelled: list[int] = []  # processes of this machine that may not have ended yet
         self._attempts = Attempts()
         self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
 
     def run(self) -> None:
-        """Process all clips; FleetError: the fleet cannot continue; StorageError: the results cannot be written."""
+        """Process all clips; FleetError: the fleet cannot continue; StorageError: the results
+        cannot be written.
+        """
         while self._todo or any(slot.task for slot in self._slots):
             for slot in self._slots:
                 if self._todo and slot.task is None:
@@ -152,7 +175,10 @@ class Driver:
 
     def stop(self) -> None:
         """End all workers."""
-        pids = [*self._cancelled, *(slot.state.pid for slot in self._slots if self._is_here(slot.state))]
+        pids = [
+            *self._cancelled,
+            *(slot.state.pid for slot in self._slots if self._is_here(slot.state)),
+        ]
         for slot in self._slots:
             if slot.states is not None:
                 with suppress(ray.exceptions.RayError, ValueError):
@@ -181,26 +207,36 @@ class Driver:
             time.sleep(_POLL_S)
 
     def _take(self, slot: Slot) -> None:
-        """Take a worker's next state, outcome or error; FleetError: workers cannot start, results cannot be stored."""
+        """Take a worker's next state, outcome or error; FleetError: workers cannot start, results
+        cannot be stored.
+        """
         try:
             value: WorkerState | ClipOutcome = ray.get(next(slot.states))
         except ray.exceptions.RayTaskError as error:
             cause = getattr(error, "cause", None) or error
             if isinstance(cause, FleetError):
                 raise FleetError(str(cause)) from None
-            reason = next((line for line in reversed(str(cause).splitlines()) if line.strip()), repr(cause)).strip()
+            reason = next(
+                (line for line in reversed(str(cause).splitlines()) if line.strip()), repr(cause)
+            ).strip()
             raise FleetError(f"the workers cannot start: {shortened(reason, 300)}") from error
         except ray.exceptions.OutOfMemoryError:
-            reason = "the machine ran out of memory; start fewer --workers, or give them more --worker-memory."
+            reason = (
+                "the machine ran out of memory; start fewer --workers, or give them more "
+                "--worker-memory."
+            )
             self._repeat_or_fail(self._freed(slot), "memory", reason)
         except ray.exceptions.NodeDiedError:
             self._lost(slot, is_node_lost=True)
         except (ray.exceptions.RayError, StopIteration) as error:
             self._n_starts_lost += not self._has_started
             if self._n_starts_lost >= _MAX_STARTS:
-                raise FleetError(f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}") from error
+                raise FleetError(
+                    f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}"
+                ) from error
             if slot.verdict is None and slot.state is not None and slot.state.node != self._node:
-                slot.states, slot.death_s = None, time.monotonic()  # its node may be lost, which Ray notices later
+                # its node may be lost, which Ray notices later
+                slot.states, slot.death_s = None, time.monotonic()
             else:
                 self._lost(slot)
         else:
@@ -221,7 +257,9 @@ class Driver:
         return task
 
     def _lost(self, slot: Slot, *, is_node_lost: bool = False) -> None:
-        """Decide on a clip whose worker was cancelled for the reason of the verdict, or died by itself."""
+        """Decide on a clip whose worker was cancelled for the reason of the verdict, or died by
+        itself.
+        """
         task = self._freed(slot)
         # the last act for the clip may have been complete
         row = journal_rows(self._out, [task.clip.name]).get(task.clip.name, {})
@@ -233,7 +271,9 @@ class Driver:
         elif is_node_lost:
             self._todo.append(task)
         else:
-            self._repeat_or_fail(task, "crash", "the process of the worker died (killed, or a crash in a library).")
+            self._repeat_or_fail(
+                task, "crash", "the process of the worker died (killed, or a crash in a library)."
+            )
 
     def _finished(self, task: ClipTask, outcome: ClipOutcome) -> None:
         if outcome.fatal:
@@ -251,7 +291,9 @@ class Driver:
         else:
             self._add_failed(task, row)
 
-    def _repeat_or_fail(self, task: ClipTask, kind: ErrorKind, reason: str, row: Row | None = None) -> None:
+    def _repeat_or_fail(
+        self, task: ClipTask, kind: ErrorKind, reason: str, row: Row | None = None
+    ) -> None:
         self._attempts.add(task.clip.name, kind)
         if self._attempts.is_repeated(task.clip.name):
             self._todo.append(task)
@@ -261,12 +303,14 @@ class Driver:
             self._fail(task, kind, reason)
 
     def _check_limits(self) -> None:
-        """Cancel the tasks over a limit, and decide on workers that died; raise FleetError if no worker starts."""
+        """Cancel the tasks over a limit, and decide on workers that died; raise FleetError if no
+        worker starts.
+        """
         now_s = time.monotonic()
         if not self._has_started and now_s - self._start_s > _START_S:
             raise FleetError(
-                f"no worker started within {_START_S / 60:.0f} minutes: no node of the cluster has --threads CPUs, "
-                "--worker-memory and --gpus-per-worker free."
+                f"no worker started within {_START_S / 60:.0f} minutes: no node of the cluster has "
+                "--threads CPUs, --worker-memory and --gpus-per-worker free."
             )
         is_waiting = any(slot.death_s is not None for slot in self._slots)
         nodes: list[dict[str, Any]] = ray.nodes() if is_waiting else []  # type: ignore[no-untyped-call]
@@ -276,7 +320,11 @@ class Driver:
                 is_node_lost = slot.state.node not in alive
                 if is_node_lost or now_s - slot.death_s > _NODE_S:
                     self._lost(slot, is_node_lost=is_node_lost)
-            elif slot.verdict is not None and slot.task is not None and now_s - slot.cancel_s > _CANCEL_S:
+            elif (
+                slot.verdict is not None
+                and slot.task is not None
+                and now_s - slot.cancel_s > _CANCEL_S
+            ):
                 self._lost(slot)
             elif slot.state is not None and slot.verdict is None:
                 slot.verdict = self._verdict(slot.state, now_s - slot.start_s)
@@ -299,8 +347,8 @@ class Driver:
         limit_s = time_limit_s(self._settings.timeout, at.video_s, at.fetch_bytes, at.frames)
         if elapsed_s > limit_s:
             return "timeout", (
-                f"the time limit of {limit_s:.0f} s (--timeout) was exceeded while {at.phase}, after "
-                f"{counted(at.frames, 'frame')}."
+                f"the time limit of {limit_s:.0f} s (--timeout) was exceeded while {at.phase}, "
+                f"after {counted(at.frames, 'frame')}."
             )
         return None
 

@@ -1,4 +1,6 @@
-"""Plan of a fleet: the data for every worker, and the hash of the settings that all clips have in common."""
+"""Plan of a fleet: the data for every worker, and the hash of the settings that all clips have in
+common.
+"""
 
 from __future__ import annotations
 
@@ -30,22 +32,34 @@ from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import read_settings, settings_from
 
-_NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (  # of clips, or with another meaning
+# of clips, or with another meaning
+_NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (
     RunSettings.model_fields.keys() & FleetSettings.model_fields.keys()
 )
-_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)  # not taken from a settings.yaml
-_SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or may be, files which all clips share
+# not taken from a settings.yaml
+_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)
+# that are, or may be, files which all clips share
+_SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN
 
 
 class FileNames:
-    """Names of the videos of a clip ("" = one camera), if anonymized without folders, which may name a person."""
+    """Names of the videos of a clip ("" = one camera), if anonymized without folders, which may
+    name a person.
+    """
 
     def __init__(self, clip: Clip, *, is_anonymized: bool) -> None:
         self._is_anonymized = is_anonymized
-        left, right = Location.of(clip.left), None if clip.right is None else Location.of(clip.right)
+        left, right = (
+            Location.of(clip.left),
+            None if clip.right is None else Location.of(clip.right),
+        )
         self.left = left.name if is_anonymized else str(left)
         self.right = "" if right is None else right.name if is_anonymized else str(right)
-        folders = {text for address in clip.named_files().values() for text in _folders(Location.of(address))}
+        folders = {
+            text
+            for address in clip.named_files().values()
+            for text in _folders(Location.of(address))
+        }
         self._folders = sorted(folders, key=len, reverse=True) if is_anonymized else []
 
     def text(self, text: str) -> str:
@@ -58,7 +72,9 @@ class FileNames:
 
 
 def _folders(location: Location) -> Iterable[str]:
-    """Texts before the name of a file, as messages contain them; for folders of images, before the folder's name."""
+    """Texts before the name of a file, as messages contain them; for folders of images, before the
+    folder's name.
+    """
     if not location.is_local:
         return [f"{str(location).partition('?')[0].rpartition('/')[0]}/"]
     parents = (location.path.parent, Path(os.path.realpath(location.path)).parent)
@@ -71,16 +87,20 @@ class ClipTask:
 
     clip: Clip
     attempt: int = 1  # counted from 1
-    known_hash: str = ""  # content hash of the complete result, if the files have only been touched since; "" = none
+    # content hash of the complete result, if the files have only been touched since; "" = none
+    known_hash: str = ""
     has_other_options: bool = False  # the complete result is of other options of the runs
 
 
 @dataclass(frozen=True, slots=True)
 class ClipOutcome:
-    """Answer of a worker about a clip, with its record; the record of a finished clip has been published."""
+    """Answer of a worker about a clip, with its record; the record of a finished clip has been
+    published.
+    """
 
     row: Row
-    is_unchanged: bool = False  # the content equals the complete result; only `inputs` of the row counts
+    # the content equals the complete result; only `inputs` of the row counts
+    is_unchanged: bool = False
     is_transient: bool = False  # the failure may not repeat itself
     defect: str = ""  # text of an exception that the processing has not caught; "" = none
     fatal: str = ""  # why the fleet cannot continue, one sentence; "" = it can
@@ -98,7 +118,9 @@ class ClipProgress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetPlan:
-    """The data for every worker: settings of the fleet, and options of the runs by name of the setting."""
+    """The data for every worker: settings of the fleet, and options of the runs by name of the
+    setting.
+    """
 
     settings: FleetSettings
     options: Mapping[str, Any]
@@ -135,8 +157,12 @@ Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]  # processe
 
 
 def common_options(file: Path) -> dict[str, Any]:
-    """Options of the settings.yaml of a run for all clips, without its inputs and outputs; raises ConfigError."""
-    options = {key: value for key, value in read_settings(file).items() if key not in _NOT_TAKEN | _OUTPUTS}
+    """Options of the settings.yaml of a run for all clips, without its inputs and outputs; raises
+    ConfigError.
+    """
+    options = {
+        key: value for key, value in read_settings(file).items() if key not in _NOT_TAKEN | _OUTPUTS
+    }
     try:
         _validated(options)
     except UsageError as error:
@@ -147,19 +173,21 @@ def common_options(file: Path) -> dict[str, Any]:
 def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan:
     """Plan with given options of the runs, by name of the setting.
 
-    Raises UsageError: an option is invalid, or one that a fleet does not take; ModelError, ConfigError, CurveError: a
-    shared file cannot be used.
+    Raises UsageError: an option is invalid, or one that a fleet does not take; ModelError,
+    ConfigError, CurveError: a shared file cannot be used.
     """
     for name in options:
         field = RunSettings.model_fields.get(name)
         if field is not None and (instead := option_of(field).instead):
-            raise UsageError(f"{RunSettings.flag(name)}: this is not an option of a fleet; {instead}.")
+            raise UsageError(
+                f"{RunSettings.flag(name)}: this is not an option of a fleet; {instead}."
+            )
     given = {"overlay": False, **options, "threads": settings.threads}
     checked = _validated(given)
     if checked.ego_speed not in (AUTO, OFF) and math.isnan(number(checked.ego_speed)):
         raise UsageError(
-            "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the column ego_speed of "
-            "a manifest."
+            "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the "
+            "column ego_speed of a manifest."
         )
     files = _shared_files(checked)
     hashes = {}
@@ -185,12 +213,22 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
 
 
 def _validated(options: Mapping[str, Any]) -> RunSettings:
-    """Settings of a run with the given options; the names of its videos do not matter. Raises UsageError."""
+    """Settings of a run with the given options; the names of its videos do not matter. Raises
+    UsageError.
+    """
     topics = options.get("topics") or ()
-    n_topics = len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, Sized) else 0
+    n_topics = (
+        len(topics.split(","))
+        if isinstance(topics, str)
+        else len(topics)
+        if isinstance(topics, Sized)
+        else 0
+    )
     is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
     video = {"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"}
-    return settings_from({**options, **({"stereo": "both.mp4"} if options.get("stereo_layout") else video)})
+    return settings_from(
+        {**options, **({"stereo": "both.mp4"} if options.get("stereo_layout") else video)}
+    )
 
 
 def _shared_files(settings: RunSettings) -> dict[str, Path]:
@@ -203,7 +241,11 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
             if model.origin != "catalogue" or model.entry is None:
                 files[name] = model.path.absolute()
         elif name == "ignore":
-            files |= {name: Path(value).absolute()} if str(value).lower().endswith(MASK_SUFFIXES) else {}
-        elif isinstance(value, Path) or (value is not None and Path(value).suffix and math.isnan(number(value))):
+            files |= (
+                {name: Path(value).absolute()} if str(value).lower().endswith(MASK_SUFFIXES) else {}
+            )
+        elif isinstance(value, Path) or (
+            value is not None and Path(value).suffix and math.isnan(number(value))
+        ):
             files[name] = Path(value).absolute()
     return files

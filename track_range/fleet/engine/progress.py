@@ -24,7 +24,9 @@ _MAX_NAME = 40  # longest name of a clip in the table
 
 
 @contextmanager
-def shown_progress(console: Console, fleet: FleetState) -> Iterator[Callable[[Sequence[Slot]], None]]:
+def shown_progress(
+    console: Console, fleet: FleetState
+) -> Iterator[Callable[[Sequence[Slot]], None]]:
     """Context with a function that shows the state and the workers on the console."""
     if console.is_terminal:
         with Live(console=console, refresh_per_second=2, transient=True) as live:
@@ -47,7 +49,12 @@ def _table(fleet: FleetState, slots: Sequence[Slot]) -> Table:
         table.add_column(heading, justify="right" if heading in ("frames", "MB") else "left")
     for slot in slots[:_MAX_WORKERS]:
         values = worker_state(slot)
-        texts = (str(values["number"]), values["host"], shortened(values["clip"], _MAX_NAME), values["phase"])
+        texts = (
+            str(values["number"]),
+            values["host"],
+            shortened(values["clip"], _MAX_NAME),
+            values["phase"],
+        )
         table.add_row(*map(Text, (*texts, str(values["frames"]), str(values["memory_mb"]))))
     if len(slots) > _MAX_WORKERS:
         table.add_row("...", f"{len(slots) - _MAX_WORKERS} more")

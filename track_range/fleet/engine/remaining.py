@@ -1,4 +1,6 @@
-"""Which clips of a fleet are left to process: fingerprints of their inputs and of earlier results."""
+"""Which clips of a fleet are left to process: fingerprints of their inputs and of earlier
+results.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +34,11 @@ class _Known(NamedTuple):
 def remaining(
     clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is_failed_repeated: bool
 ) -> tuple[list[ClipTask], int, int]:
-    """Clips without a result for the present files and settings; numbers of complete and of failed clips.
+    """Clips without a result for the present files and settings; numbers of complete and of failed
+    clips.
 
-    Files are compared by size and time of change; where these differ, the worker compares the content. Failed clips
-    are repeated if something has changed, or `is_failed_repeated`.
+    Files are compared by size and time of change; where these differ, the worker compares the
+    content. Failed clips are repeated if something has changed, or `is_failed_repeated`.
     """
     known = dict(_known(table))
     todo: list[ClipTask] = []
@@ -44,7 +47,9 @@ def remaining(
         result = known.get(clip.name)
         is_repeated = result is not None and result.status == "failed" and is_failed_repeated
         if result is None or is_repeated or result.settings_hash != settings_hash:
-            todo.append(ClipTask(clip, has_other_options=result is not None and result.status == "done"))
+            todo.append(
+                ClipTask(clip, has_other_options=result is not None and result.status == "done")
+            )
         else:
             compared.append((clip, result))
     n_equal: Counter[str] = Counter()
@@ -57,15 +62,28 @@ def remaining(
                 if inputs and inputs == result.inputs:
                     n_equal[result.status] += 1
                 else:
-                    todo.append(ClipTask(clip, known_hash=result.content_hash if result.status == "done" else ""))
+                    todo.append(
+                        ClipTask(
+                            clip, known_hash=result.content_hash if result.status == "done" else ""
+                        )
+                    )
     return todo, n_equal["done"], n_equal["failed"]
 
 
 def work_text(todo: Sequence[ClipTask], n_complete: int) -> str:
-    """Clause with the numbers of clips to process and of complete clips, and why earlier results do not count."""
-    n_other, n_touched = sum(task.has_other_options for task in todo), sum(bool(task.known_hash) for task in todo)
+    """Clause with the numbers of clips to process and of complete clips, and why earlier results do
+    not count.
+    """
+    n_other, n_touched = (
+        sum(task.has_other_options for task in todo),
+        sum(bool(task.known_hash) for task in todo),
+    )
     reasons = [f"{n_other} with a result of other options"] if n_other else []
-    reasons += [f"{n_touched} complete if the content of the changed files is the same"] if n_touched else []
+    reasons += (
+        [f"{n_touched} complete if the content of the changed files is the same"]
+        if n_touched
+        else []
+    )
     named = f" ({', '.join(reasons)})" if reasons else ""
     return f"{counted(len(todo), 'clip')} to process{named}, {n_complete} complete"
 
@@ -73,7 +91,9 @@ def work_text(todo: Sequence[ClipTask], n_complete: int) -> str:
 def _known(table: ClipTable) -> Iterator[tuple[str, _Known]]:
     names = ("clip", *_Known._fields)
     for batch in table.table.select(names).to_batches(max_chunksize=10_000):
-        for name, status, settings_hash, *others in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+        for name, status, settings_hash, *others in zip(
+            *(column.to_pylist() for column in batch.columns), strict=True
+        ):
             # these two are equal in most rows
             shared = (intern(value or "") for value in (status, settings_hash))
             yield name, _Known(*shared, *(value or "" for value in others))
@@ -82,14 +102,23 @@ def _known(table: ClipTable) -> Iterator[tuple[str, _Known]]:
 
 
 def present_fingerprint(clip: Clip, listings: FolderListings | None = None) -> str:
-    """`fingerprint` of a clip's files now (or when `listings` were made); "" if the storage cannot be reached."""
+    """`fingerprint` of a clip's files now (or when `listings` were made); "" if the storage cannot
+    be reached.
+    """
     listings = listings or FolderListings()
     try:
-        states = {role: listings.state(Location.of(address)) for role, address in clip.files(listings.stat).items()}
+        states = {
+            role: listings.state(Location.of(address))
+            for role, address in clip.files(listings.stat).items()
+        }
     except StorageError:
         return ""
     return fingerprint(
-        clip, {role: (-1, -1) if state is None else (state.size, state.mtime_ns) for role, state in states.items()}
+        clip,
+        {
+            role: (-1, -1) if state is None else (state.size, state.mtime_ns)
+            for role, state in states.items()
+        },
     )
 
 
@@ -99,6 +128,10 @@ def content_hash(clip: Clip, digests: Mapping[str, str]) -> str:
 
 
 def fingerprint(clip: Clip, files: Mapping[str, object]) -> str:
-    """Files of a clip, each with size and time of change or with a hash, and the clip's settings, in canonical JSON."""
-    settings = {name: value for name, value in clip.settings.items() if not is_file_setting(name, value)}
+    """Files of a clip, each with size and time of change or with a hash, and the clip's settings,
+    in canonical JSON.
+    """
+    settings = {
+        name: value for name, value in clip.settings.items() if not is_file_setting(name, value)
+    }
     return json.dumps({"files": files, "settings": settings}, sort_keys=True, separators=(",", ":"))

@@ -1,6 +1,8 @@
-"""A worker: a process of Ray that processes clips one after the other, each as a task that yields its state.
+"""A worker: a process of Ray that processes clips one after the other, each as a task that yields
+its state.
 
-Ray replaces a process that dies or is cancelled, and one that has processed `CLIPS_PER_PROCESS` clips.
+Ray replaces a process that dies or is cancelled, and one that has processed `CLIPS_PER_PROCESS`
+clips.
 """
 
 from __future__ import annotations
@@ -25,19 +27,23 @@ from track_range.fleet.errors import FleetError
 from track_range.foundation.files.input_files import read_bytes
 from track_range.foundation.processes import is_running, owned_process
 
-CLIPS_PER_PROCESS = 20  # then a new process: it grows by 20 to 45 MB per clip, and a new one takes 2 s for imports
+# then a new process: it grows by 20 to 45 MB per clip, and a new one takes 2 s for imports
+CLIPS_PER_PROCESS = 20
 FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
 _COLLECT_S = 3.0  # shortest clip after which free objects are searched, which takes 0.1 s
 _STATE_S = 1.0  # time between two states, s
 _MAX_SHARED_BYTES = 2_000_000_000
 
-SharedFiles = Mapping[str, tuple[str, bytes]]  # name and content of the files that all clips share, by setting
+# name and content of the files that all clips share, by setting
+SharedFiles = Mapping[str, tuple[str, bytes]]
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerState:
-    """Process, machine, id of the node in Ray, progress and resident memory of a worker that processes a clip."""
+    """Process, machine, id of the node in Ray, progress and resident memory of a worker that
+    processes a clip.
+    """
 
     pid: int
     host: str
@@ -51,23 +57,35 @@ def process_clip(
 ) -> Iterator[WorkerState | ClipOutcome]:
     """States of the worker while it processes a clip, then the outcome.
 
-    `files` are the files that all clips share, if the driver is on another machine. Raises FleetError if the versions
-    of track-range of worker and driver differ.
+    `files` are the files that all clips share, if the driver is on another machine. Raises
+    FleetError if the versions of track-range of worker and driver differ.
     """
     import ray
 
     if (installed := version("track-range")) != plan.version:
         raise FleetError(
-            f"node {platform.node()}: expected track-range {plan.version}, found {installed}; install the same version "
-            "on all nodes."
+            f"node {platform.node()}: expected track-range {plan.version}, found {installed}; "
+            "install the same version on all nodes."
         )
     _limit_threads(plan.settings.threads)
-    progress, start_s, node = ClipProgress(), time.monotonic(), ray.get_runtime_context().get_node_id()
-    with scratch_folder(plan.settings.cache_dir) as folder, owned_process(), ThreadPoolExecutor(1) as thread:
-        future = thread.submit(process, task, with_shared_files(plan, files, folder / "shared"), progress)
+    progress, start_s, node = (
+        ClipProgress(),
+        time.monotonic(),
+        ray.get_runtime_context().get_node_id(),
+    )
+    with (
+        scratch_folder(plan.settings.cache_dir) as folder,
+        owned_process(),
+        ThreadPoolExecutor(1) as thread,
+    ):
+        future = thread.submit(
+            process, task, with_shared_files(plan, files, folder / "shared"), progress
+        )
         is_done = False
         while not is_done:
-            yield WorkerState(os.getpid(), platform.node(), node, replace(progress), _resident_bytes())
+            yield WorkerState(
+                os.getpid(), platform.node(), node, replace(progress), _resident_bytes()
+            )
             is_done = bool(wait([future], _STATE_S).done)
         error = future.exception()  # raised here, it would look like a worker that cannot start
         defect = " ".join(str(error).split())[-300:] or repr(error)
@@ -80,8 +98,8 @@ def process_clip(
 def _limit_threads(n_threads: int) -> None:
     """Limit the threads of the libraries in this process.
 
-    Linear algebra gets one thread whatever the number is: its sums, and with them the last digits of the results,
-    depend on the number of threads.
+    Linear algebra gets one thread whatever the number is: its sums, and with them the last digits
+    of the results, depend on the number of threads.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
@@ -111,7 +129,9 @@ def peak_memory_bytes() -> int:
 
 @contextmanager
 def scratch_folder(cache_dir: Path | None) -> Iterator[Path]:
-    """Temporary folder of this process, in `cache_dir` if given; folders of killed processes are removed."""
+    """Temporary folder of this process, in `cache_dir` if given; folders of killed processes are
+    removed.
+    """
     before = tempfile.tempdir
     parent = cache_dir or Path(tempfile.gettempdir())
     remove_dead_folders(parent, FOLDER_PREFIX)
@@ -135,16 +155,23 @@ def remove_dead_folders(parent: Path, prefix: str) -> None:
 
 
 def shared_files(plan: FleetPlan) -> SharedFiles:
-    """The files in the options of a plan, for workers on other machines; raises FleetError if one cannot be read."""
+    """The files in the options of a plan, for workers on other machines; raises FleetError if one
+    cannot be read.
+    """
     paths = {name: Path(plan.options[name]) for name in plan.shared if name in plan.options}
     return {
-        name: (path.name, read_bytes(path, FleetError, f"the file of --{name}", max_bytes=_MAX_SHARED_BYTES))
+        name: (
+            path.name,
+            read_bytes(path, FleetError, f"the file of --{name}", max_bytes=_MAX_SHARED_BYTES),
+        )
         for name, path in paths.items()
     }
 
 
 def with_shared_files(plan: FleetPlan, files: SharedFiles, folder: Path) -> FleetPlan:
-    """The plan with the paths of copies of the files in a folder; without a copy, the driver's path is used."""
+    """The plan with the paths of copies of the files in a folder; without a copy, the driver's path
+    is used.
+    """
     options = dict(plan.options)
     for setting, (name, content) in files.items():
         path = folder / setting / name

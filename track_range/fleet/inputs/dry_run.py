@@ -23,7 +23,8 @@ from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_r
 
 _BATCH = 256  # number of clips that are handed to the threads at a time
 _CODEC_CROP_PX = 2  # tolerated difference in size between left and right, px, as in a run
-_MAX_DIFFERENCE_S = 1.0  # difference between the lengths of left and right above which there is a note, s
+# difference between the lengths of left and right above which there is a note, s
+_MAX_DIFFERENCE_S = 1.0
 _MAX_CALIBRATION_SIDE_PX = 16_384  # largest side of an image for which a calibration is checked, px
 
 
@@ -41,7 +42,8 @@ class CheckedClip:
     notes: tuple[str, ...] = ()  # other remarks
 
 
-_Header = tuple[tuple[int, int], float, float, bool]  # size, frames/s, seconds (0 = not stated), has a calibration
+# size, frames/s, seconds (0 = not stated), has a calibration
+_Header = tuple[tuple[int, int], float, float, bool]
 
 
 @dataclass(slots=True)
@@ -65,10 +67,15 @@ class _Check:
                 properties = self._properties()
         except UserError as error:
             self.problems.append(str(error))
-        return CheckedClip(self.clip, **properties, problems=tuple(self.problems), notes=tuple(self.notes))
+        return CheckedClip(
+            self.clip, **properties, problems=tuple(self.problems), notes=tuple(self.notes)
+        )
 
     def _properties(self) -> dict[str, Any]:
-        files = {role: Location.of(address) for role, address in self.clip.files(self.listings.stat).items()}
+        files = {
+            role: Location.of(address)
+            for role, address in self.clip.files(self.listings.stat).items()
+        }
         properties: dict[str, Any] = {"n_bytes": self._size(files)}
         videos = [files[role] for role in ("left", "right") if role in files]
         if self.problems:
@@ -83,15 +90,24 @@ class _Check:
         calibration = self._calibration(headers, files.get("rig"))
         if len(headers) == 2 and self.clip.right is not None:
             self._compare(headers[0], headers[1], has_rig=calibration in ("file", "bag"))
-        known = {"size_px": size_px, "fps": fps or None, "duration_s": duration_s or None, "calibration": calibration}
+        known = {
+            "size_px": size_px,
+            "fps": fps or None,
+            "duration_s": duration_s or None,
+            "calibration": calibration,
+        }
         return properties | known
 
     @property
     def _layout(self) -> LayoutOption | None:
-        """Layout of the images of two cameras in the only video; None = there are two videos, or one camera."""
+        """Layout of the images of two cameras in the only video; None = there are two videos, or
+        one camera.
+        """
         if self.clip.right is not None:
             return None
-        return cast(LayoutOption | None, self.clip.settings.get("stereo_layout", self.stereo_layout))
+        return cast(
+            LayoutOption | None, self.clip.settings.get("stereo_layout", self.stereo_layout)
+        )
 
     def _half(self, path: Path, layout: LayoutOption, whole: _Header) -> _Header:
         """The properties of one camera in a video with the images of two cameras."""
@@ -108,7 +124,9 @@ class _Check:
             if state is None:
                 self.problems.append(f"{location}: no such file; expected {file_title(role)}.")
             elif state.size == 0 and not role.startswith(TELEMETRY_ROLE):
-                self.problems.append(f"{location}: the {'folder' if state.is_folder else 'file'} is empty.")
+                self.problems.append(
+                    f"{location}: the {'folder' if state.is_folder else 'file'} is empty."
+                )
             else:
                 n_bytes += max(state.size, 0)
         return n_bytes
@@ -122,23 +140,34 @@ class _Check:
         topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
         topic = topics[index] if index < len(topics) else ""
         fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
-        with closing(open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
+        with closing(
+            open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)
+        ) as reader:
             has_camera = isinstance(reader, BagVideo) and reader.camera is not None
-            return (reader.width_px, reader.height_px), reader.fps, (reader.n_frames or 0) / reader.fps, has_camera
+            return (
+                (reader.width_px, reader.height_px),
+                reader.fps,
+                (reader.n_frames or 0) / reader.fps,
+                has_camera,
+            )
 
     def _compare(self, left: _Header, right: _Header, *, has_rig: bool) -> None:
         """Compare the videos of a pair; without a rig, they must have the same size."""
         ((lw, lh), _, left_s, _), ((rw, rh), _, right_s, _) = left, right
         if not has_rig and max(abs(lw - rw), abs(lh - rh)) > _CODEC_CROP_PX:
-            self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
+            self.problems.append(
+                f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}."
+            )
         if left_s and right_s and abs(left_s - right_s) > _MAX_DIFFERENCE_S:
             self.notes.append(
-                f"The left video is {left_s:.1f} s long, the right one {right_s:.1f} s; frames without a partner are "
-                "not used."
+                f"The left video is {left_s:.1f} s long, the right one {right_s:.1f} s; frames "
+                "without a partner are not used."
             )
 
     def _calibration(self, headers: Sequence[_Header], rig: Location | None) -> str:
-        """Kind of the calibration; an unusable calibration is a problem, a missing calibration is noted."""
+        """Kind of the calibration; an unusable calibration is a problem, a missing calibration is
+        noted.
+        """
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
                 return "focal length"
@@ -148,7 +177,10 @@ class _Check:
             rig = None if neighbour is None else Location.of(neighbour)
         if rig is None:
             if self.clip.right is None and self._layout is None:
-                self.notes.append("No calibration: the focal length is estimated from the video, with its uncertainty.")
+                self.notes.append(
+                    "No calibration: the focal length is estimated from the video, "
+                    "with its uncertainty."
+                )
             return "none"
         if rig.is_local and max(headers[0][0]) <= _MAX_CALIBRATION_SIDE_PX:
             self._check_rig(rig.path, headers[0][0], headers[-1][0])
@@ -157,7 +189,10 @@ class _Check:
     def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
         errors = []
         # the second sizes belong to a video that is rotated by its metadata
-        for left, right in ((left_px, right_px), ((left_px[1], left_px[0]), (right_px[1], right_px[0]))):
+        for left, right in (
+            (left_px, right_px),
+            ((left_px[1], left_px[0]), (right_px[1], right_px[0])),
+        ):
             try:
                 if self.clip.right is None and self._layout is None:
                     load_camera(path, size_px=left)
@@ -179,10 +214,10 @@ def check_clips(
 ) -> Iterator[CheckedClip]:
     """The clips with the properties in their headers, in the given order.
 
-    Videos on this machine are opened, but not decoded, except the first image of folders and bags. Of remote clips only
-    the existence and size of the files are known. `focal_px` and `folder_fps` are as in a run, for clips without
-    calibration and folders of images without timestamps.txt, `stereo_layout` for single videos of two cameras;
-    `threads` clips are checked at a time.
+    Videos on this machine are opened, but not decoded, except the first image of folders and bags.
+    Of remote clips only the existence and size of the files are known. `focal_px` and `folder_fps`
+    are as in a run, for clips without calibration and folders of images without timestamps.txt,
+    `stereo_layout` for single videos of two cameras; `threads` clips are checked at a time.
     """
     listings = FolderListings()
 

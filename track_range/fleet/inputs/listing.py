@@ -16,19 +16,22 @@ from track_range.fleet.inputs.tree import FileTree, is_image_name, wildcard_tree
 from track_range.fleet.storage.location import Location, shown
 from track_range.foundation.files.input_files import quoted, shortened
 
-# largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with what is added
+# largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with
+# what is added
 MAX_NAME_BYTES = 200
 
 _N_CONNECTIONS = 16  # files that are looked up at a time
 
 
 def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) -> list[Clip]:
-    """The clips of folders, files, patterns such as `DIR/*.mp4`, and manifests (.csv, .parquet), sorted by name.
+    """The clips of folders, files, patterns such as `DIR/*.mp4`, and manifests (.csv, .parquet),
+    sorted by name.
 
-    `pattern` has the names of the files of a clip, relative to a folder: `{clip}.mp4` for one camera,
-    `{clip}_left.mp4,{clip}_right.mp4` for two; other placeholders become labels; None = every video is a clip. `rig`
-    may contain these placeholders or the columns of the manifest. Raises FleetInputError if nothing is found, names are
-    not unique, or a pattern or manifest is wrong; StorageError if a storage cannot be reached.
+    `pattern` has the names of the files of a clip, relative to a folder: `{clip}.mp4` for one
+    camera, `{clip}_left.mp4,{clip}_right.mp4` for two; other placeholders become labels; None =
+    every video is a clip. `rig` may contain these placeholders or the columns of the manifest.
+    Raises FleetInputError if nothing is found, names are not unique, or a pattern or manifest is
+    wrong; StorageError if a storage cannot be reached.
     """
     file_pattern = None if pattern is None else FilePattern.of(pattern)
     rig_template = None if rig is None else Template.of(rig, "--rig")
@@ -37,7 +40,10 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
         location = Location.of(text)
         if location.name.lower().endswith((".csv", ".parquet")):
             if file_pattern is not None:
-                raise FleetInputError(f"{location}: --pattern is for folders; a manifest names the files of each clip.")
+                raise FleetInputError(
+                    f"{location}: --pattern is for folders; a manifest names the "
+                    "files of each clip."
+                )
             clips.extend(manifest_clips(location))
         else:
             clips.extend(_clips_in(location, file_pattern))
@@ -47,11 +53,16 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
 
 
 def label_note(clips: Sequence[Clip]) -> str:
-    """Sentence with the labels of the clips, and the settings whose names are similar; "" without labels."""
+    """Sentence with the labels of the clips, and the settings whose names are similar; "" without
+    labels.
+    """
     labels = dict.fromkeys(name for clip in clips for name in clip.labels)
-    near = {name: difflib.get_close_matches(name, CLIP_SETTINGS, n=1, cutoff=0.7) for name in labels}
+    near = {
+        name: difflib.get_close_matches(name, CLIP_SETTINGS, n=1, cutoff=0.7) for name in labels
+    }
     named = ", ".join(
-        f"{shown(name)} (did you mean {near[name][0]}?)" if near[name] else shown(name) for name in labels
+        f"{shown(name)} (did you mean {near[name][0]}?)" if near[name] else shown(name)
+        for name in labels
     )
     return f"Columns and placeholders that are labels, not settings: {named}." if labels else ""
 
@@ -60,13 +71,19 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     tree = wildcard_tree(location)
     if tree is None:
         # on a web server, an address without a suffix is a folder
-        if not location.is_web or (location.parent is not None and without_suffix(location.name) != location.name):
+        if not location.is_web or (
+            location.parent is not None and without_suffix(location.name) != location.name
+        ):
             status = location.stat()
             if status is None:
-                raise FleetInputError(f"{location}: no such file, folder or bucket; expected recordings.")
+                raise FleetInputError(
+                    f"{location}: no such file, folder or bucket; expected recordings."
+                )
             if not status.is_folder:
                 if pattern is not None:
-                    raise FleetInputError(f"{location}: expected a folder with --pattern, found a file.")
+                    raise FleetInputError(
+                        f"{location}: expected a folder with --pattern, found a file."
+                    )
                 return [Clip(without_suffix(location.name), location.address)]
         tree = FileTree.of_entries(location, location.list(recursive=True))
     elif not (tree.files or tree.folders):
@@ -89,7 +106,8 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
 
 
 def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> list[Clip]:
-    """One clip for each match of a pattern below a folder (`location` in messages); half of a pair has a problem.
+    """One clip for each match of a pattern below a folder (`location` in messages); half of a pair
+    has a problem.
 
     Raises FleetInputError if no file matches, or there is no complete pair.
     """
@@ -97,32 +115,49 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
     candidates = [*(name for name in tree.files if not is_image_name(name)), *(recorded - {""})]
 
     def clip_of(values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
-        """The clip with the given values of the placeholders; `missing`: the video that does not exist, "" = none."""
-        addresses = {role: tree.folder.child(name).address for role, name in (("left", left), ("right", right)) if name}
+        """The clip with the given values of the placeholders; `missing`: the video that does not
+        exist, "" = none.
+        """
+        addresses = {
+            role: tree.folder.child(name).address
+            for role, name in (("left", left), ("right", right))
+            if name
+        }
         problem = ""
         if missing:
             reason = "a folder without images" if left in tree.folders else "no such file"
             problem = (
-                f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} video of the clip."
+                f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} "
+                "video of the clip."
             )
         labels = {name: value for name, value in values.items() if name != CLIP}
-        return Clip(values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem)
+        return Clip(
+            values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem
+        )
 
     clips = []
     for name in candidates:
         if (match := left_names.fullmatch(name)) is not None:
             right = None if pattern.right is None else pattern.right.filled(match.groupdict())
-            clips.append(clip_of(match.groupdict(), name, right, "" if right is None or right in tree else "right"))
+            clips.append(
+                clip_of(
+                    match.groupdict(),
+                    name,
+                    right,
+                    "" if right is None or right in tree else "right",
+                )
+            )
     if not clips:
         example = f", such as {quoted(min(candidates))}" if candidates else ""
         raise FleetInputError(
-            f"{location}: expected files named {quoted(pattern.text)}, found none among {len(candidates)} "
-            f"files{example}; change --pattern."
+            f"{location}: expected files named {quoted(pattern.text)}, found none among "
+            f"{len(candidates)} files{example}; change --pattern."
         )
     if all(clip.problem for clip in clips):
         raise FleetInputError(
-            f"{location}: expected pairs of files named {quoted(pattern.text)}, found {len(clips)} left videos without "
-            f"a right one, such as {quoted(min(clip.name for clip in clips))}; change --pattern."
+            f"{location}: expected pairs of files named {quoted(pattern.text)}, found {len(clips)} "
+            f"left videos without a right one, such as {quoted(min(clip.name for clip in clips))}; "
+            "change --pattern."
         )
     names = {clip.name for clip in clips}
     lone: dict[str, Clip] = {}
@@ -139,10 +174,11 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
 
 
 def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:
-    """The clips with the calibration file of --rig, unless they already have a calibration or a focal length.
+    """The clips with the calibration file of --rig, unless they already have a calibration or a
+    focal length.
 
-    A clip without the file of its placeholders has a problem; FleetInputError: a placeholder is unknown, or no file
-    exists.
+    A clip without the file of its placeholders has a problem; FleetInputError: a placeholder is
+    unknown, or no file exists.
     """
     locations: dict[str, Location] = {}  # by name of the clip
     for clip in clips:
@@ -164,29 +200,40 @@ def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:
     result = []
     for clip in clips:
         if (location := locations.get(clip.name)) is not None:
-            missing = f"{shortened(str(location), 200)}: no such file; expected the calibration of the clip."
+            missing = (
+                f"{shortened(str(location), 200)}: no such file; expected the calibration of the "
+                "clip."
+            )
             problem = clip.problem or ("" if exists[location] else missing)
-            clip = replace(clip, settings={**clip.settings, "rig": location.address}, problem=problem)
+            clip = replace(
+                clip, settings={**clip.settings, "rig": location.address}, problem=problem
+            )
         result.append(clip)
     return result
 
 
 def _checked(clips: list[Clip]) -> list[Clip]:
-    """The clips sorted by name; FleetInputError: two clips have the same name, or a name is too long."""
+    """The clips sorted by name; FleetInputError: two clips have the same name, or a name is too
+    long.
+    """
     clips = sorted((_printable(clip) for clip in clips), key=lambda clip: clip.name)
     for one, other in itertools.pairwise(clips):
         if one.name == other.name:
             first, second = (shortened(shown(clip.left), 80) for clip in (one, other))
             files = f"twice for {first}" if one.left == other.left else f"for {first} and {second}"
             raise FleetInputError(
-                f"expected a different name for each clip, found {quoted(one.name)} {files}; rename one, or use "
-                "--pattern or a manifest."
+                f"expected a different name for each clip, found {quoted(one.name)} {files}; "
+                "rename one, or use --pattern or a manifest."
             )
     for clip in clips:
-        if len(clip.name) * 3 > MAX_NAME_BYTES and (n_bytes := len(quote(clip.name, safe=""))) > MAX_NAME_BYTES:
+        if (
+            len(clip.name) * 3 > MAX_NAME_BYTES
+            and (n_bytes := len(quote(clip.name, safe=""))) > MAX_NAME_BYTES
+        ):
             raise FleetInputError(
-                f"{shortened(shown(clip.left), 100)}: expected a name of the clip of at most {MAX_NAME_BYTES} bytes "
-                f"(percent-encoded), found {n_bytes}; rename it, or name it in a manifest."
+                f"{shortened(shown(clip.left), 100)}: expected a name of the clip of at most "
+                f"{MAX_NAME_BYTES} bytes (percent-encoded), found {n_bytes}; rename it, or name it "
+                "in a manifest."
             )
     return clips
 
@@ -202,7 +249,8 @@ def _printable(clip: Clip) -> Clip:
         left=_escaped(clip.left),
         right=None if clip.right is None else _escaped(clip.right),
         labels={name: _escaped(value) for name, value in clip.labels.items()},
-        problem=f"{_escaped(clip.left)}: expected a file name in UTF-8, found other bytes; rename the file.",
+        problem=f"{_escaped(clip.left)}: expected a file name in UTF-8, found other bytes; rename "
+        "the file.",
     )
 
 

@@ -2,9 +2,9 @@
 
     clip, left, right, rig, ego_speed, truth, ...
 
-Columns: `left` is required; `clip` is the name, by default the path of the left video without suffix;
-columns of `CLIP_SETTINGS` are settings of the run; all other columns are labels. Relative paths start in the manifest's
-folder.
+Columns: `left` is required; `clip` is the name, by default the path of the left video without
+suffix; columns of `CLIP_SETTINGS` are settings of the run; all other columns are labels. Relative
+paths start in the manifest's folder.
 """
 
 from __future__ import annotations
@@ -22,7 +22,12 @@ from track_range.fleet.inputs.tree import without_suffix
 from track_range.fleet.storage.location import Location, has_scheme, shown
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
-from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted, shortened
+from track_range.foundation.files.input_files import (
+    MAX_TABLE_BYTES,
+    check_regular,
+    quoted,
+    shortened,
+)
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.options import option_of, value_type
 from track_range.recording.utc import parsed_utc
@@ -31,13 +36,20 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and other columns"
-_FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)  # equal for all clips: no labels
-_MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000  # cells in a Parquet file, characters in a cell
+_EXPECTED = (
+    "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and other "
+    "columns"
+)
+# equal for all clips: no labels
+_FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)
+# cells in a Parquet file, characters in a cell
+_MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
 
 
 def manifest_clips(location: Location) -> list[Clip]:
-    """The clips of a manifest, in its order. Raises FleetInputError, which names the line, and StorageError."""
+    """The clips of a manifest, in its order. Raises FleetInputError, which names the line, and
+    StorageError.
+    """
     if location.is_local:
         return _Manifest(location, location.path).clips()
     with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:
@@ -72,23 +84,37 @@ class _Manifest:
 
     def clips(self) -> list[Clip]:
         rows = zip(*self._cells, strict=True)
-        return [self._clip(row, dict(zip(self._columns, texts, strict=True))) for row, texts in enumerate(rows)]
+        return [
+            self._clip(row, dict(zip(self._columns, texts, strict=True)))
+            for row, texts in enumerate(rows)
+        ]
 
     def _clip(self, row: int, cells: dict[str, str]) -> Clip:
         if long := next((name for name, text in cells.items() if len(text) > _MAX_CELL), None):
-            raise self._fault(row, f"expected at most {_MAX_CELL} characters in the column {quoted(long)}, found more")
+            raise self._fault(
+                row,
+                f"expected at most {_MAX_CELL} characters in the column {quoted(long)}, found more",
+            )
         left, right = cells.pop("left"), cells.pop("right", "")
         if not left:
             raise self._fault(row, "expected the left video, found an empty cell")
         addresses = self._file(row, left), self._file(row, right) if right else None
         name = cells.pop("clip", "") or _default_name(left)
         if not name:
-            raise self._fault(row, f"expected a name in the column clip, found none for {quoted(shown(left))}")
+            raise self._fault(
+                row, f"expected a name in the column clip, found none for {quoted(shown(left))}"
+            )
         other = self._names.setdefault(name, row)
         if other != row:
             before = f"{self._unit} {self._numbers[other]}"
-            raise self._fault(row, f"expected a different name for each clip, found {quoted(name)} as in {before}")
-        settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
+            raise self._fault(
+                row, f"expected a different name for each clip, found {quoted(name)} as in {before}"
+            )
+        settings = {
+            key: self._setting(row, key, text)
+            for key, text in cells.items()
+            if text and key in CLIP_SETTINGS
+        }
         if "rig" in settings and "focal_px" in settings:
             raise self._fault(row, "expected rig or focal_px, found both")
         labels = {key: text for key, text in cells.items() if key not in CLIP_SETTINGS}
@@ -112,15 +138,23 @@ class _Manifest:
 
     def _file(self, row: int, text: str) -> str:
         try:
-            if self._local_folder and text[0] not in "/~" and "://" not in text and "\0" not in text:
-                return os.path.normpath(f"{self._local_folder}/{text}")  # the usual case, without a Location
+            if (
+                self._local_folder
+                and text[0] not in "/~"
+                and "://" not in text
+                and "\0" not in text
+            ):
+                # the usual case, without a Location
+                return os.path.normpath(f"{self._local_folder}/{text}")
             if has_scheme(text) or text.startswith(("/", "~")):
                 return Location.of(text).address
             if "\\0" in text:
                 raise FleetInputError("a null character")
             return self._folder.descendant(text).address
         except UserError as error:
-            raise self._fault(row, f"expected a path or an address, found {quoted(shown(text))}") from error
+            raise self._fault(
+                row, f"expected a path or an address, found {quoted(shown(text))}"
+            ) from error
 
     def _fault(self, row: int, message: str) -> FleetInputError:
         return FleetInputError(f"{self._path}, {self._unit} {self._numbers[row]}: {message}.")
@@ -130,7 +164,9 @@ def _default_name(left: str) -> str:
     if has_scheme(left):
         return without_suffix(Location.of(left).name)
     is_below = not left.startswith(("/", "~", ".."))
-    return without_suffix(left.removeprefix("./") if is_below else left.rstrip("/").rpartition("/")[2])
+    return without_suffix(
+        left.removeprefix("./") if is_below else left.rstrip("/").rpartition("/")[2]
+    )
 
 
 def _parquet_columns(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
@@ -140,7 +176,11 @@ def _parquet_columns(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
     try:
         with parquet.ParquetFile(path) as file:
             schema, n_cells = file.schema_arrow, file.metadata.num_rows * len(file.schema_arrow)
-        texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
+        texts = [
+            field.name
+            for field in schema
+            if types.is_string(field.type) or types.is_large_string(field.type)
+        ]
         if n_cells > _MAX_CELLS:
             raise FleetInputError(f"{path}: expected at most {_MAX_CELLS} cells, found {n_cells}.")
         names = tuple(name.strip().lower() for name in schema.names)
@@ -162,7 +202,9 @@ def _cells(path: Path, name: str, column: pa.ChunkedArray) -> list[str]:
 
     kind = column.type.value_type if types.is_dictionary(column.type) else column.type
     if types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind):
-        raise FleetInputError(f"{path}: expected text, numbers or dates in the column {quoted(name)}, found {kind}.")
+        raise FleetInputError(
+            f"{path}: expected text, numbers or dates in the column {quoted(name)}, found {kind}."
+        )
     cells: list[str] = []
     for chunk in column.chunks:
         if types.is_dictionary(chunk.type):
@@ -180,16 +222,22 @@ def _text(value: object) -> str:
 
 
 def _check_columns(path: Path, names: tuple[str, ...]) -> None:
-    """Raise an error for a missing column `left`, columns with equal names, and options of the fleet."""
+    """Raise an error for a missing column `left`, columns with equal names, and options of the
+    fleet.
+    """
     if "left" not in names:
         raise FleetInputError(f"{path}: found no column 'left'; expected {_EXPECTED}.")
     if len(names) > _MAX_COLUMNS:
-        raise FleetInputError(f"{path}: expected at most {_MAX_COLUMNS} columns, found {len(names)}.")
+        raise FleetInputError(
+            f"{path}: expected at most {_MAX_COLUMNS} columns, found {len(names)}."
+        )
     for name in names:
         if names.count(name) > 1:
-            raise FleetInputError(f"{path}: expected one column {quoted(name)}, found several; rename or remove one.")
+            raise FleetInputError(
+                f"{path}: expected one column {quoted(name)}, found several; rename or remove one."
+            )
         if name in _FLEET_OPTIONS:
             raise FleetInputError(
-                f"{path}: {quoted(name)} is an option of the whole fleet, not of a clip; give it on the command line, "
-                "or rename the column."
+                f"{path}: {quoted(name)} is an option of the whole fleet, not of a clip; give it "
+                "on the command line, or rename the column."
             )

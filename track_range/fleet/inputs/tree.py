@@ -1,4 +1,6 @@
-"""FileTree: names of all files and folders that are below a folder or match a pattern such as `DIR/*/front_*.mp4`."""
+"""FileTree: names of all files and folders that are below a folder or match a pattern such as
+`DIR/*/front_*.mp4`.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +16,24 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
 from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
 
-_VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))  # for str.endswith
+# for str.endswith
+_VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")  # suffixes of MCAP files and ROS bags
-_RESULT_NAMES = ("overlay.mp4", "disparity.mp4", "run.mcap")  # files that runs write, which are not recordings
+# files that runs write, which are not recordings
+_RESULT_NAMES = ("overlay.mp4", "disparity.mp4", "run.mcap")
 # file and folders in the results of a fleet, which may be below the recordings
 _FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "events", "runs", "journal", "unfinished")
 _BAG_METADATA = "metadata.yaml"  # file that makes a folder a ROS 2 bag
-_MIN_IMAGES = 2  # smallest number of numbered images that make a folder a recording; a single one may be a preview
+# smallest number of numbered images that make a folder a recording; a single one may be a preview
+_MIN_IMAGES = 2
 _MAGIC = re.compile(r"[*?\[]")
 
 
 @dataclass(frozen=True, slots=True)
 class FileTree:
-    """Names of files and folders relative to a folder, without hidden files and the results of fleets."""
+    """Names of files and folders relative to a folder, without hidden files and the results of
+    fleets.
+    """
 
     folder: Location
     files: frozenset[str]
@@ -35,31 +42,50 @@ class FileTree:
     @classmethod
     def of_entries(cls, folder: Location, entries: Iterable[Entry]) -> FileTree:
         """The tree of a listing of `folder`."""
-        names: dict[bool, set[str]] = {False: set(), True: set()}  # of files, and of folders: a key may be both
+        # of files, and of folders: a key may be both
+        names: dict[bool, set[str]] = {False: set(), True: set()}
         for entry in entries:
             if not is_hidden(entry.name):
                 names[entry.stat.is_folder].add(entry.name)
-        fleets = [posixpath.dirname(name) for name in names[False] if posixpath.basename(name) == _FLEET_STATE]
-        results = tuple(f"{posixpath.join(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
-        return cls(folder, *(frozenset(n for n in names[kind] if not n.startswith(results)) for kind in (False, True)))
+        fleets = [
+            posixpath.dirname(name)
+            for name in names[False]
+            if posixpath.basename(name) == _FLEET_STATE
+        ]
+        results = tuple(
+            f"{posixpath.join(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS
+        )
+        return cls(
+            folder,
+            *(
+                frozenset(n for n in names[kind] if not n.startswith(results))
+                for kind in (False, True)
+            ),
+        )
 
     def __contains__(self, name: str) -> bool:
         return name in self.files or name in self.folders
 
     def recordings(self) -> list[str]:
-        """Names of the videos, bags and folders of numbered images, sorted; "" = the folder itself."""
+        """Names of the videos, bags and folders of numbered images, sorted; "" = the folder
+        itself.
+        """
         folders = self.recorded_folders()
         names = list(folders)
         for name in self.files:
             folder, last = posixpath.split(name)
-            if last in _RESULT_NAMES or (posixpath.basename(folder) == CLIPS_FOLDER and is_clip_name(last)):
+            if last in _RESULT_NAMES or (
+                posixpath.basename(folder) == CLIPS_FOLDER and is_clip_name(last)
+            ):
                 continue
             if _is_video_name(name) or (_is_bag_name(name) and folder not in folders):
                 names.append(name)
         return sorted(names)
 
     def recorded_folders(self) -> set[str]:
-        """Names of the folders that are one recording: numbered images without videos, or a ROS 2 bag."""
+        """Names of the folders that are one recording: numbered images without videos, or a ROS 2
+        bag.
+        """
         n_images: Counter[str] = Counter()
         with_videos, bags = set[str](), set[str]()
         for name in self.files:
@@ -69,8 +95,14 @@ class FileTree:
                 with_videos.add(folder)
             if _is_bag_name(name):
                 bags.add(folder)
-        images = {folder for folder, n in n_images.items() if n >= _MIN_IMAGES and folder not in with_videos}
-        return images | {folder for folder in bags if posixpath.join(folder, _BAG_METADATA) in self.files}
+        images = {
+            folder
+            for folder, n in n_images.items()
+            if n >= _MIN_IMAGES and folder not in with_videos
+        }
+        return images | {
+            folder for folder in bags if posixpath.join(folder, _BAG_METADATA) in self.files
+        }
 
 
 def _is_video_name(name: str) -> bool:
@@ -92,7 +124,8 @@ def without_suffix(name: str) -> str:
 
 
 def wildcard_tree(location: Location) -> FileTree | None:
-    """The files that match a pattern, and all files in folders that match; None = no wildcard, or an existing path.
+    """The files that match a pattern, and all files in folders that match; None = no wildcard, or
+    an existing path.
 
     `**` matches any number of folders. Hidden files match no `*`. Raises StorageError.
     """
@@ -118,7 +151,9 @@ def _matching(folder: Location, prefix: str, patterns: Sequence[str]) -> Iterato
                 yield Entry(prefix + entry.name, entry.stat)
         return
     for entry in folder.list():
-        if not fnmatchcase(entry.name, patterns[0]) or (is_hidden(entry.name) and not patterns[0].startswith(".")):
+        if not fnmatchcase(entry.name, patterns[0]) or (
+            is_hidden(entry.name) and not patterns[0].startswith(".")
+        ):
             continue
         if len(patterns) == 1:
             yield Entry(prefix + entry.name, entry.stat)

@@ -8,9 +8,9 @@
     OUT/runs/clip=NAME/...                  other files of a clip
     OUT/unfinished/...                      files that are being written
 
-NAME is percent-encoded, as in other partitioned data sets. A clip is complete when its row is in the journal or in
-clips.parquet; all else is written before. Every file is replaced as a whole, so that nothing exists twice or in part,
-and the file of a repeated clip has the name of the first.
+NAME is percent-encoded, as in other partitioned data sets. A clip is complete when its row is in
+the journal or in clips.parquet; all else is written before. Every file is replaced as a whole, so
+that nothing exists twice or in part, and the file of a repeated clip has the name of the first.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
 CLIPS_FILE, TRACKS_FILE = "clips.parquet", "tracks.parquet"
 JOURNAL, RUNS, UNFINISHED = "journal", "runs", "unfinished"
-_COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0  # shortest time between two compilations, s, and relative to that of one
+# shortest time between two compilations, s, and relative to that of one
+_COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 _ROWS_PER_GROUP = 10_000  # rows per row group of clips.parquet, about 7 MB in memory
 _MAX_NEWER = 3000  # rows in memory that are not compiled, of about 5 kB each
 _N_CONNECTIONS = 16  # requests to the storage at a time
@@ -57,7 +58,8 @@ def partition(name: str) -> str:
 def encoded(name: str) -> str:
     """Name of a clip in the names of files."""
     text = quote(name, safe="")
-    return f"%2E{text[1:]}" if text.startswith(".") else text  # files that begin with a dot are hidden
+    # files that begin with a dot are hidden
+    return f"%2E{text[1:]}" if text.startswith(".") else text
 
 
 def tracks_location(out: Location, name: str) -> Location:
@@ -76,16 +78,22 @@ def runs_location(out: Location, name: str) -> Location:
 
 
 def publish(out: Location, location: Location, content: Path | bytes) -> None:
-    """Write a file, or copy a local file, to its location in the output `out`; it appears as a whole.
+    """Write a file, or copy a local file, to its location in the output `out`; it appears as a
+    whole.
 
-    In a local folder it is written to OUT/unfinished first: a worker that is killed leaves nothing beside the results,
-    where readers of the data set would find it. Uploads to an object store are atomic, and repeated after errors of
-    the network. Files of a clip count once its record is published. Raises StorageError if it cannot be written.
+    In a local folder it is written to OUT/unfinished first: a worker that is killed leaves nothing
+    beside the results, where readers of the data set would find it. Uploads to an object store are
+    atomic, and repeated after errors of the network. Files of a clip count once its record is
+    published. Raises StorageError if it cannot be written.
     """
     if not out.is_local:
         for pause_s in (*_PAUSES_S, None):
             try:
-                return location.write_bytes(content) if isinstance(content, bytes) else location.upload(content)
+                return (
+                    location.write_bytes(content)
+                    if isinstance(content, bytes)
+                    else location.upload(content)
+                )
             except StorageError as error:
                 if not error.is_transient or pause_s is None:
                     raise
@@ -115,7 +123,9 @@ def remove_unfinished(out: Location) -> None:
 
 
 def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> None:
-    """Publish the videos of the events of a clip, and remove videos of an earlier result; errors as from `publish`."""
+    """Publish the videos of the events of a clip, and remove videos of an earlier result; errors as
+    from `publish`.
+    """
     folder = runs_location(out, name).child(CLIPS_FOLDER)
     for file in files:
         publish(out, folder.child(file.name), file)
@@ -126,13 +136,17 @@ def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> N
 
 
 def publish_record(out: Location, row: Row) -> None:
-    """Publish the record of a clip, after which the clip is complete; raises the errors of `publish`."""
+    """Publish the record of a clip, after which the clip is complete; raises the errors of
+    `publish`.
+    """
     text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     publish(out, _journal_location(out, row["clip"]), text.encode())
 
 
 def read_clips(out: Location) -> pa.Table:
-    """The rows of all clips, with the journal; FleetError: clips.parquet is damaged or too new; StorageError."""
+    """The rows of all clips, with the journal; FleetError: clips.parquet is damaged or too new;
+    StorageError.
+    """
     rows = journal_rows(out, _journal_names(out))
     table = _compiled(out)  # read last: a row leaves the journal when it is in the table
     return (merged_table(table, rows) if rows else table).sort_by("clip")
@@ -144,7 +158,8 @@ def read_journal(out: Location) -> pa.Table:
 
 
 class ClipTable:
-    """The rows of a fleet in the driver, with the journal as the source of rows that are not compiled.
+    """The rows of a fleet in the driver, with the journal as the source of rows that are not
+    compiled.
 
     `table` has the compiled rows, `newer` the rows that are newer, by name of the clip.
     """
@@ -160,7 +175,9 @@ class ClipTable:
         self._is_sorted = True
 
     def add(self, row: Row, *, is_in_journal: bool) -> None:
-        """Add or replace the row of a clip; a row that is not in the journal is stored by the next compilation."""
+        """Add or replace the row of a clip; a row that is not in the journal is stored by the next
+        compilation.
+        """
         self.newer[row["clip"]] = row
         if is_in_journal:
             self._in_journal.add(row["clip"])
@@ -176,7 +193,9 @@ class ClipTable:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
     def collect_journal(self) -> int:
-        """Add rows of workers that an interrupted driver does not know; returns how many of the clips are done."""
+        """Add rows of workers that an interrupted driver does not know; returns how many of the
+        clips are done.
+        """
         names = [name for name in _journal_names(self._out) if name not in self._in_journal]
         rows = journal_rows(self._out, names).values()
         for row in rows:
@@ -189,7 +208,9 @@ class ClipTable:
             self.compile()
 
     def compile(self, *, is_sorted: bool = False) -> None:
-        """Write clips.parquet, then remove the rows in it from the journal; raises the errors of `write_clips`."""
+        """Write clips.parquet, then remove the rows in it from the journal; raises the errors of
+        `write_clips`.
+        """
         from pyarrow import default_memory_pool
 
         start_s = time.monotonic()
@@ -207,7 +228,8 @@ class ClipTable:
         compiled = self._in_journal - self.newer.keys()
 
         def remove(name: str) -> None:
-            with suppress(StorageError):  # a row that stays in the journal is compiled again by the next run
+            # a row that stays in the journal is compiled again by the next run
+            with suppress(StorageError):
                 _journal_location(self._out, name).remove()
 
         with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
@@ -218,14 +240,24 @@ class ClipTable:
         """Names and errors of the failed clips among `names`."""
         import pyarrow.compute as pc
 
-        compiled = self.table.filter(pc.equal(self.table["status"], "failed")).select(["clip", "error"])
-        errors = {row["clip"]: row["error"] for row in compiled.to_pylist() if row["clip"] not in self.newer}
-        errors |= {name: row["error"] for name, row in self.newer.items() if row["status"] == "failed"}
+        compiled = self.table.filter(pc.equal(self.table["status"], "failed")).select(
+            ["clip", "error"]
+        )
+        errors = {
+            row["clip"]: row["error"]
+            for row in compiled.to_pylist()
+            if row["clip"] not in self.newer
+        }
+        errors |= {
+            name: row["error"] for name, row in self.newer.items() if row["status"] == "failed"
+        }
         return sorted((name, error) for name, error in errors.items() if name in names)
 
 
 def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> None:
-    """Write clips.parquet, in the order of the clips if `is_sorted`; raises the errors of `publish`."""
+    """Write clips.parquet, in the order of the clips if `is_sorted`; raises the errors of
+    `publish`.
+    """
     import pyarrow as pa
     import pyarrow.compute as pc
     from pyarrow import parquet
@@ -233,7 +265,8 @@ def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> N
     order = pc.sort_indices(table["clip"]) if is_sorted else None
     stream = pa.BufferOutputStream()
     with parquet.ParquetWriter(stream, table.schema, compression="zstd") as writer:
-        for start in range(0, max(1, table.num_rows), _ROWS_PER_GROUP):  # a sorted table would be a second one
+        # a sorted table would be a second one
+        for start in range(0, max(1, table.num_rows), _ROWS_PER_GROUP):
             group = slice(start, start + _ROWS_PER_GROUP)
             writer.write_table(table[group] if order is None else table.take(order[group]))
     publish(out, out.child(CLIPS_FILE), stream.getvalue().to_pybytes())
@@ -252,13 +285,14 @@ def _compiled(out: Location) -> pa.Table:
         table.column("clip"), table.column("settings_hash")
     except (ArrowException, OSError, ValueError, LookupError) as error:
         raise FleetError(
-            f"{location}: expected the table of a fleet, found a different or damaged file ({shortened(str(error))}); "
-            "choose another --out, or remove the file to process all clips again."
+            f"{location}: expected the table of a fleet, found a different or damaged file "
+            f"({shortened(str(error))}); choose another --out, or remove the file to process all "
+            "clips again."
         ) from error
     if version > SCHEMA_VERSION:
         raise FleetError(
-            f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}, of a newer track-range; "
-            "update with `pip install --upgrade track-range`."
+            f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}, of a "
+            "newer track-range; update with `pip install --upgrade track-range`."
         )
     return table
 
@@ -271,11 +305,17 @@ def _journal_names(out: Location) -> list[str]:
     folder = out.child(JOURNAL)
     names = [entry.name for entry in folder.list()] if folder.exists() else []
     # hidden files belong to a killed write
-    return [unquote(name.removesuffix(".json")) for name in names if name.endswith(".json") and name[0] != "."]
+    return [
+        unquote(name.removesuffix(".json"))
+        for name in names
+        if name.endswith(".json") and name[0] != "."
+    ]
 
 
 def journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
-    """Rows in the journal; damaged or removed rows are left out, so that their clips are repeated."""
+    """Rows in the journal; damaged or removed rows are left out, so that their clips are
+    repeated.
+    """
 
     def row_of(name: str) -> Row | None:
         location = _journal_location(out, name)
@@ -287,7 +327,11 @@ def journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
             if error.kind != "missing":
                 raise
             return None
-        is_row = isinstance(row, dict) and isinstance(row.get("clip"), str) and row.get("status") in ("done", "failed")
+        is_row = (
+            isinstance(row, dict)
+            and isinstance(row.get("clip"), str)
+            and row.get("status") in ("done", "failed")
+        )
         return row if is_row else None
 
     with ThreadPoolExecutor(_N_CONNECTIONS) as threads:

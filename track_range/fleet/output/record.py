@@ -13,13 +13,21 @@ if TYPE_CHECKING:
 Row = dict[str, Any]  # values of a record by column
 SCHEMA_VERSION = 1  # of clips.parquet; increased when a column changes its meaning or is removed
 
-ERROR_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
+ERROR_FIGURES = (
+    "median_relative_error_pct",
+    "mean_relative_error_pct",
+    "bias_pct",
+    "within_1_sigma",
+    "within_2_sigma",
+)
 """Figures of a method where there is ground truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipRecord:
-    """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in this order."""
+    """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in
+    this order.
+    """
 
     clip: str
     status: str  # "done" or "failed"
@@ -29,7 +37,8 @@ class ClipRecord:
     left: str = ""  # path or address of the video
     right: str = ""  # "" = one camera
     inputs: str = ""  # files of the clip with size and time of change, and its settings, as JSON
-    content_hash: str = ""  # hash of the content of the files and of the clip's settings; "" = not read
+    # hash of the content of the files and of the clip's settings; "" = not read
+    content_hash: str = ""
     settings_hash: str = ""
     version: str = ""
     frames: int | None = None
@@ -38,20 +47,27 @@ class ClipRecord:
     events: int | None = None  # None = a result of an earlier version, without a file of events
     seconds: float | None = None  # duration of the processed video
     wall_s: float | None = None  # time for the clip in the worker
-    overhead_s: float | None = None  # part of `wall_s` that is not the run: fetching, hashing, publishing
+    # part of `wall_s` that is not the run: fetching, hashing, publishing
+    overhead_s: float | None = None
     calibration: str = ""
     focal_px: float | None = None  # of the rectified left images
     focal_sigma: float | None = None  # relative standard deviation of `focal_px`; 0 = calibrated
     start_utc: str = ""  # UTC of the first frame, ISO 8601; "" = unknown
     warnings: Sequence[str] = ()
     node: str = ""
-    peak_memory_mb: float | None = None  # largest resident memory of the worker's process during the clip
+    # largest resident memory of the worker's process during the clip
+    peak_memory_mb: float | None = None
     finished_utc: str = ""  # UTC of the end of the attempt, ISO 8601
-    stages_ms: Mapping[str, float] = field(default_factory=dict)  # time per frame; columns `STAGE_ms`
-    coverage: Mapping[str, float | None] = field(default_factory=dict)  # of the boxes; columns `METHOD_coverage`
-    errors: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)  # with truth; `METHOD_FIGURE`
-    alignment: Mapping[str, float | None] = field(default_factory=dict)  # of a pair, px; `alignment_FIGURE`
-    labels: Mapping[str, str] = field(default_factory=dict)  # placeholders of the pattern, columns of the manifest
+    # time per frame; columns `STAGE_ms`
+    stages_ms: Mapping[str, float] = field(default_factory=dict)
+    # of the boxes; columns `METHOD_coverage`
+    coverage: Mapping[str, float | None] = field(default_factory=dict)
+    # with truth; `METHOD_FIGURE`
+    errors: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    # of a pair, px; `alignment_FIGURE`
+    alignment: Mapping[str, float | None] = field(default_factory=dict)
+    # placeholders of the pattern, columns of the manifest
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def row(self) -> Row:
         """Values by column; labels with the name of another column have the prefix `label_`."""
@@ -79,7 +95,9 @@ def utc_now() -> str:
 
 
 def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
-    """Table of rows with the fixed columns first, then the figures and labels by name; null = not known."""
+    """Table of rows with the fixed columns first, then the figures and labels by name; null = not
+    known.
+    """
     import pyarrow as pa
 
     rows = list(rows)
@@ -87,7 +105,10 @@ def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     types = {name: _arrow_type(name, rows) for name in (*_FIXED, *others)}
     texts = {name for name, kind in types.items() if pa.types.is_string(kind)}
     plain = [
-        {name: str(value) if name in texts and value is not None else value for name, value in row.items()}
+        {
+            name: str(value) if name in texts and value is not None else value
+            for name, value in row.items()
+        }
         for row in rows
     ]
     metadata = {"track_range.fleet_schema_version": str(SCHEMA_VERSION)}
@@ -101,14 +122,23 @@ def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:
     if annotation.startswith("Sequence"):
         return pa.list_(pa.string())
     if annotation:
-        return pa.int64() if "int" in annotation else pa.float64() if "float" in annotation else pa.string()
-    is_text = any(isinstance(row.get(name), str) for row in rows)  # a label with the name of a figure
+        return (
+            pa.int64()
+            if "int" in annotation
+            else pa.float64()
+            if "float" in annotation
+            else pa.string()
+        )
+    # a label with the name of a figure
+    is_text = any(isinstance(row.get(name), str) for row in rows)
     is_figure = name.startswith("alignment_") or name.endswith(("_ms", "_coverage", *ERROR_FIGURES))
     return pa.float64() if is_figure and not is_text else pa.string()
 
 
 def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """The table, not copied, with rows added, or replaced by name; columns of two types become text."""
+    """The table, not copied, with rows added, or replaced by name; columns of two types become
+    text.
+    """
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -122,7 +152,9 @@ def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Ta
             try:  # figures of earlier versions may be text
                 base = base.set_column(base.column_names.index(name), name, base[name].cast(kind))
             except pa.ArrowInvalid:
-                added = added.set_column(added.column_names.index(name), name, added[name].cast(pa.string()))
+                added = added.set_column(
+                    added.column_names.index(name), name, added[name].cast(pa.string())
+                )
     table = pa.concat_tables([base, added], promote_options="default")
     others = sorted(set(table.column_names) - set(_FIXED))
     return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)

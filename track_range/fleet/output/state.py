@@ -1,4 +1,6 @@
-"""fleet.json: state of the run of a fleet, rewritten every few seconds; status of a fleet as text."""
+"""fleet.json: state of the run of a fleet, rewritten every few seconds; status of a fleet as
+text.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ STATE_FILE = "fleet.json"
 
 HEARTBEAT_S = 5.0  # time between two writings of the state
 STALE_S = 60.0  # age of a state above which its run has ended without saying so
-_STALE_HERE_S = 600.0  # the same on this machine, where a missing process shows it, unless its number is reused
+# the same on this machine, where a missing process shows it, unless its number is reused
+_STALE_HERE_S = 600.0
 _MAX_FAILED = 10  # largest number of failed clips that are named
 
 State = Literal["running", "finished", "stopped", "failed"]
@@ -33,7 +36,9 @@ State = Literal["running", "finished", "stopped", "failed"]
 
 @dataclass(slots=True, kw_only=True)
 class FleetState:
-    """State of the run of a fleet, whose driver is the process `pid` on `host` and changes it as the run goes on."""
+    """State of the run of a fleet, whose driver is the process `pid` on `host` and changes it as
+    the run goes on.
+    """
 
     state: State  # "stopped" by the user, or "failed" for a `reason` that is not a clip
     reason: str = ""
@@ -53,7 +58,11 @@ class FleetState:
     def write(self, out: Location) -> None:
         """Write fleet.json; raises the errors of `publish`."""
         content = {"track_range_fleet": 1, **asdict(self), "video_s": round(self.video_s, 3)}
-        publish(out, out.child(STATE_FILE), json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode())
+        publish(
+            out,
+            out.child(STATE_FILE),
+            json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode(),
+        )
 
     @property
     def is_alive(self) -> bool:
@@ -84,7 +93,10 @@ class FleetState:
         """Sentence on a run that has ended."""
         failed = f", {self.failed} failed" if self.failed else ""
         rate = "" if self.clips_per_hour is None else f" ({self.clips_per_hour:.0f} clips per hour)"
-        text = f"{self.skipped + self.done} of {self.total} clips done{failed}: {self.done} in this run, which took "
+        text = (
+            f"{self.skipped + self.done} of {self.total} clips done{failed}: {self.done} in this "
+            "run, which took "
+        )
         text += duration_text(self.heartbeat_s - self.started_s) + rate
         return f"{text}, and {self.skipped} in earlier runs." if self.skipped else f"{text}."
 
@@ -95,7 +107,9 @@ def read_state(out: Location) -> FleetState | None:
     if not location.exists():
         return None
     try:
-        content: Any = parse_json(location.read_bytes().decode(), location, FleetError, "the state of a fleet")
+        content: Any = parse_json(
+            location.read_bytes().decode(), location, FleetError, "the state of a fleet"
+        )
         is_state = isinstance(content, dict) and content.pop("track_range_fleet", None) == 1
         return TypeAdapter(FleetState).validate_python(content) if is_state else None
     except (FleetError, ValueError, TypeError):
@@ -106,15 +120,19 @@ def read_state(out: Location) -> FleetState | None:
 def locked_output(out: Location) -> Iterator[None]:
     """Lock of the output of a fleet: one driver at a time.
 
-    A local folder is locked by the operating system, an object store by the heartbeat in fleet.json. Raises
-    FolderLockError or FleetError if another driver is at work, and StorageError.
+    A local folder is locked by the operating system, an object store by the heartbeat in
+    fleet.json. Raises FolderLockError or FleetError if another driver is at work, and StorageError.
     """
     if not out.is_local:
         state = read_state(out)
-        if state is not None and state.is_alive and (state.host, state.pid) != (socket.gethostname(), os.getpid()):
+        if (
+            state is not None
+            and state.is_alive
+            and (state.host, state.pid) != (socket.gethostname(), os.getpid())
+        ):
             raise FleetError(
-                f"{out}: another fleet run (process {state.pid} on {state.host}) is writing here; wait for its end, or "
-                "choose another --out."
+                f"{out}: another fleet run (process {state.pid} on {state.host}) is writing here; "
+                "wait for its end, or choose another --out."
             )
         yield
         return
@@ -129,10 +147,15 @@ def locked_output(out: Location) -> Iterator[None]:
 
 
 def status_lines(out: Location) -> Iterator[str]:
-    """Lines of text about a fleet; raises the errors of `read_clips`, and FleetError if there is no fleet."""
+    """Lines of text about a fleet; raises the errors of `read_clips`, and FleetError if there is no
+    fleet.
+    """
     state, table = read_state(out), read_clips(out)
     if state is None and not table.num_rows:
-        raise FleetError(f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips.")
+        raise FleetError(
+            f"{out}: expected the results of `track-range fleet run`, found neither "
+            "fleet.json nor clips."
+        )
     rows = table.select(["clip", "status", "error", "seconds"]).to_pylist()
     failed = [(row["clip"], row["error"] or "") for row in rows if row["status"] == "failed"]
     n_done = sum(row["status"] == "done" for row in rows)
@@ -145,8 +168,15 @@ def status_lines(out: Location) -> Iterator[str]:
             left_s = 3600 * (total - n_done - len(failed)) / per_hour
             yield f"{per_hour:.0f} clips/h, {duration_text(left_s)} left"
         for worker in state.workers:
-            clip = f" {shortened(str(worker['clip']))}, {worker['frames']} frames" if worker["clip"] else ""
-            yield f"  worker {worker['number']} on {shortened(str(worker['host']))}: {worker['phase']}{clip}"
+            clip = (
+                f" {shortened(str(worker['clip']))}, {worker['frames']} frames"
+                if worker["clip"]
+                else ""
+            )
+            yield (
+                f"  worker {worker['number']} on {shortened(str(worker['host']))}: "
+                f"{worker['phase']}{clip}"
+            )
     if failed:
         yield f"{len(failed)} failed:"
         yield from (f"  {shortened(name)}: {error}" for name, error in failed[:_MAX_FAILED])
@@ -163,7 +193,10 @@ def state_text(state: FleetState | None) -> str:
         return f"running ({driver}), for {duration_text(time.time() - state.started_s)}"
     age = duration_text(time.time() - state.heartbeat_s)
     if state.state == "running":
-        return f"stopped unexpectedly {age} ago, before all clips were done ({driver}); repeat the command to continue"
+        return (
+            f"stopped unexpectedly {age} ago, before all clips were done ({driver}); repeat the "
+            "command to continue"
+        )
     reason = f": {state.reason}" if state.reason and state.state == "failed" else ""
     return f"{state.state} {age} ago{reason}"
 

@@ -1,4 +1,6 @@
-"""Figures from the rows of clips.parquet: hours, errors, calibration drift, failures, notes, throughput."""
+"""Figures from the rows of clips.parquet: hours, errors, calibration drift, failures, notes,
+throughput.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,27 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")  # vertical offset, and constant error of the disparities
+# vertical offset, and constant error of the disparities
+ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
 MIN_H = 0.1  # shortest video with rates per hour
 MAX_GROUPS = 100  # largest number of rows of the calibration drift
-_GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")  # columns that group it, the first that exists
+# columns that group it, the first that exists
+_GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")
 _ENDS = 5  # number of clips whose median is the first or last value of a drift
 _MAX_NAMED = 5  # largest number of clips that are named in a row
 _MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
 _S_PER_H = 3600.0
-# what differs between messages of one kind: quoted names, and numbers, by themselves or as parts of names and versions
-_VARIABLE = re.compile(r"'[^']*'|(?P<number>(?<![\w.,:/\\-])[+-]?\d+(?:\.\d+)?(?![\w/\\-]|[.,:]\w))|\d+(?:[.,]\d+)*")
+# what differs between messages of one kind: quoted names, and numbers, by themselves or as parts of
+# names and versions
+_VARIABLE = re.compile(
+    r"'[^']*'|(?P<number>(?<![\w.,:/\\-])[+-]?\d+(?:\.\d+)?(?![\w/\\-]|[.,:]\w))|\d+(?:[.,]\d+)*"
+)
 
 
 class ClipColumns:
-    """Rows of clips.parquet by column; a column that is missing or has another type than expected is empty."""
+    """Rows of clips.parquet by column; a column that is missing or has another type than expected
+    is empty.
+    """
 
     def __init__(self, table: pa.Table) -> None:
         self._table = table
@@ -75,12 +84,20 @@ class ClipColumns:
         return [[str(text) for text in texts or ()] for texts in lists]
 
     def utc_s(self, name: str) -> FloatArray:
-        """Column of times (N,) in ISO 8601 as Unix time; NaN = not a time, or without a time zone."""
+        """Column of times (N,) in ISO 8601 as Unix time; NaN = not a time, or without a time
+        zone.
+        """
         return np.array([_unix_time(text) for text in self.texts(name)], np.float64)
 
     def prefixes(self, suffix: str) -> list[str]:
-        """The columns of numbers with a suffix, by name without this suffix, if they have a value."""
-        names = [name.removesuffix(suffix) for name in self.names if name.endswith(suffix) and name != suffix]
+        """The columns of numbers with a suffix, by name without this suffix, if they have a
+        value.
+        """
+        names = [
+            name.removesuffix(suffix)
+            for name in self.names
+            if name.endswith(suffix) and name != suffix
+        ]
         return [name for name in names if np.isfinite(self.numbers(f"{name}{suffix}")).any()]
 
 
@@ -96,7 +113,9 @@ def video_s_by_hour(done: ClipColumns) -> dict[int | None, float]:
     """Seconds of video by hour of the day (UTC); None = clips without UTC."""
     seconds: dict[int | None, float] = defaultdict(float)
     durations_s = np.nan_to_num(done.numbers("seconds"), posinf=0.0, neginf=0.0)
-    for start_s, duration_s in zip(done.utc_s("start_utc").tolist(), durations_s.tolist(), strict=True):
+    for start_s, duration_s in zip(
+        done.utc_s("start_utc").tolist(), durations_s.tolist(), strict=True
+    ):
         if not np.isfinite(start_s):
             seconds[None] += duration_s
             continue
@@ -109,7 +128,9 @@ def video_s_by_hour(done: ClipColumns) -> dict[int | None, float]:
 
 
 def error_figures(done: ClipColumns) -> list[Figures]:
-    """Median over the clips of each figure by method, and the clip with the largest median error."""
+    """Median over the clips of each figure by method, and the clip with the largest median
+    error.
+    """
     rows = []
     for method in done.prefixes(f"_{ERROR_FIGURES[0]}"):
         errors_pct = done.numbers(f"{method}_{ERROR_FIGURES[0]}")
@@ -135,12 +156,13 @@ def group_column(clips: ClipColumns, requested: str | None) -> str | None:
 
 
 def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
-    """Alignment of the pairs over time, per value of the column `group` (None = all clips in one row).
+    """Alignment of the pairs over time, per value of the column `group` (None = all clips in one
+    row).
 
     At most `MAX_GROUPS` values with the largest changes are kept.
 
-    Keys: group, clips, points (list of [Unix time or null, value] by figure), first, last and change by figure (medians
-    of the first and last `_ENDS` dated clips), from_utc_s, to_utc_s.
+    Keys: group, clips, points (list of [Unix time or null, value] by figure), first, last and
+    change by figure (medians of the first and last `_ENDS` dated clips), from_utc_s, to_utc_s.
     """
     values = {name: done.numbers(f"alignment_{name}") for name in ALIGNMENT_FIGURES}
     is_aligned = np.isfinite(np.array(list(values.values()))).any(axis=0)
@@ -154,10 +176,14 @@ def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
         if dated.any():
             row |= {"from_utc_s": float(utc_s[dated].min()), "to_utc_s": float(utc_s[dated].max())}
         for figure in ALIGNMENT_FIGURES:
-            row[figure] = _drift(utc_s[dated], values[figure][dated]) | {"median": _median(values[figure][chosen])}
+            row[figure] = _drift(utc_s[dated], values[figure][dated]) | {
+                "median": _median(values[figure][chosen])
+            }
         rows.append(row)
     if len(rows) > MAX_GROUPS:
-        rows.sort(key=lambda row: -max(abs(row[figure]["change"] or 0.0) for figure in ALIGNMENT_FIGURES))
+        rows.sort(
+            key=lambda row: -max(abs(row[figure]["change"] or 0.0) for figure in ALIGNMENT_FIGURES)
+        )
         del rows[MAX_GROUPS:]
     return sorted(rows, key=lambda row: str(row["group"]))
 
@@ -171,21 +197,32 @@ def _drift(utc_s: FloatArray, values: FloatArray) -> Figures:
     return {
         "first": first,
         "last": last,
-        "change": last - first if first is not None and last is not None and len(values) > 1 else None,
+        "change": last - first
+        if first is not None and last is not None and len(values) > 1
+        else None,
         "points": np.stack([utc_s, values], axis=1).tolist(),
     }
 
 
 def failure_figures(failed: ClipColumns) -> list[Figures]:
-    """Failed clips by kind and reason, most frequent first; file names and numbers do not distinguish reasons."""
+    """Failed clips by kind and reason, most frequent first; file names and numbers do not
+    distinguish reasons.
+    """
     by_reason: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
-    for clip, kind, error, left in zip(*map(failed.texts, ("clip", "error_kind", "error", "left")), strict=True):
+    for clip, kind, error, left in zip(
+        *map(failed.texts, ("clip", "error_kind", "error", "left")), strict=True
+    ):
         is_of_left = left and error.startswith(f"{left}: ")
         reason = error[len(left) + 2 :] if is_of_left else re.sub(r"^\S*[/\\]\S*: ", "", error)
         by_reason[kind or "unknown", _pattern(reason)].append((clip, reason))
     groups = sorted(by_reason.items(), key=lambda item: (-len(item[1]), item[0]))
     return [
-        {"kind": kind, "reason": _merged(reasons), "n": len(reasons), "clips": list(names[:_MAX_NAMED])}
+        {
+            "kind": kind,
+            "reason": _merged(reasons),
+            "n": len(reasons),
+            "clips": list(names[:_MAX_NAMED]),
+        }
         for (kind, _), clips in groups[:_MAX_ROWS]
         for names, reasons in [zip(*clips, strict=True)]
     ]
@@ -197,8 +234,12 @@ def _pattern(text: str) -> str:
 
 
 def _merged(texts: Sequence[str]) -> str:
-    """The first of the texts of one pattern, with the range of each number that differs: "682 to 933 px"."""
-    columns = zip(*([match["number"] for match in _VARIABLE.finditer(text)] for text in texts), strict=True)
+    """The first of the texts of one pattern, with the range of each number that differs: "682 to
+    933 px".
+    """
+    columns = zip(
+        *([match["number"] for match in _VARIABLE.finditer(text)] for text in texts), strict=True
+    )
 
     def merged(match: re.Match[str]) -> str:
         numbers = next(columns)
@@ -211,13 +252,18 @@ def _merged(texts: Sequence[str]) -> str:
 
 
 def note_figures(done: ClipColumns) -> list[Figures]:
-    """Most frequent notes of the runs, with the ranges of their numbers, the number of clips and one of the clips."""
+    """Most frequent notes of the runs, with the ranges of their numbers, the number of clips and
+    one of the clips.
+    """
     groups: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for clip, notes in zip(done.texts("clip"), done.lists("warnings"), strict=True):
         for pattern, note in {_pattern(note): note for note in notes}.items():
             groups[pattern].append((clip, note))
     shown = sorted(groups.values(), key=lambda group: -len(group))[: _MAX_ROWS // 2]
-    return [{"n": len(group), "note": _merged([note for _, note in group]), "clip": group[0][0]} for group in shown]
+    return [
+        {"n": len(group), "note": _merged([note for _, note in group]), "clip": group[0][0]}
+        for group in shown
+    ]
 
 
 def stage_figures(done: ClipColumns) -> dict[str, float]:
@@ -245,7 +291,9 @@ def node_figures(done: ClipColumns) -> list[Figures]:
                 "clips": len(chosen),
                 **work_figures(chosen),
                 "median_memory_mb": _median(memory_mb),
-                "max_memory_mb": float(np.nanmax(memory_mb)) if np.isfinite(memory_mb).any() else None,
+                "max_memory_mb": float(np.nanmax(memory_mb))
+                if np.isfinite(memory_mb).any()
+                else None,
             }
         )
     return sorted(rows, key=lambda row: -row["worker_h"])[:_MAX_ROWS]
@@ -253,7 +301,9 @@ def node_figures(done: ClipColumns) -> list[Figures]:
 
 def work_figures(done: ClipColumns) -> Figures:
     """Hours of video and of workers, speed of a worker, and time per clip outside the run."""
-    video_s, worker_s, frames = (float(np.nansum(done.numbers(name))) for name in ("seconds", "wall_s", "frames"))
+    video_s, worker_s, frames = (
+        float(np.nansum(done.numbers(name))) for name in ("seconds", "wall_s", "frames")
+    )
     return {
         "video_h": video_s / _S_PER_H,
         "worker_h": worker_s / _S_PER_H,

@@ -1,4 +1,5 @@
-"""Figures of a fleet from its results, in a local folder or an object store, also while the fleet is running.
+"""Figures of a fleet from its results, in a local folder or an object store, also while the fleet
+is running.
 
 Missing or damaged parts are named, and the figures cover the rest.
 """
@@ -34,7 +35,13 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import parse_json
-from track_range.results.events.event import CLIPS_FOLDER, EVENT_KINDS, Event, clip_name, severity_key
+from track_range.results.events.event import (
+    CLIPS_FOLDER,
+    EVENT_KINDS,
+    Event,
+    clip_name,
+    severity_key,
+)
 from track_range.results.events.files import EventFileError, events_in_parquet, rounded_values
 
 _N_READERS = 8  # files that are read at a time; each clip takes memory for its rows meanwhile
@@ -50,7 +57,9 @@ class ClipEvent(NamedTuple):
     event: Event
 
     def row(self, start_utc_s: float) -> Figures:
-        """Clip, number, the columns of events.csv, and Unix time of the peak (of the start: `start_utc_s`)."""
+        """Clip, number, the columns of events.csv, and Unix time of the peak (of the start:
+        `start_utc_s`).
+        """
         utc_s = start_utc_s + self.event.peak_s
         values = {"clip": self.clip, "number": self.number, **rounded_values(self.event)}
         return {**values, "utc_s": utc_s if math.isfinite(utc_s) else None}
@@ -58,7 +67,9 @@ class ClipEvent(NamedTuple):
 
 @dataclass(slots=True)
 class EventFigures:
-    """Events of one or more clips by kind, events with a collision warning, and the most severe events."""
+    """Events of one or more clips by kind, events with a collision warning, and the most severe
+    events.
+    """
 
     n_by_kind: Counter[str] = field(default_factory=Counter)
     n_warnings: int = 0
@@ -83,11 +94,16 @@ class EventFigures:
         """Number of events, and per hour of video (None: too short), of the kinds that occur."""
         counts = {kind: self.n_by_kind[kind] for kind in EVENT_KINDS if self.n_by_kind[kind]}
         is_long = hours >= clip_figures.MIN_H
-        return [{"kind": kind, "events": n, "per_hour": n / hours if is_long else None} for kind, n in counts.items()]
+        return [
+            {"kind": kind, "events": n, "per_hour": n / hours if is_long else None}
+            for kind, n in counts.items()
+        ]
 
 
 def _worst(events: Iterable[ClipEvent]) -> list[ClipEvent]:
-    return heapq.nsmallest(N_RANKED, events, key=lambda item: (severity_key(item.event), item.clip, item.number))
+    return heapq.nsmallest(
+        N_RANKED, events, key=lambda item: (severity_key(item.event), item.clip, item.number)
+    )
 
 
 def event_video(row: Mapping[str, Any]) -> str:
@@ -105,13 +121,15 @@ class FleetFigures:
 
 
 def fleet_figures(
-    out: Location, group: str | None = None, progress: Callable[[int, int | None], None] = lambda _done, _total: None
+    out: Location,
+    group: str | None = None,
+    progress: Callable[[int, int | None], None] = lambda _done, _total: None,
 ) -> FleetFigures:
     """Figures of the fleet with the results `out`.
 
-    `group`: column of clips.parquet that groups the calibration drift; None = the vehicle, if there is one. `progress`
-    is called with the number of the clips that were read, and of all clips. Raises FleetError: there is no fleet;
-    StorageError: the storage cannot be read.
+    `group`: column of clips.parquet that groups the calibration drift; None = the vehicle, if there
+    is one. `progress` is called with the number of the clips that were read, and of all clips.
+    Raises FleetError: there is no fleet; StorageError: the storage cannot be read.
     """
     problems: list[str] = []
     state = read_state(out)
@@ -123,14 +141,21 @@ def fleet_figures(
         table = data_set.read_journal(out)
     clips = ClipColumns(table)
     if state is None and not len(clips):
-        content = f"only a damaged {data_set.CLIPS_FILE}" if problems else "neither fleet.json nor clips"
-        raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
+        content = (
+            f"only a damaged {data_set.CLIPS_FILE}" if problems else "neither fleet.json nor clips"
+        )
+        raise FleetError(
+            f"{out}: expected the results of `track-range fleet run`, found {content}."
+        )
     done, failed = clips.with_status("done"), clips.with_status("failed")
     tracks, events = _rows(out, done, problems, progress)
     starts_utc_s = dict(zip(done.texts("clip"), done.utc_s("start_utc").tolist(), strict=True))
     column = clip_figures.group_column(clips, group)
     if group is not None and column is None:
-        problems.append(f"clips.parquet: expected a column {shortened(group)} for --by; all clips are one group.")
+        problems.append(
+            f"clips.parquet: expected a column {shortened(group)} for --by; all clips "
+            "are one group."
+        )
     work = clip_figures.work_figures(done)
     total = max(state.total if state is not None else 0, len(done) + len(failed))
     figures = {
@@ -138,7 +163,12 @@ def fleet_figures(
         "written_utc": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
         "state": state_text(state),
         "problems": problems,
-        "clips": {"total": total, "done": len(done), "failed": len(failed), "left": total - len(done) - len(failed)},
+        "clips": {
+            "total": total,
+            "done": len(done),
+            "failed": len(failed),
+            "left": total - len(done) - len(failed),
+        },
         **work,
         "clips_per_hour": None if state is None else state.clips_per_hour,
         "tracks": sum(tracks.n_tracks.values()),
@@ -159,7 +189,10 @@ def fleet_figures(
         "stages_ms": clip_figures.stage_figures(done),
         "nodes": clip_figures.node_figures(done),
     }
-    files = {row["clip"]: [*_LINKED_FILES] for row in (*tracks.closest, *tracks.collisions, *figures["events"])}
+    files = {
+        row["clip"]: [*_LINKED_FILES]
+        for row in (*tracks.closest, *tracks.collisions, *figures["events"])
+    }
     for row in figures["events"]:
         files[row["clip"]].append(event_video(row))
     published: dict[str, tuple[str, ...]] = {}
@@ -167,14 +200,21 @@ def fleet_figures(
         published[name] = ()
         with suppress(StorageError):
             for file in names:
-                published[name] += (file,) if data_set.runs_location(out, name).child(file).exists() else ()
+                published[name] += (
+                    (file,) if data_set.runs_location(out, name).child(file).exists() else ()
+                )
     return FleetFigures(figures, published, _starts_s(done, set(files), state))
 
 
 def _rows(
-    out: Location, done: ClipColumns, problems: list[str], progress: Callable[[int, int | None], None]
+    out: Location,
+    done: ClipColumns,
+    problems: list[str],
+    progress: Callable[[int, int | None], None],
 ) -> tuple[TrackFigures, EventFigures]:
-    """Figures of the rows and events of all complete clips; problems with their files are added to `problems`."""
+    """Figures of the rows and events of all complete clips; problems with their files are added to
+    `problems`.
+    """
     tracks, events, faults = TrackFigures(), EventFigures(), list[str]()
     clips = zip(done.texts("clip"), done.numbers("events").tolist(), strict=True)
     with ThreadPoolExecutor(_N_READERS) as threads:
@@ -188,12 +228,18 @@ def _rows(
             progress(i + 1, len(done))
     problems += faults[:_MAX_PROBLEMS]
     if len(faults) > _MAX_PROBLEMS:
-        problems.append(f"{len(faults) - _MAX_PROBLEMS} more files of tracks or events are missing or damaged.")
+        problems.append(
+            f"{len(faults) - _MAX_PROBLEMS} more files of tracks or events are missing or damaged."
+        )
     return tracks, events
 
 
-def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures, EventFigures, list[str]]:
-    """Figures of a clip's rows and events, and sentences on its files; NaN events: unknown number, without a file."""
+def _read_clip(
+    out: Location, name: str, n_events: float
+) -> tuple[TrackFigures, EventFigures, list[str]]:
+    """Figures of a clip's rows and events, and sentences on its files; NaN events: unknown number,
+    without a file.
+    """
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
@@ -211,7 +257,9 @@ def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures,
                     events = EventFigures.of(name, events_in_parquet(stream, location))
                 else:
                     with ParquetFile(stream) as file:
-                        tracks = track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names)))
+                        tracks = track_figures(
+                            name, file.read(columns=needed_columns(file.schema_arrow.names))
+                        )
         except FileNotFoundError:
             listed = "the clip as done" if content == "rows" else "events of the clip"
             faults.append(f"{location}: the file is missing; clips.parquet lists {listed}.")
@@ -219,7 +267,9 @@ def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures,
             faults.append(str(error))
         except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
             reason = shortened(" ".join(str(error).split()), 100)
-            faults.append(f"{location}: expected the {content} of a clip, found a damaged file ({reason}).")
+            faults.append(
+                f"{location}: expected the {content} of a clip, found a damaged file ({reason})."
+            )
     return tracks, events, faults
 
 
@@ -238,7 +288,10 @@ def _classes(tracks: TrackFigures, hours: float) -> list[Figures]:
 def _hours(tracks: TrackFigures, done: ClipColumns) -> list[Figures]:
     """Hours of video and tracks by class for each hour of the day (UTC; None = unknown)."""
     video_s = clip_figures.video_s_by_hour(done)
-    hours = sorted({*video_s, *(hour for hour, _ in tracks.n_by_hour)}, key=lambda hour: 24 if hour is None else hour)
+    hours = sorted(
+        {*video_s, *(hour for hour, _ in tracks.n_by_hour)},
+        key=lambda hour: 24 if hour is None else hour,
+    )
     return [
         {
             "hour_utc": hour,
@@ -250,8 +303,12 @@ def _hours(tracks: TrackFigures, done: ClipColumns) -> list[Figures]:
 
 
 def _coverage(tracks: TrackFigures) -> list[Figures]:
-    """Coverage of each method in each distance band that has boxes; methods without any distance are left out."""
-    methods = sorted({method for method, _ in tracks.n_measured}, key=lambda name: (name.endswith("_kf"), name))
+    """Coverage of each method in each distance band that has boxes; methods without any distance
+    are left out.
+    """
+    methods = sorted(
+        {method for method, _ in tracks.n_measured}, key=lambda name: (name.endswith("_kf"), name)
+    )
     return [
         {
             "method": method,
@@ -273,8 +330,12 @@ def _starts_s(done: ClipColumns, names: set[str], state: FleetState | None) -> d
     for name, inputs in zip(done.texts("clip"), done.texts("inputs"), strict=True):
         if name in names:
             try:
-                own = parse_json(inputs, data_set.CLIPS_FILE, FleetError, "the inputs of a clip")["settings"]["start_s"]
+                own = parse_json(inputs, data_set.CLIPS_FILE, FleetError, "the inputs of a clip")[
+                    "settings"
+                ]["start_s"]
             except (FleetError, LookupError, TypeError):
                 own = None
-            starts_s[name] = next(filter(math.isfinite, (number(str(own)), number(str(shared)))), 0.0)
+            starts_s[name] = next(
+                filter(math.isfinite, (number(str(own)), number(str(shared)))), 0.0
+            )
     return starts_s

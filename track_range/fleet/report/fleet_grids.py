@@ -14,7 +14,9 @@ from track_range.views.report import tables
 
 _Link = Callable[[Figures], str]
 
-DRIFT_TITLES = dict(zip(ALIGNMENT_FIGURES, ("Vertical offset", "Constant error of the disparities"), strict=True))
+DRIFT_TITLES = dict(
+    zip(ALIGNMENT_FIGURES, ("Vertical offset", "Constant error of the disparities"), strict=True)
+)
 """Titles of the tables of the calibration drift."""
 
 _PER_HOUR: tables.ColumnSpec = ("per hour of video", "per_hour")
@@ -67,8 +69,8 @@ _COLLISION_MEASURES: tuple[_Measure, ...] = (
 class Links:
     """Functions that give an address of a ranked row; "" = none.
 
-    The addresses lead to the report of the row's clip, to the overlay at the row's moment, and to the video of an event
-    (if there is none, to the overlay).
+    The addresses lead to the report of the row's clip, to the overlay at the row's moment, and to
+    the video of an event (if there is none, to the overlay).
     """
 
     report: _Link = lambda _row: ""
@@ -78,7 +80,9 @@ class Links:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Tables about one subject: sentences above them, and the sentence that replaces them if none has a row."""
+    """Tables about one subject: sentences above them, and the sentence that replaces them if none
+    has a row.
+    """
 
     anchor: str
     title: str
@@ -93,39 +97,46 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     sections = {
         "road-users": (
             "Road users",
-            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a "
-            "track. Rates per hour are shown from 6 minutes of video on.",
-            [_grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS), _hour_grid(figures["hours"])],
+            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the "
+            "first frame of a track. Rates per hour are shown from 6 minutes of video on.",
+            [
+                _grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS),
+                _hour_grid(figures["hours"]),
+            ],
             "No clip has tracks.",
         ),
         "coverage": (
             "Distance coverage",
-            "Fraction of the observed boxes with a distance of the method, by bands of the filtered fused distance.",
+            "Fraction of the observed boxes with a distance of the method, by bands of the "
+            "filtered fused distance.",
             [_coverage_grid(figures["coverage"])],
             "No box has a distance.",
         ),
         "events": (
             "Events",
-            "The most severe events of all clips: warnings first, then the largest probability of contact, the "
-            "shortest time to collision, the smallest distance.",
+            "The most severe events of all clips: warnings first, then the largest probability of "
+            "contact, the shortest time to collision, the smallest distance.",
             [
                 _grid("Events by kind", "kind", figures["event_kinds"], _KIND_COLUMNS),
-                _ranking("Most severe events", figures["events"], _EVENT_MEASURES, links, is_event=True),
+                _ranking(
+                    "Most severe events", figures["events"], _EVENT_MEASURES, links, is_event=True
+                ),
             ],
             "No clip has events.",
         ),
         "closest": (
             "Closest approaches",
-            f"Smallest filtered fused distance of a road user, with its standard deviation {tables.SIGMA} of at most "
-            "half the distance; one row per track. x is to the box centre, positive to the right of the camera.",
+            "Smallest filtered fused distance of a road user, with its standard deviation "
+            f"{tables.SIGMA} of at most half the distance; one row per track. x is to the box "
+            "centre, positive to the right of the camera.",
             [_ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)],
             "No road user has a distance.",
         ),
         "collisions": (
             "Shortest times to collision",
-            "Time to collision of the front with road users that are on the ego path at that moment, or will be on it "
-            f"with a probability of at least one half; the path may bend. {tables.SIGMA} is at most half of the time; "
-            "one row per track.",
+            "Time to collision of the front with road users that are on the ego path at that "
+            "moment, or will be on it with a probability of at least one half; the path may bend. "
+            f"{tables.SIGMA} is at most half of the time; one row per track.",
             [_ranking("Tracks on the ego path", figures["collisions"], _COLLISION_MEASURES, links)],
             "No road user on the ego path had a time to collision.",
         ),
@@ -137,15 +148,22 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "drift": (
             "Calibration drift",
-            "Alignment of the two cameras, measured in each run. First and last are medians of up to five clips. At "
-            f"most {MAX_GROUPS} rows with the largest changes are shown.",
-            [_drift_grid(figures["drift"], name, figures["drift_by"]) for name in ALIGNMENT_FIGURES],
+            "Alignment of the two cameras, measured in each run. First and last are medians of up "
+            f"to five clips. At most {MAX_GROUPS} rows with the largest changes are shown.",
+            [
+                _drift_grid(figures["drift"], name, figures["drift_by"])
+                for name in ALIGNMENT_FIGURES
+            ],
             "No clip has an alignment of two cameras.",
         ),
         "failures": (
             "Failures",
             "Failed clips by reason; the option --retry-failed repeats them.",
-            [_text_grid("Failures by reason", figures["failures"], ("kind", "clips", "reason", "names"))],
+            [
+                _text_grid(
+                    "Failures by reason", figures["failures"], ("kind", "clips", "reason", "names")
+                )
+            ],
             "No clip failed.",
         ),
         "throughput": (
@@ -169,22 +187,35 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     ]
 
 
-def _grid(title: str, name: str, rows: Sequence[Figures], columns: Iterable[tables.ColumnSpec]) -> tables.Grid:
-    return tables.grid_of(title, name, [str(row[name]) for row in rows], tables.columns_of(rows, columns))
+def _grid(
+    title: str, name: str, rows: Sequence[Figures], columns: Iterable[tables.ColumnSpec]
+) -> tables.Grid:
+    return tables.grid_of(
+        title, name, [str(row[name]) for row in rows], tables.columns_of(rows, columns)
+    )
 
 
 def _hour_grid(rows: Sequence[Figures]) -> tables.Grid:
     rows = [row for row in rows if row["video_h"] >= MIN_H]
-    names = [tables.NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
+    names = [
+        tables.NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows
+    ]
     columns = tables.columns_of(rows, [("video h", "video_h", "{:.2f}")])
     for name in rows[0]["tracks"] if rows else ():
         per_hour = [row["tracks"][name] / row["video_h"] for row in rows]
         columns.append(tables.Column(name, per_hour, "{:.0f}"))
-    return tables.grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
+    return tables.grid_of(
+        "Tracks per hour of video, by hour of the day", "hour UTC", names, columns
+    )
 
 
 def _ranking(
-    title: str, rows: Sequence[Figures], measures: Sequence[_Measure], links: Links, *, is_event: bool = False
+    title: str,
+    rows: Sequence[Figures],
+    measures: Sequence[_Measure],
+    links: Links,
+    *,
+    is_event: bool = False,
 ) -> tables.Grid:
     """Table of ranked rows: clip with a link, measures, time in the video with a link, UTC."""
     moment, video = ("peak_s", links.event) if is_event else ("time_s", links.overlay)
@@ -197,16 +228,27 @@ def _ranking(
         )
         for row in rows
     )
-    return tables.Grid(title, ("clip", *(heading for heading, _, _ in measures), "at s", "UTC"), cells)
+    return tables.Grid(
+        title, ("clip", *(heading for heading, _, _ in measures), "at s", "UTC"), cells
+    )
 
 
 def _coverage_grid(rows: Sequence[Figures]) -> tables.Grid:
-    bands = sorted({(row["from_m"], row["to_m"]): row["boxes"] for row in rows}.items(), key=lambda band: band[0][0])
+    bands = sorted(
+        {(row["from_m"], row["to_m"]): row["boxes"] for row in rows}.items(),
+        key=lambda band: band[0][0],
+    )
     coverage = {(row["method"], row["from_m"]): row["coverage"] for row in rows}
-    names = [f"{low:g} m and more" if high is None else f"{low:g}-{high:g} m" for (low, high), _ in bands]
+    names = [
+        f"{low:g} m and more" if high is None else f"{low:g}-{high:g} m" for (low, high), _ in bands
+    ]
     columns = [tables.Column("boxes", [boxes for _, boxes in bands], "{:.0f}")]
     for method in dict.fromkeys(row["method"] for row in rows):
-        columns.append(tables.Column(f"{method} %", [coverage[method, low] for (low, _), _ in bands], "{:.0f}", 100.0))
+        columns.append(
+            tables.Column(
+                f"{method} %", [coverage[method, low] for (low, _), _ in bands], "{:.0f}", 100.0
+            )
+        )
     return tables.grid_of("Coverage by distance band", "distance", names, columns)
 
 
@@ -215,7 +257,9 @@ def _error_grid(rows: Sequence[Figures]) -> tables.Grid:
     shown = [specs[key] for key in ("coverage", *ERROR_FIGURES)]
     columns = (("clips", "clips", "{:.0f}"), *shown, ("worst clip %", "worst_pct"))
     grid = _grid("Distance error, median over the clips", "method", rows, columns)
-    with_clip = tuple((*cells, tables.Cell(row["worst_clip"])) for cells, row in zip(grid.rows, rows, strict=True))
+    with_clip = tuple(
+        (*cells, tables.Cell(row["worst_clip"])) for cells, row in zip(grid.rows, rows, strict=True)
+    )
     return tables.Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
 
 
@@ -230,17 +274,23 @@ def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> tables
         for row in rows
     ]
     return tables.Grid(
-        DRIFT_TITLES[name], (group or "", *_DRIFT_COLUMNS), tuple(tuple(map(tables.Cell, row)) for row in texts)
+        DRIFT_TITLES[name],
+        (group or "", *_DRIFT_COLUMNS),
+        tuple(tuple(map(tables.Cell, row)) for row in texts),
     )
 
 
 def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -> tables.Grid:
-    """Table of reasons or notes, with the number of clips and, for reasons, the names of some clips."""
+    """Table of reasons or notes, with the number of clips and, for reasons, the names of some
+    clips.
+    """
     cells = []
     for row in rows:
         texts = {**row, "clips": str(row["n"]), "example": row.get("clip", "")}
         if "names" in headings:
-            texts["names"] = ", ".join(row["clips"]) + (", ..." if row["n"] > len(row["clips"]) else "")
+            texts["names"] = ", ".join(row["clips"]) + (
+                ", ..." if row["n"] > len(row["clips"]) else ""
+            )
         cells.append(tuple(tables.Cell(texts[heading]) for heading in headings))
     return tables.Grid(title, headings, tuple(cells), has_sentences=True)
 
@@ -253,7 +303,9 @@ def _work_grids(figures: Figures) -> list[tables.Grid]:
     speeds = [tables.Column("ms/frame", [*stages_ms.values()], "{:.2f}")]
     speeds.append(tables.Column("frames/s", [1000 / ms for ms in stages_ms.values()]))
     return [
-        tables.grid_of("Work", "", ["all clips"], work) if figures["nodes"] else tables.Grid("Work", (), ()),
+        tables.grid_of("Work", "", ["all clips"], work)
+        if figures["nodes"]
+        else tables.Grid("Work", (), ()),
         _grid("Nodes, with the memory of a worker", "node", figures["nodes"], node_columns),
         tables.grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), speeds),
     ]

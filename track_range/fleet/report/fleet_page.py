@@ -1,4 +1,6 @@
-"""The page of a fleet: one self-contained HTML file with links to the reports and overlays of the clips."""
+"""The page of a fleet: one self-contained HTML file with links to the reports and overlays of the
+clips.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ _MAX_LINES, _MAX_POINTS = 10, 300  # largest number of lines in a chart, and of 
 
 
 def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
-    """HTML of the page about the results `out`, with links that are relative to the location of the page."""
+    """HTML of the page about the results `out`, with links that are relative to the location of the
+    page.
+    """
     figures = fleet.figures
     charts = drift_charts(figures["drift"])
     return rendered(
@@ -39,21 +43,32 @@ def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
 
 
 def _cards(figures: Figures) -> list[dict[str, str]]:
-    clips, rate, speed = (figures[key] for key in ("clips", "clips_per_hour", "video_s_per_worker_s"))
+    clips, rate, speed = (
+        figures[key] for key in ("clips", "clips_per_hour", "video_s_per_worker_s")
+    )
     rest = f"{clips['left']} left" if clips["left"] else "" if clips["failed"] else "all"
     return [
         card("clips done", f"{clips['done']} of {clips['total']}", rest),
         card("clips failed", clips["failed"], ""),
         card("video", duration_text(3600 * figures["video_h"]), ""),
         card("tracks", figures["tracks"], f"{figures['rows']} rows"),
-        card("events", sum(row["events"] for row in figures["event_kinds"]), f"{figures['warnings']} with a warning"),
+        card(
+            "events",
+            sum(row["events"] for row in figures["event_kinds"]),
+            f"{figures['warnings']} with a warning",
+        ),
         card("clips per hour", None if rate is None else f"{rate:.0f}", "in the last run"),
-        card("speed of a worker", None if speed is None else f"{speed:.2f}", "seconds of video per second"),
+        card(
+            "speed of a worker",
+            None if speed is None else f"{speed:.2f}",
+            "seconds of video per second",
+        ),
     ]
 
 
 def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Charts of the alignment over time, one per figure: id, x, y (labels), lines (name, colour, x in days, y in px).
+    """Charts of the alignment over time, one per figure: id, x, y (labels), lines (name, colour, x
+    in days, y in px).
 
     The groups with the largest change of a figure are shown.
     """
@@ -66,12 +81,23 @@ def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         known = [row for row in rows if row[name]["points"]]
         shown = sorted(known, key=lambda row: -abs(row[name]["change"] or 0.0))
         lines = [
-            {"name": row["group"], "colour": palette[i % len(palette)], **_line(row[name]["points"], min(starts_s))}
+            {
+                "name": row["group"],
+                "colour": palette[i % len(palette)],
+                **_line(row[name]["points"], min(starts_s)),
+            }
             for i, row in enumerate(sorted(shown[:_MAX_LINES], key=lambda row: str(row["group"])))
         ]
         if lines:
             first_day = utc_text(min(starts_s))[:10]
-            charts.append({"id": f"drift-{name}", "x": f"days since {first_day}", "y": f"{title}, px", "lines": lines})
+            charts.append(
+                {
+                    "id": f"drift-{name}",
+                    "x": f"days since {first_day}",
+                    "y": f"{title}, px",
+                    "lines": lines,
+                }
+            )
     return charts
 
 
@@ -85,7 +111,8 @@ def _line(points: Sequence[Sequence[float]], start_s: float) -> dict[str, list[f
 
 def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
     folder = page.parent
-    base: list[str] | None = None  # parts of the path from the folder of the page to the results; None = no path
+    # parts of the path from the folder of the page to the results; None = no path
+    base: list[str] | None = None
     if folder is not None and out.is_local and page.is_local:
         path = os.path.relpath(os.path.realpath(out.path), os.path.realpath(folder.path))
         base = [] if path == "." else path.split(os.sep)
@@ -105,5 +132,7 @@ def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
         return link(row, event_video(row)) or at_moment(row, row["start_s"])
 
     return Links(
-        report=lambda row: link(row, "report.html"), overlay=lambda row: at_moment(row, row["time_s"]), event=event
+        report=lambda row: link(row, "report.html"),
+        overlay=lambda row: at_moment(row, row["time_s"]),
+        event=event,
     )

@@ -1,9 +1,11 @@
-"""Figures from the rows of tracks: of one clip, and their sum over clips, in memory that does not grow with the clips.
+"""Figures from the rows of tracks: of one clip, and their sum over clips, in memory that does not
+grow with the clips.
 
-Coverage of a method in a distance band = observed boxes with a distance of the method / observed boxes. The band is
-chosen by the filtered fused distance, which every ranged track has.
+Coverage of a method in a distance band = observed boxes with a distance of the method / observed
+boxes. The band is chosen by the filtered fused distance, which every ranged track has.
 
-Times to collision are `ttc_front_s`, of the front with road users on the path; rows of earlier versions have none.
+Times to collision are `ttc_front_s`, of the front with road users on the path; rows of earlier
+versions have none.
 """
 
 from __future__ import annotations
@@ -27,12 +29,23 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 N_RANKED = 20  # number of tracks in a ranking
-EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
-_MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
+# edges of the distance bands: those of the evaluation, and all other distances
+EDGES_M = (0.0, *BANDS_M, float("inf"))
+# largest standard deviation of a ranked distance or time to collision, relative to it
+_MAX_RELATIVE_SIGMA = 0.5
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
-_OTHERS = ("observed", "ttc_front_s", "ttc_sigma_s", "x_m", "x1_px", "x2_px", "path_offset_m", "utc")
+_OTHERS = (
+    "observed",
+    "ttc_front_s",
+    "ttc_sigma_s",
+    "x_m",
+    "x1_px",
+    "x2_px",
+    "path_offset_m",
+    "utc",
+)
 
 Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
@@ -44,10 +57,14 @@ class TrackFigures:
     n_rows: int = 0
     n_tracks: Counter[str] = field(default_factory=Counter)  # by class
     visible_s: dict[str, float] = field(default_factory=dict)  # first to last row, by class
-    n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)  # UTC; None = unknown
-    n_boxes: Counter[int] = field(default_factory=Counter)  # with a reference distance, by index of the distance band
-    n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)  # of these, by method and index of the band
-    closest: list[Figures] = field(default_factory=list)  # moments of smallest distance; see `approaches`
+    # UTC; None = unknown
+    n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)
+    # with a reference distance, by index of the distance band
+    n_boxes: Counter[int] = field(default_factory=Counter)
+    # of these, by method and index of the band
+    n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)
+    # moments of smallest distance; see `approaches`
+    closest: list[Figures] = field(default_factory=list)
     collisions: list[Figures] = field(default_factory=list)  # moments of smallest time to collision
 
     def add(self, other: TrackFigures) -> None:
@@ -68,14 +85,20 @@ class TrackFigures:
 
 
 def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
-    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item[key], item["clip"], item["track_id"]))
+    return heapq.nsmallest(
+        N_RANKED, approaches, key=lambda item: (item[key], item["clip"], item["track_id"])
+    )
 
 
 def needed_columns(names: Sequence[str]) -> list[str]:
-    """The columns of a tracks.parquet that the figures need; raises ValueError if a required column is missing."""
+    """The columns of a tracks.parquet that the figures need; raises ValueError if a required column
+    is missing.
+    """
     if missing := [name for name in _NEEDED if name not in names]:
         raise ValueError(f"no column {missing[0]}")
-    distances = [name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")]
+    distances = [
+        name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")
+    ]
     return [name for name in names if name in (*_NEEDED, *_OTHERS, *distances)]
 
 
@@ -86,7 +109,8 @@ def _methods(names: Sequence[str]) -> list[str]:
 def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     """Figures of the rows of a clip, from the columns `needed_columns` of its tracks.parquet.
 
-    Raises ValueError for a row without a track or time, and ArrowException for a column with another type.
+    Raises ValueError for a row without a track or time, and ArrowException for a column with
+    another type.
     """
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
@@ -104,13 +128,21 @@ class _Rows:
     def __init__(self, table: pa.Table) -> None:
         import pyarrow as pa
 
-        classes = table["class"].cast(pa.string()).combine_chunks().fill_null("").dictionary_encode()
-        numbers = {name: table[name].cast(pa.float64()).to_numpy() for name in table.column_names if name != "class"}
+        classes = (
+            table["class"].cast(pa.string()).combine_chunks().fill_null("").dictionary_encode()
+        )
+        numbers = {
+            name: table[name].cast(pa.float64()).to_numpy()
+            for name in table.column_names
+            if name != "class"
+        }
         keys = np.array([numbers["time_s"], numbers["track_id"]])
         if not np.all(np.abs(keys) < _MAX_NUMBER):
             raise ValueError("rows without a track or time")
         order = np.lexsort(keys)
-        self._columns: dict[str, FloatArray] = {name: values[order] for name, values in numbers.items()}
+        self._columns: dict[str, FloatArray] = {
+            name: values[order] for name, values in numbers.items()
+        }
         self._unknown = np.full(len(order), np.nan)
         self._methods = _methods(table.column_names)
         is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
@@ -122,8 +154,11 @@ class _Rows:
         names = classes.dictionary.to_pylist()
         codes = classes.indices.to_numpy()[order].astype(np.int64)
         n_cells = len(self.starts) * len(names)
-        counts = np.bincount(self.track * len(names) + codes, minlength=n_cells).reshape(-1, len(names))
-        self.class_of_track = [names[code] for code in counts.argmax(axis=1)]  # the most frequent one
+        counts = np.bincount(self.track * len(names) + codes, minlength=n_cells).reshape(
+            -1, len(names)
+        )
+        # the most frequent one
+        self.class_of_track = [names[code] for code in counts.argmax(axis=1)]
 
         self.distance_m, self.sigma_m = reference_distance(self._columns)
 
@@ -134,7 +169,9 @@ class _Rows:
         ends = np.append(self.starts[1:], len(self.track)) - 1
         visible_s = self.time_s[ends] - self.time_s[self.starts]
         utc_s = self._column("utc")[self.starts]
-        for name, seconds, utc in zip(self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True):
+        for name, seconds, utc in zip(
+            self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True
+        ):
             figures.count(name, 1, seconds)
             figures.n_by_hour[int(utc // 3600 % 24) if np.isfinite(utc) else None, name] += 1
 
@@ -149,17 +186,27 @@ class _Rows:
     def precise_m(self) -> FloatArray:
         """Reference distance of the rows where its sigma is small enough or unknown, else NaN."""
         with np.errstate(invalid="ignore"):
-            return np.where(self.sigma_m > _MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m)
+            return np.where(
+                self.sigma_m > _MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m
+            )
 
     def precise_ttc_s(self) -> FloatArray:
         """Time to collision of the rows where its sigma is small enough, else NaN."""
         ttc_s = self._column("ttc_front_s")
         with np.errstate(invalid="ignore"):
-            return np.where(self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
+            return np.where(
+                self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan
+            )
 
     def _lateral_m(self) -> FloatArray:
-        """Column x_m; where only the filter has a distance, x of the box centre at this distance, by the camera."""
-        x_m, z_m, u = self._column("x_m"), self._column("fused_m"), self._column("x1_px") + self._column("x2_px")
+        """Column x_m; where only the filter has a distance, x of the box centre at this distance,
+        by the camera.
+        """
+        x_m, z_m, u = (
+            self._column("x_m"),
+            self._column("fused_m"),
+            self._column("x1_px") + self._column("x2_px"),
+        )
         known = np.isfinite([x_m, z_m, u]).all(axis=0)
         if not known.any() or np.ptp(u[known]) < 1:
             return x_m
@@ -170,10 +217,12 @@ class _Rows:
     def approaches(self, clip: str, values: FloatArray) -> list[Figures]:
         """The observed row of each road user with the smallest value, as the moment of the track.
 
-        Times are in s of the video (`time_s`) and Unix time (`utc_s`), x positive to the right of the camera, m; None =
-        unknown.
+        Times are in s of the video (`time_s`) and Unix time (`utc_s`), x positive to the right of
+        the camera, m; None = unknown.
         """
-        ranked = np.where(self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf)
+        ranked = np.where(
+            self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf
+        )
         smallest = np.minimum.reduceat(ranked, self.starts)
         tracks = [i for i in np.argsort(smallest, kind="stable").tolist() if smallest[i] < np.inf]
         road_users = (i for i in tracks if self.class_of_track[i] not in STATIC_CLASSES)
@@ -196,7 +245,10 @@ class _Rows:
                 "clip": clip,
                 "track_id": int(self._columns["track_id"][row]),
                 "road_class": self.class_of_track[i],
-                **{name: float(v[row]) if np.isfinite(v[row]) else None for name, v in columns.items()},
+                **{
+                    name: float(v[row]) if np.isfinite(v[row]) else None
+                    for name, v in columns.items()
+                },
             }
             for i, row in rows.items()
         ]

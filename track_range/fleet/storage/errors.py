@@ -1,4 +1,6 @@
-"""StorageError: why a file or folder cannot be read or written, by kind; conversion of the libraries' errors."""
+"""StorageError: why a file or folder cannot be read or written, by kind; conversion of the
+libraries' errors.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,21 @@ from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.input_files import printable, shortened
 
 StorageFault = Literal["missing", "permission", "full", "network", "other"]
-"""No such file, folder or bucket; no permission or credentials; no space left; an error that may disappear when the
-call is repeated (network, overload); another error."""
+"""No such file, folder or bucket; no permission or credentials; no space left; an error that may
+disappear when the call is repeated (network, overload); another error."""
 
 _MAX_REASON = 140  # largest number of characters of a library's error text in a message
 
 _NETWORK_ERRORS = (
-    *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE),
+    *(
+        errno.EIO,
+        errno.ESTALE,
+        errno.ETIMEDOUT,
+        errno.EAGAIN,
+        errno.ECONNREFUSED,
+        errno.ECONNRESET,
+        errno.EPIPE,
+    ),
     *(errno.ECONNABORTED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN),
 )
 _ERRNO_FAULTS: dict[int, StorageFault] = {
@@ -35,7 +45,8 @@ _STATUS_FAULTS: dict[int, StorageFault] = {  # by HTTP status; from 500 on "netw
     **dict.fromkeys((404, 410), "missing"),
     **dict.fromkeys((408, 429), "network"),
 }
-_TEXT_FAULTS: dict[StorageFault, str] = {  # of pyarrow's stores by kind; the first that matches counts
+# of pyarrow's stores by kind; the first that matches counts
+_TEXT_FAULTS: dict[StorageFault, str] = {
     "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
     r"|MISSING_AUTH|UNRECOGNIZED_CLIENT|NOT_INITIALIZED|PERMISSION_DENIED|status 40[13]|AccountProblem|OAuth2 access",
     "missing": r"\bNO_SUCH_(?:KEY|BUCKET|UPLOAD)|\b(?:RESOURCE_)?NOT_FOUND\b|status 404|Bucket  not found",
@@ -44,7 +55,8 @@ _TEXT_FAULTS: dict[StorageFault, str] = {  # of pyarrow's stores by kind; the fi
     r"|\bREQUEST_TIME|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bABORTED\b|\bcurlCode\b|\bCURL error"
     r"|status (?:408|429|5\d\d)|timed? ?out|onnection (?:reset|closed|refused)|resolve host",
 }
-_NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")  # names in such texts
+# names in such texts
+_NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")
 _NOISE = re.compile(  # parts of such texts that do not help a user
     r"(?s)^When .*?: (?=AWS Error)|^google::cloud::Status\(|PerformWork\(\) - | error_info=.*|: No response.*"
     r"|(?:Permanent error|Retry policy \w+), with a last message of |curlCode: \d+, (?:.*; Details: )?"
@@ -83,7 +95,8 @@ class StorageError(UserError):
 def storage_errors(address: object, action: str) -> Iterator[None]:
     """Context in which errors of the operating system, pyarrow and aiohttp become a StorageError.
 
-    Messages contain the address, without credentials, and the action as a participle: "read", "written".
+    Messages contain the address, without credentials, and the action as a participle: "read",
+    "written".
     """
     aiohttp: Any = sys.modules.get("aiohttp")
     web_error = () if aiohttp is None else (aiohttp.ClientError,)
@@ -95,14 +108,17 @@ def storage_errors(address: object, action: str) -> Iterator[None]:
 
 def storage_error(address: object, action: str, error: Exception) -> StorageError:
     """The error of one file or folder; see `storage_errors`."""
-    # fsspec reports each failure of a request for the size as a missing file, with the reason as its cause
+    # fsspec reports each failure of a request for the size as a missing file, with the reason as
+    # its cause
     if isinstance(error, FileNotFoundError) and isinstance(error.__cause__, Exception):
         error = error.__cause__
     fault = fault_of(error)
     address = printable(str(address))
     if fault == "missing" and action == "read":
         return StorageError(f"{address}: no such file or folder{_ADVICE[fault]}.", fault)
-    return StorageError(f"{address}: cannot be {action} ({reason_of(error)}){_ADVICE[fault]}.", fault)
+    return StorageError(
+        f"{address}: cannot be {action} ({reason_of(error)}){_ADVICE[fault]}.", fault
+    )
 
 
 def fault_of(error: Exception) -> StorageFault:
@@ -118,7 +134,9 @@ def fault_of(error: Exception) -> StorageFault:
     if is_web or isinstance(error, TimeoutError | ConnectionError):
         return "network"
     text = _NAMES.sub("", str(error))
-    return next((fault for fault, pattern in _TEXT_FAULTS.items() if re.search(pattern, text)), "other")
+    return next(
+        (fault for fault, pattern in _TEXT_FAULTS.items() if re.search(pattern, text)), "other"
+    )
 
 
 def reason_of(error: Exception) -> str:

@@ -1,4 +1,5 @@
-"""Fetching of a clip's remote files into a local cache of limited size, for the time in which the clip is processed.
+"""Fetching of a clip's remote files into a local cache of limited size, for the time in which the
+clip is processed.
 
 CACHE/FOLDER/ROLE/name             a file, with the calibration beside the left video: left/video.mp4, left/rig.yaml
 CACHE/FOLDER/ROLE/parent/name/...  a folder; timestamps.txt beside it: left/parent/timestamps.txt
@@ -22,12 +23,15 @@ from track_range.fleet.storage.location import Entry, FileStat, Location, folder
 from track_range.foundation.files.input_files import open_regular, shortened
 
 _N_CONNECTIONS = 8  # files of a folder that are downloaded at a time
-_MAX_NAME = 200  # largest length of a file name in the cache, bytes; object stores allow longer ones
+# largest length of a file name in the cache, bytes; object stores allow longer ones
+_MAX_NAME = 200
 
 
 @dataclass(frozen=True, slots=True)
 class FetchedFile:
-    """A file of a clip as it was read, with the local path; size in bytes and time in ns as in `FileStat`."""
+    """A file of a clip as it was read, with the local path; size in bytes and time in ns as in
+    `FileStat`.
+    """
 
     address: str
     path: Path
@@ -37,12 +41,15 @@ class FetchedFile:
 
 
 @contextmanager
-def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[tuple[Clip, Mapping[str, FetchedFile]]]:
-    """A clip with local paths, and its files by role; remote files are downloaded, and removed at the end.
+def fetched(
+    clip: Clip, cache_folder: Path, limit_bytes: int
+) -> Iterator[tuple[Clip, Mapping[str, FetchedFile]]]:
+    """A clip with local paths, and its files by role; remote files are downloaded, and removed at
+    the end.
 
-    Several processes may share the folder of the downloads, which is created. Raises FleetInputError: the clip has a
-    problem that was found when it was listed; StorageError: a file is missing, cannot be read, or the downloads are
-    larger than the limit or the free space.
+    Several processes may share the folder of the downloads, which is created. Raises
+    FleetInputError: the clip has a problem that was found when it was listed; StorageError: a file
+    is missing, cannot be read, or the downloads are larger than the limit or the free space.
     """
     if clip.problem:
         raise FleetInputError(clip.problem)
@@ -52,11 +59,18 @@ def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[tuple[
         if not all(location.is_local for location in fetch.locations.values()):
             with storage_errors(cache_folder, "written"):
                 cache_folder.mkdir(parents=True, exist_ok=True)
-                folder = Path(stack.enter_context(TemporaryDirectory(dir=cache_folder, ignore_cleanup_errors=True)))
+                folder = Path(
+                    stack.enter_context(
+                        TemporaryDirectory(dir=cache_folder, ignore_cleanup_errors=True)
+                    )
+                )
             fetch.check_space(folder)
         files = {role: fetch.file(role, folder) for role in fetch.locations}
         # a calibration that a run finds beside the left video is not a setting
-        settings = {name: str(files[name].path) if name in files else value for name, value in clip.settings.items()}
+        settings = {
+            name: str(files[name].path) if name in files else value
+            for name, value in clip.settings.items()
+        }
         right = None if clip.right is None else str(files["right"].path)
         yield replace(clip, left=str(files["left"].path), right=right, settings=settings), files
 
@@ -69,12 +83,16 @@ class _Fetch:
         self._limit_bytes = self._left_bytes = limit_bytes
         self._lock = threading.Lock()
         self._entries: dict[str, list[Entry]] = {}
-        self._states = {role: self._state(role, location) for role, location in self.locations.items()}
+        self._states = {
+            role: self._state(role, location) for role, location in self.locations.items()
+        }
 
     def _state(self, role: str, location: Location) -> FileStat:
         status = location.stat()
         if status is None:
-            raise StorageError(f"{location}: no such file; expected {file_title(role)} of the clip.", "missing")
+            raise StorageError(
+                f"{location}: no such file; expected {file_title(role)} of the clip.", "missing"
+            )
         if not status.is_folder:
             return status
         entries = (entry for entry in location.list(recursive=True) if not entry.stat.is_folder)
@@ -89,8 +107,8 @@ class _Fetch:
         left, needed = self.locations["left"], _megabytes(size)
         if size > self._limit_bytes:
             raise StorageError(
-                f"{left}: expected a clip of at most {_megabytes(self._limit_bytes)}, found {needed}; "
-                "increase --cache-size, or cut the recording."
+                f"{left}: expected a clip of at most {_megabytes(self._limit_bytes)}, found "
+                f"{needed}; increase --cache-size, or cut the recording."
             )
         with storage_errors(folder, "read"):
             free = shutil.disk_usage(folder).free
@@ -102,7 +120,9 @@ class _Fetch:
             )
 
     def file(self, role: str, folder: Path | None) -> FetchedFile:
-        """The file of a role on this machine, downloaded to `folder` if it is remote, with its hash."""
+        """The file of a role on this machine, downloaded to `folder` if it is remote, with its
+        hash.
+        """
         location, state, entries = self.locations[role], self._states[role], self._entries.get(role)
         if location.is_local or folder is None:
             path = location.path
@@ -121,7 +141,9 @@ class _Fetch:
         return FetchedFile(location.address, path, state.size, state.mtime_ns, sha256)
 
     def _cache_path(self, role: str) -> Path:
-        """Relative path of a role's file in the cache; files that are found by their place stay beside their video."""
+        """Relative path of a role's file in the cache; files that are found by their place stay
+        beside their video.
+        """
         location, name = self.locations[role], _safe_name(self.locations[role])
         video = role.removesuffix("_timestamps")
         if video != role:
@@ -132,7 +154,11 @@ class _Fetch:
         if role == "rig" and location.parent == left:
             return self._cache_path("left") / name
         parent = location.parent
-        return Path(role, name) if role not in self._entries or parent is None else Path(role, _safe_name(parent), name)
+        return (
+            Path(role, name)
+            if role not in self._entries or parent is None
+            else Path(role, _safe_name(parent), name)
+        )
 
     def _download(self, location: Location, path: Path, size: int) -> None:
         with storage_errors(path, "written"):
@@ -142,12 +168,16 @@ class _Fetch:
             self._left_bytes -= n_bytes
         if size >= 0 and n_bytes != size:
             raise StorageError(
-                f"{location}: changed while it was downloaded ({size}, then {n_bytes} bytes).", "network"
+                f"{location}: changed while it was downloaded ({size}, then {n_bytes} bytes).",
+                "network",
             )
 
 
 def _file_hash(path: Path) -> str:
-    with storage_errors(path, "read"), open_regular(path, StorageError, "a file of the clip") as file:
+    with (
+        storage_errors(path, "read"),
+        open_regular(path, StorageError, "a file of the clip") as file,
+    ):
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -160,7 +190,9 @@ def _folder_hash(folder: Path, entries: list[Entry]) -> str:
 
 
 def _is_below(name: str) -> bool:
-    """Whether a relative name stays below its folder as a local path; names of objects may be `/x` or `../x`."""
+    """Whether a relative name stays below its folder as a local path; names of objects may be `/x`
+    or `../x`.
+    """
     return not {"", ".", ".."}.intersection(name.split("/"))
 
 

@@ -15,25 +15,39 @@ if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
 
 _N_ATTEMPTS = 3  # attempts of a request to S3; the caller decides on further ones
-CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S = 5.0, 20.0  # time limits of the connection, and between two parts of an answer
-_GCS_TIME_LIMIT_S = 10  # time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)
+# time limits of the connection, and between two parts of an answer
+CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S = 5.0, 20.0
+# time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)
+_GCS_TIME_LIMIT_S = 10
 
 
 def object_store(scheme: str, bucket: str, options: Mapping[str, str]) -> FileSystem:
     """File system of pyarrow for a bucket of "s3" or "gs".
 
-    Options are `endpoint_override`, `scheme`, `region` and `anonymous`. Raises OSError or ValueError if they are wrong,
-    or the region of the bucket is not known.
+    Options are `endpoint_override`, `scheme`, `region` and `anonymous`. Raises OSError or
+    ValueError if they are wrong, or the region of the bucket is not known.
     """
     endpoint, variables = options.get("endpoint_override", ""), os.environ
     if scheme == "gs":
         return _gcs(endpoint, options.get("scheme", "https"), options.get("anonymous") == "true")
     # pyarrow itself reads no variable for the server
-    endpoint = endpoint or variables.get("AWS_ENDPOINT_URL_S3", "") or variables.get("AWS_ENDPOINT_URL", "")
-    region = options.get("region") or variables.get("AWS_REGION") or variables.get("AWS_DEFAULT_REGION")
+    endpoint = (
+        endpoint
+        or variables.get("AWS_ENDPOINT_URL_S3", "")
+        or variables.get("AWS_ENDPOINT_URL", "")
+    )
+    region = (
+        options.get("region") or variables.get("AWS_REGION") or variables.get("AWS_DEFAULT_REGION")
+    )
     region = region or ("us-east-1" if endpoint else _region_of(bucket))
     timeouts_s = CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S
-    return _s3(endpoint, options.get("scheme", "https"), region, options.get("anonymous") == "true", timeouts_s)
+    return _s3(
+        endpoint,
+        options.get("scheme", "https"),
+        region,
+        options.get("anonymous") == "true",
+        timeouts_s,
+    )
 
 
 @lru_cache(maxsize=256)
@@ -45,11 +59,14 @@ def _region_of(bucket: str) -> str:
 
 
 @lru_cache(maxsize=32)
-def _s3(endpoint: str, scheme: str, region: str, anonymous: bool, timeouts_s: tuple[float, float]) -> FileSystem:
+def _s3(
+    endpoint: str, scheme: str, region: str, anonymous: bool, timeouts_s: tuple[float, float]
+) -> FileSystem:
     from pyarrow.fs import AwsStandardS3RetryStrategy, S3FileSystem
 
     if os.environ.get("AWS_ACCESS_KEY_ID"):
-        # region and credentials are known; the AWS SDK would still wait for the metadata service of a cloud machine
+        # region and credentials are known; the AWS SDK would still wait for the metadata service of
+        # a cloud machine
         os.environ.setdefault("AWS_EC2_METADATA_DISABLED", "true")
     return S3FileSystem(
         region=region,
@@ -71,9 +88,15 @@ def _gcs(endpoint: str, scheme: str, anonymous: bool) -> FileSystem:
 
 
 def _server(endpoint: str, scheme: str) -> dict[str, Any]:
-    """Options of pyarrow for HOST:PORT or an address with a scheme; none for the provider's own server."""
+    """Options of pyarrow for HOST:PORT or an address with a scheme; none for the provider's own
+    server.
+    """
     given_scheme, _, host = endpoint.rpartition("://")
-    return {"endpoint_override": host.rstrip("/"), "scheme": given_scheme or scheme} if endpoint else {}
+    return (
+        {"endpoint_override": host.rstrip("/"), "scheme": given_scheme or scheme}
+        if endpoint
+        else {}
+    )
 
 
 def web_files() -> HTTPFileSystem:

@@ -1,8 +1,11 @@
-"""Location: a file or folder on this machine, in an object store (`s3://`, `gs://`) or on a web server (`https://`).
+"""Location: a file or folder on this machine, in an object store (`s3://`, `gs://`) or on a web
+server (`https://`).
 
-Addresses of object stores are written as their own tools write them: `s3://bucket/any key`, without percent-encoding.
-Options follow a question mark: `s3://bucket/key?endpoint_override=host:9000&scheme=http`; $AWS_ENDPOINT_URL is used
-as well. Credentials come from the environment and the configuration files of the store, not from the address.
+Addresses of object stores are written as their own tools write them: `s3://bucket/any key`, without
+percent-encoding. Options follow a question mark:
+`s3://bucket/key?endpoint_override=host:9000&scheme=http`; $AWS_ENDPOINT_URL is used as well.
+Credentials come from the environment and the configuration files of the store, not from the
+address.
 """
 
 from __future__ import annotations
@@ -56,7 +59,9 @@ _FOLDER = FileStat(0, 0, is_folder=True)
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A file or folder in a listing; `name` is its path relative to the listed folder, with "/" between its parts."""
+    """A file or folder in a listing; `name` is its path relative to the listed folder, with "/"
+    between its parts.
+    """
 
     name: str
     stat: FileStat
@@ -77,7 +82,8 @@ def folder_state(entries: Iterable[Entry]) -> FileStat:
 class Location:
     """A file or folder in any storage; it need not exist. Equal addresses are equal locations.
 
-    `address`: absolute local path, or address with scheme and options; may contain credentials of a web server.
+    `address`: absolute local path, or address with scheme and options; may contain credentials of a
+    web server.
     """
 
     __slots__ = ("_key", "_options", "_scheme", "address")
@@ -98,7 +104,9 @@ class Location:
         match = _SCHEME.match(text)
         if match is None:
             if "\0" in text or not text:
-                raise StorageError(f"{quoted(text)}: expected a path or an address such as s3://bucket/folder.")
+                raise StorageError(
+                    f"{quoted(text)}: expected a path or an address such as s3://bucket/folder."
+                )
             return cls("", os.path.abspath(os.path.expanduser(text)))
         scheme, rest = _SCHEMES.get(match[1].lower(), ""), text[match.end() :]
         if scheme == "file":
@@ -108,7 +116,8 @@ class Location:
         start = shortened(shown(text), 100)
         if not scheme:
             raise StorageError(
-                f"{start}: expected a path, s3://, gs://, http:// or https://, found {quoted(match[1])}."
+                f"{start}: expected a path, s3://, gs://, http:// or https://, found "
+                f"{quoted(match[1])}."
             )
         key, _, query = rest.rpartition("?")
         options = dict(parse_qsl(query, keep_blank_values=True)) if key else {}
@@ -117,12 +126,14 @@ class Location:
         bucket, _, path = key.partition("/")
         if "@" in bucket:
             raise StorageError(
-                f"{start}: expected an address without credentials; set them in the environment (AWS_ACCESS_KEY_ID and "
-                "AWS_SECRET_ACCESS_KEY) instead.",
+                f"{start}: expected an address without credentials; set them in the environment "
+                "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY) instead.",
                 "permission",
             )
         if bucket in ("", ".", ".."):
-            raise StorageError(f"{start}: expected the name of a bucket, as in {scheme}://bucket/folder.")
+            raise StorageError(
+                f"{start}: expected the name of a bucket, as in {scheme}://bucket/folder."
+            )
         return cls(scheme, f"{bucket}/{path}".rstrip("/"), tuple(sorted(options.items())))
 
     def __str__(self) -> str:
@@ -166,7 +177,9 @@ class Location:
 
     @property
     def parent(self) -> Location | None:
-        """The folder that contains this location; None for a bucket, a server, and the root folder."""
+        """The folder that contains this location; None for a bucket, a server, and the root
+        folder.
+        """
         if self.is_local:
             folder = os.path.dirname(self._key)
             return None if folder == self._key else Location("", folder)
@@ -175,14 +188,21 @@ class Location:
         return Location(self._scheme, folder, self._options) if folder else None
 
     def child(self, *names: str) -> Location:
-        """A file or folder below this folder; `names` are relative paths with "/" between their parts."""
+        """A file or folder below this folder; `names` are relative paths with "/" between their
+        parts.
+        """
         if self.is_web:
             base = _QUERY.sub("", self._key).rstrip("/")
-            return Location(self._scheme, "/".join((base, *(quote(name, errors="surrogateescape") for name in names))))
+            return Location(
+                self._scheme,
+                "/".join((base, *(quote(name, errors="surrogateescape") for name in names))),
+            )
         return Location(self._scheme, "/".join((self._key.rstrip("/"), *names)), self._options)
 
     def descendant(self, path: str) -> Location:
-        """The file with a path relative to this folder; raises StorageError if `..` leaves the bucket or server."""
+        """The file with a path relative to this folder; raises StorageError if `..` leaves the
+        bucket or server.
+        """
         if not self._scheme:
             return Location("", os.path.normpath(f"{self._key}/{path}"))
         key = self.child(path)._key
@@ -192,7 +212,9 @@ class Location:
         return Location(self._scheme, key, self._options)
 
     def stat(self) -> FileStat | None:
-        """Size and time of change; None = no such file, folder or bucket; raises StorageError if access is refused."""
+        """Size and time of change; None = no such file, folder or bucket; raises StorageError if
+        access is refused.
+        """
         try:
             with storage_errors(self, "read"):
                 if self.is_local:
@@ -200,7 +222,9 @@ class Location:
                 if self.is_web:
                     info = web_files().info(self.address)
                     size = info.get("size")
-                    return FileStat(-1 if size is None else int(size), _header_ns(info.get("Last-Modified", "")))
+                    return FileStat(
+                        -1 if size is None else int(size), _header_ns(info.get("Last-Modified", ""))
+                    )
                 return _arrow_stat(self.arrow()[0].get_file_info(self._key))
         except StorageError as error:
             if error.kind == "missing":
@@ -214,14 +238,16 @@ class Location:
     def list(self, *, recursive: bool = False) -> Iterator[Entry]:
         """Files and folders in this folder, in no particular order.
 
-        Links to folders are followed, except back to a folder above. The sizes and times of files on a web server, to
-        which the pages of its folders link, are not known. Raises StorageError: there is no such folder, or it cannot
-        be read.
+        Links to folders are followed, except back to a folder above. The sizes and times of files
+        on a web server, to which the pages of its folders link, are not known. Raises StorageError:
+        there is no such folder, or it cannot be read.
         """
         if self.is_local:
             with storage_errors(self, "read"):
                 status = os.stat(self._key)
-            yield from _scanned(self._key, "", ((status.st_dev, status.st_ino),), recursive=recursive)
+            yield from _scanned(
+                self._key, "", ((status.st_dev, status.st_ino),), recursive=recursive
+            )
             return
         if self.is_web:
             folder = f"{self._scheme}://{_LINK_QUERY.sub('', self._key).rstrip('/')}/"
@@ -246,16 +272,21 @@ class Location:
             name = unquote(link[len(base) :])
             if not link.startswith(folder) or link == folder or ".." in name.split("/"):
                 continue
-            yield Entry(posixpath.normpath(name), _FOLDER if link.endswith("/") else FileStat(-1, 0))
+            yield Entry(
+                posixpath.normpath(name), _FOLDER if link.endswith("/") else FileStat(-1, 0)
+            )
             if link.endswith("/") and depth > 1:
                 yield from self._linked(link, base, depth=depth - 1)
 
     def read_bytes(self, max_bytes: int = _MAX_READ_BYTES) -> bytes:
-        """Content of a file; raises StorageError if it does not exist, is larger, or cannot be read."""
+        """Content of a file; raises StorageError if it does not exist, is larger, or cannot be
+        read.
+        """
         return b"".join(self._blocks(max_bytes))
 
     def download(self, file: Path, max_bytes: int = 1 << 62) -> int:
-        """Copy this file to a local path, which is incomplete if an error is raised; returns its size in bytes.
+        """Copy this file to a local path, which is incomplete if an error is raised; returns its
+        size in bytes.
 
         Raises the errors of `read_bytes`, and an error if the local file cannot be written.
         """
@@ -277,7 +308,9 @@ class Location:
                 while block := stream.read(_BLOCK_BYTES):
                     size += len(block)
                     if size > max_bytes:
-                        raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found more.")
+                        raise StorageError(
+                            f"{self}: expected a file of at most {max_bytes} bytes, found more."
+                        )
                     yield block
 
     def write_bytes(self, content: bytes) -> None:
@@ -304,7 +337,8 @@ class Location:
         try:
             shutil.copyfileobj(source, stream, _BLOCK_BYTES)
         except BaseException:
-            stream.close()  # pyarrow's streams cannot be aborted: closing publishes what has been sent
+            # pyarrow's streams cannot be aborted: closing publishes what has been sent
+            stream.close()
             with suppress(StorageError):  # the first error is the one to report
                 self.remove()
             raise
@@ -319,14 +353,20 @@ class Location:
                 self.arrow()[0].delete_file(self._key)
 
     def arrow(self) -> tuple[FileSystem, str]:
-        """File system of pyarrow and the path in it; raises StorageError without a connection, and for web servers."""
+        """File system of pyarrow and the path in it; raises StorageError without a connection, and
+        for web servers.
+        """
         if self.is_web:
             raise StorageError(
-                f"{self}: expected a folder on this machine or in an object store, found a web server.", "permission"
+                f"{self}: expected a folder on this machine or in an object store, found a web "
+                "server.",
+                "permission",
             )
         with storage_errors(self, "read"):
             if not self.is_local:
-                return object_store(self._scheme, self._key.partition("/")[0], dict(self._options)), self._key
+                return object_store(
+                    self._scheme, self._key.partition("/")[0], dict(self._options)
+                ), self._key
             from pyarrow.fs import LocalFileSystem
 
             return LocalFileSystem(), self._key
@@ -338,7 +378,9 @@ class Location:
 
 
 def shown(address: str) -> str:
-    """An address without the user name and password, and without the query of a web address, for messages."""
+    """An address without the user name and password, and without the query of a web address, for
+    messages.
+    """
     if _SCHEME.match(address) is None:
         return address
     address = _USER.sub("", address)
@@ -355,7 +397,9 @@ def _options_text(options: tuple[tuple[str, str], ...]) -> str:
     return f"?{query}" if query else ""
 
 
-def _scanned(folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, recursive: bool) -> Iterator[Entry]:
+def _scanned(
+    folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, recursive: bool
+) -> Iterator[Entry]:
     """Entries of a folder; `above` are device and inode of this folder and of the folders above."""
     with storage_errors(folder, "read"), os.scandir(folder) as items:
         for item in items:
@@ -366,7 +410,9 @@ def _scanned(folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, re
             yield Entry(prefix + item.name, _local_stat(status))
             identity = (status.st_dev, status.st_ino)
             if recursive and stat.S_ISDIR(status.st_mode) and identity not in above:
-                yield from _scanned(item.path, f"{prefix}{item.name}/", (*above, identity), recursive=True)
+                yield from _scanned(
+                    item.path, f"{prefix}{item.name}/", (*above, identity), recursive=True
+                )
 
 
 def with_folders(entries: Iterable[Entry]) -> Iterator[Entry]:
@@ -403,7 +449,8 @@ def _header_ns(text: str) -> int:
 
 
 class FolderListings:
-    """Sizes and times of many files as they are when a folder is first needed; several threads may use it.
+    """Sizes and times of many files as they are when a folder is first needed; several threads may
+    use it.
 
     In an object store, one request lists a folder, instead of one or more for each file.
     """
@@ -423,7 +470,9 @@ class FolderListings:
         with folder_lock:
             if parent.address not in self._stats:
                 try:
-                    self._stats[parent.address] = {entry.name: entry.stat for entry in parent.list()}
+                    self._stats[parent.address] = {
+                        entry.name: entry.stat for entry in parent.list()
+                    }
                 except StorageError as error:
                     if error.kind != "missing":
                         raise
@@ -431,6 +480,12 @@ class FolderListings:
             return self._stats[parent.address].get(location.name)
 
     def state(self, location: Location) -> FileStat | None:
-        """See `stat`; for a folder, the total size and the latest change of all files that are not hidden."""
+        """See `stat`; for a folder, the total size and the latest change of all files that are not
+        hidden.
+        """
         status = self.stat(location)
-        return status if status is None or not status.is_folder else folder_state(location.list(recursive=True))
+        return (
+            status
+            if status is None or not status.is_folder
+            else folder_state(location.list(recursive=True))
+        )

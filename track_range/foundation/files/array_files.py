@@ -1,4 +1,6 @@
-"""Reader of NumPy's .npy files; sizes are checked before memory is allocated, and pickles are never loaded."""
+"""Reader of NumPy's .npy files; sizes are checked before memory is allocated, and pickles are never
+loaded.
+"""
 
 import math
 import os
@@ -11,14 +13,18 @@ import numpy.typing as npt
 from track_range.foundation.files.input_files import open_regular, quoted, shortened
 
 MAX_ARRAY_BYTES = 4_000_000_000  # size limit, bytes, of arrays: 2 million embeddings of 512 numbers
-_HEADER_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_HEADER_READERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray[Any]:
     """The array of numbers in a .npy file.
 
-    Raises `error` if the file cannot be read, is another format (a zip, a pickle), or does not have as many numbers as
-    its header announces; `expected` is the noun phrase for its content in the message.
+    Raises `error` if the file cannot be read, is another format (a zip, a pickle), or does not have
+    as many numbers as its header announces; `expected` is the noun phrase for its content in the
+    message.
     """
     with open_regular(path, error, expected, max_bytes=MAX_ARRAY_BYTES) as file:
         try:
@@ -26,12 +32,15 @@ def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray
         except Exception as reason:  # the parser of the header raises a dozen unrelated types
             problem = shortened(str(reason).partition("\n")[0], 120)
             raise error(
-                f"{path}: expected {expected} as an array of numbers (.npy), found an error: {problem}."
+                f"{path}: expected {expected} as an array of numbers (.npy), found an error: "
+                f"{problem}."
             ) from reason
 
 
 def parse_array(file: BinaryIO, size_bytes: int) -> npt.NDArray[Any]:
-    """The array of numbers in a .npy file of `size_bytes`; raises ValueError and other exceptions for invalid files."""
+    """The array of numbers in a .npy file of `size_bytes`; raises ValueError and other exceptions
+    for invalid files.
+    """
     version = np.lib.format.read_magic(file)
     if version not in _HEADER_READERS:  # version 3 is for structured arrays only
         raise ValueError(f"format version {version[0]}.{version[1]}")

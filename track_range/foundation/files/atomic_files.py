@@ -1,7 +1,7 @@
 """Atomic writing of files: write to a temporary file in the same folder, fsync, rename.
 
-A reader sees the complete old or the complete new content, however the program ends. File system errors are raised as
-OSError; callers convert them to their own error class with `writable`.
+A reader sees the complete old or the complete new content, however the program ends. File system
+errors are raised as OSError; callers convert them to their own error class with `writable`.
 """
 
 import os
@@ -13,12 +13,13 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
-    """A temporary path next to `path`, for libraries that write files themselves; renamed to `path` at the end.
+    """A temporary path next to `path`, for libraries that write files themselves; renamed to `path`
+    at the end.
 
-    The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices, pipes and symbolic
-    links are not replaced but written in place: the result is then `path` itself. `is_flushed`: the content is on the
-    disk before the file is renamed, which matters after a power failure. Raises OSError if `path` is a folder, or the
-    file cannot be written or renamed.
+    The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices,
+    pipes and symbolic links are not replaced but written in place: the result is then `path`
+    itself. `is_flushed`: the content is on the disk before the file is renamed, which matters after
+    a power failure. Raises OSError if `path` is a folder, or the file cannot be written or renamed.
     """
     if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
         yield path
@@ -34,7 +35,8 @@ def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder next to `path`, for intermediate files; the file named `path.name` in it replaces `path`.
+    """A temporary folder next to `path`, for intermediate files; the file named `path.name` in it
+    replaces `path`.
 
     Raises OSError if the folder cannot be created, or the file is missing or cannot be renamed.
     """
@@ -47,7 +49,13 @@ def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
     """Write a binary file atomically; see `atomic_path` for `is_flushed` and the errors."""
     with atomic_path(path, is_flushed=is_flushed) as partial:
         # without O_NONBLOCK, the opening of a named pipe waits for a reader
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        flags = (
+            os.O_WRONLY
+            | os.O_CREAT
+            | os.O_TRUNC
+            | getattr(os, "O_NONBLOCK", 0)
+            | getattr(os, "O_BINARY", 0)
+        )
         descriptor = os.open(partial, flags, 0o666)
         with os.fdopen(descriptor, "wb") as file:
             if hasattr(os, "O_NONBLOCK"):
@@ -62,11 +70,15 @@ def write_text(path: Path, text: str, *, is_flushed: bool = True) -> None:
 
 @contextmanager
 def writable(path: Path, error: type[Exception]) -> Iterator[None]:
-    """Context in which the operating system's errors become an `error` that names the file or folder to write."""
+    """Context in which the operating system's errors become an `error` that names the file or
+    folder to write.
+    """
     try:
         yield
     except OSError as reason:
-        raise error(f"{path}: cannot be written ({describe(reason)}); choose another place.") from reason
+        raise error(
+            f"{path}: cannot be written ({describe(reason)}); choose another place."
+        ) from reason
 
 
 def describe(error: OSError) -> str:

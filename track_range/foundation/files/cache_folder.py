@@ -7,7 +7,8 @@ from platformdirs import user_cache_path
 
 
 def cache_folder() -> Path | None:
-    """Folder of files that can be created again: $TRACK_RANGE_CACHE, else `track-range` in the platform's caches.
+    """Folder of files that can be created again: $TRACK_RANGE_CACHE, else `track-range` in the
+    platform's caches.
 
     None = the user has no home folder. The folder may not exist yet.
     """
@@ -21,6 +22,8 @@ def cache_folder() -> Path | None:
 
 
 def set_matplotlib_folder() -> None:
-    """Store matplotlib's list of fonts in our cache, unless MPLCONFIGDIR is set; call before its import."""
+    """Store matplotlib's list of fonts in our cache, unless MPLCONFIGDIR is set; call before its
+    import.
+    """
     if folder := cache_folder():
         os.environ.setdefault("MPLCONFIGDIR", str(folder / "matplotlib"))

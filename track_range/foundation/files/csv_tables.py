@@ -17,7 +17,8 @@ _DECIMAL_COMMA = re.compile(r"([+-]?\d{1,20}),(\d{1,20}(?:[eE][+-]?\d{1,3})?)")
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """The N rows of stripped cells of a CSV file, with line numbers from 1 and the column names in lower case.
+    """The N rows of stripped cells of a CSV file, with line numbers from 1 and the column names in
+    lower case.
 
     `error` and `expected` are the class of exceptions and what the file should hold, for messages.
     """
@@ -43,14 +44,18 @@ class CsvTable:
         """Raise `error` unless there is exactly one column of each name."""
         missing = [name for name in names if name not in self.header]
         if missing:
-            raise self.error(f"{self.path}: no column {', '.join(missing)}; expected {self.expected}.")
+            raise self.error(
+                f"{self.path}: no column {', '.join(missing)}; expected {self.expected}."
+            )
         self.refuse_duplicates(names)
 
     def refuse_duplicates(self, names: Iterable[str]) -> None:
         """Raise `error` if two columns have one of the names."""
         for name in names:
             if self.header.count(name) > 1:
-                raise self.error(f"{self.path}: expected one column {name}, got two; rename or remove one.")
+                raise self.error(
+                    f"{self.path}: expected one column {name}, got two; rename or remove one."
+                )
 
     def texts(self, name: str) -> list[str]:
         """N cells of a column; empty texts if there is no such column."""
@@ -60,7 +65,9 @@ class CsvTable:
         return [row[column] for row in self.rows]
 
     def numbers(self, name: str) -> FloatArray:
-        """(N,) numbers of a column; NaN for cells that are not numbers, and for a missing column."""
+        """(N,) numbers of a column; NaN for cells that are not numbers, and for a missing
+        column.
+        """
         return np.array([number(cell) for cell in self.texts(name)], np.float64)
 
     def finite(self, name: str) -> FloatArray:
@@ -70,7 +77,9 @@ class CsvTable:
         return values
 
     def check(self, name: str, values: FloatArray, is_valid: BoolArray, expected: str) -> None:
-        """Raise `error` for the first invalid row; `values` (N,) are the numbers of column `name`."""
+        """Raise `error` for the first invalid row; `values` (N,) are the numbers of column
+        `name`.
+        """
         for row in np.flatnonzero(~is_valid).tolist():
             cell = self.texts(name)[row] if name in self.header else f"{values[row]:g}"
             advice = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(cell) else ""
@@ -78,30 +87,44 @@ class CsvTable:
 
 
 def read_csv_table(
-    path: Path, error: type[Exception], expected: str, *, default_header: Sequence[str] = (), exact: bool = False
+    path: Path,
+    error: type[Exception],
+    expected: str,
+    *,
+    default_header: Sequence[str] = (),
+    exact: bool = False,
 ) -> CsvTable:
-    """Read a CSV file in UTF-8 with a header line; `expected` is the expected content, such as "columns time_s".
+    """Read a CSV file in UTF-8 with a header line; `expected` is the expected content, such as
+    "columns time_s".
 
-    Columns may be separated by semicolons or tabs instead of commas; then decimals may have a comma. `default_header`
-    names the columns of a file whose first line has no column names. Rows with missing cells, or one separator at
-    the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or not CSV, a row has too many
-    cells, or a column has no name.
+    Columns may be separated by semicolons or tabs instead of commas; then decimals may have a
+    comma. `default_header` names the columns of a file whose first line has no column names. Rows
+    with missing cells, or one separator at the end, are allowed unless `exact`. Raises `error` if
+    the file is unreadable, empty or not CSV, a row has too many cells, or a column has no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
     separator = _separator(text)
     reader = csv.reader(text.split("\n"), strict=True, delimiter=separator)
     try:
-        numbered = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+        numbered = [
+            (reader.line_num, [cell.strip() for cell in row])
+            for row in reader
+            if any(map(str.strip, row))
+        ]
     except csv.Error as reason:
         raise error(
-            f"{path}, line {reader.line_num}: expected {expected} as CSV; check the quotation marks ({reason})."
+            f"{path}, line {reader.line_num}: expected {expected} as CSV; check the quotation "
+            f"marks ({reason})."
         ) from reason
     if not numbered:
         raise error(f"{path}: the file is empty; expected {expected}.")
     lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
     header = tuple(cell.lower() for cell in rows[0])
     if separator != ",":
-        rows = [[_DECIMAL_COMMA.sub(r"\1.\2", c) if _DECIMAL_COMMA.fullmatch(c) else c for c in row] for row in rows]
+        rows = [
+            [_DECIMAL_COMMA.sub(r"\1.\2", c) if _DECIMAL_COMMA.fullmatch(c) else c for c in row]
+            for row in rows
+        ]
     if default_header and not set(header) & set(default_header):
         header = tuple(default_header[: len(rows[0])])
     else:
@@ -114,8 +137,8 @@ def read_csv_table(
         if len(row) != n_columns and (exact or len(row) > n_columns + 1 or row[-1]):
             raise table.fault(
                 index,
-                f"expected {n_columns} cells as in the header, got {len(row)}; write decimals with a point, and put "
-                "texts with commas in double quotes.",
+                f"expected {n_columns} cells as in the header, got {len(row)}; write decimals with "
+                "a point, and put texts with commas in double quotes.",
             )
         if any(row[column] for column in unnamed):
             raise table.fault(index, "expected a name in the header for each column with values.")
@@ -123,6 +146,8 @@ def read_csv_table(
 
 
 def _separator(text: str) -> str:
-    """Separator of the columns: a semicolon or tab if the first line that is not empty has one outside quotes."""
+    """Separator of the columns: a semicolon or tab if the first line that is not empty has one
+    outside quotes.
+    """
     first = re.sub(r'"[^"]*"', "", next((line for line in text.split("\n") if line.strip()), ""))
     return next((mark for mark in ";\t" if mark in first), ",") if "," not in first else ","

@@ -1,8 +1,9 @@
 """Lock of an output folder: one run at a time writes to it.
 
-The operating system locks the file `.running` in the folder. It releases the lock when the process ends, even after
-kill -9, so that a file left by a killed run does not lock the folder, and two runs that find such a file cannot both
-take it. The file contains the process, its start time and the host, for messages.
+The operating system locks the file `.running` in the folder. It releases the lock when the process
+ends, even after kill -9, so that a file left by a killed run does not lock the folder, and two runs
+that find such a file cannot both take it. The file contains the process, its start time and the
+host, for messages.
 
 On file systems without such locks (some network file systems) the folder is not locked.
 """
@@ -23,9 +24,11 @@ from track_range.foundation.files.atomic_files import describe
 
 LOCK_FILE = ".running"
 
-_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
+# of file systems without locks
+_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 _MAX_OWNER_BYTES = 1000  # largest number of bytes that are read from a lock file
-_LOCKED_BYTE = 1 << 30  # offset of the byte that is locked on Windows, where a locked byte cannot be read
+# offset of the byte that is locked on Windows, where a locked byte cannot be read
+_LOCKED_BYTE = 1 << 30
 
 
 class FolderLockError(UserError):
@@ -33,23 +36,31 @@ class FolderLockError(UserError):
 
 
 class FolderLock:
-    """Lock of a folder until `release`, the end of the process, or its deletion; may raise FolderLockError."""
+    """Lock of a folder until `release`, the end of the process, or its deletion; may raise
+    FolderLockError.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK_FILE
         try:
             descriptor = _open_locked(self._path)
         except OSError as error:
-            raise FolderLockError(f"{self._path}: cannot be created ({describe(error)}).") from error
+            raise FolderLockError(
+                f"{self._path}: cannot be created ({describe(error)})."
+            ) from error
         if descriptor is None:
             owner = read_owner(folder)
             detail = "" if owner is None else f" ({owner})"
             raise FolderLockError(
-                f"{folder}: another run{detail} is writing to this folder; wait for its end, or choose another --out."
+                f"{folder}: another run{detail} is writing to this folder; wait for its end, or "
+                "choose another --out."
             )
         started = datetime.now().astimezone().isoformat(" ", "seconds")
-        owner_json = json.dumps({"pid": os.getpid(), "started": started, "host": socket.gethostname()})
-        with suppress(OSError):  # on a full disk the lock works, only the message to another run lacks the process
+        owner_json = json.dumps(
+            {"pid": os.getpid(), "started": started, "host": socket.gethostname()}
+        )
+        # on a full disk the lock works, only the message to another run lacks the process
+        with suppress(OSError):
             os.ftruncate(descriptor, 0)
             os.write(descriptor, owner_json.encode())
         self._release = weakref.finalize(self, _release, descriptor, self._path, os.getpid())
@@ -61,7 +72,9 @@ class FolderLock:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context in which no other run can write to an existing folder; raises FolderLockError if another run does."""
+    """Context in which no other run can write to an existing folder; raises FolderLockError if
+    another run does.
+    """
     lock = FolderLock(folder)
     try:
         yield
@@ -82,7 +95,9 @@ def is_locked(folder: Path) -> bool:
 
 
 def read_owner(folder: Path) -> str | None:
-    """The process in the lock file of a folder, which may have ended, for messages; None without a readable file."""
+    """The process in the lock file of a folder, which may have ended, for messages; None without a
+    readable file.
+    """
     try:
         with (folder / LOCK_FILE).open("rb") as file:
             content = json.loads(file.read(_MAX_OWNER_BYTES))
@@ -101,7 +116,8 @@ def _open_locked(path: Path) -> int | None:
             if not _try_lock(descriptor):
                 os.close(descriptor)
                 return None
-            # The previous owner may have removed the file between these calls; a lock on it would not count.
+            # The previous owner may have removed the file between these calls; a lock on it would
+            # not count.
             with suppress(FileNotFoundError):
                 if sys.platform == "win32" or os.path.samestat(os.fstat(descriptor), os.stat(path)):
                     return descriptor
@@ -138,7 +154,8 @@ def _try_lock(descriptor: int) -> bool:
 def _release(descriptor: int, path: Path, pid: int) -> None:
     if os.getpid() == pid:  # not in a forked process, which has a copy of the descriptor
         with suppress(OSError):
-            path.unlink()  # before the lock is released, so that the file of the next run is not removed
+            # before the lock is released, so that the file of the next run is not removed
+            path.unlink()
     with suppress(OSError):
         os.close(descriptor)
     if sys.platform == "win32" and os.getpid() == pid:

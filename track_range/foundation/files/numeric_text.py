@@ -1,4 +1,6 @@
-"""Numbers in text files, more strictly than Python's `float`, which accepts 1_000 and digits of other scripts."""
+"""Numbers in text files, more strictly than Python's `float`, which accepts 1_000 and digits of
+other scripts.
+"""
 
 import math
 from collections.abc import Iterable
@@ -23,7 +25,9 @@ def numbers(cells: Iterable[str]) -> list[float]:
 
 def plain_number(value: object) -> float:
     """A value as float; NaN if it is not a number."""
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    return (
+        float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    )
 
 
 def are_integers(values: FloatArray, low: float, high: float) -> bool:

@@ -1,8 +1,11 @@
-"""The reader of all YAML and JSON files: limited in size and depth, without aliases; errors are one sentence.
+"""The reader of all YAML and JSON files: limited in size and depth, without aliases; errors are one
+sentence.
 
-    regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`foundation.validation`)
+    regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model
+    (`foundation.validation`)
 
-Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
+Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the
+"billion laughs" attack).
 """
 
 import json
@@ -16,20 +19,32 @@ import yaml
 
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, read_text, shortened
 
-MAX_CONTAINERS = 10_000_000  # lists and objects of a JSON file; empty ones take 3 bytes of it and 64 of memory
-MAX_YAML_VALUES = 25_000  # keys and values of a YAML file, which take half a second; 21,000 class names fit
-MAX_DEPTH, _MAX_DIGITS = 32, 400  # of nested lists and mappings; characters of a number (float64: 309 before the point)
-_TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
+# lists and objects of a JSON file; empty ones take 3 bytes of it and 64 of memory
+MAX_CONTAINERS = 10_000_000
+# keys and values of a YAML file, which take half a second; 21,000 class names fit
+MAX_YAML_VALUES = 25_000
+# of nested lists and mappings; characters of a number (float64: 309 before the point)
+MAX_DEPTH, _MAX_DIGITS = 32, 400
+_TAGS = frozenset(
+    f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map")
+)
 """Tags of the values that JSON also has; other tags are refused."""
 
-_NOUNS = {"int": "an integer of at most 64 bits", "float": "a number", "bool": "true or false", "str": "text"}
+_NOUNS = {
+    "int": "an integer of at most 64 bits",
+    "float": "a number",
+    "bool": "true or false",
+    "str": "text",
+}
 """Noun phrases for messages by the last part of a tag."""
 
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Loader(_BaseLoader):  # type: ignore[misc]
-    """YAML's safe loader, with the line number in every error; dates are texts, and duplicate keys are errors."""
+    """YAML's safe loader, with the line number in every error; dates are texts, and duplicate keys
+    are errors.
+    """
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's way to set them
         first: [(tag, pattern) for tag, pattern in resolvers if tag in _TAGS]
@@ -44,32 +59,43 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
             return _checked(super().construct_object(node, deep=deep))
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as reason:
             problem = f"expected {_NOUNS.get(type_name, type_name)}, got {quoted(node.value, 20)}"
-            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from reason
+            raise yaml.constructor.ConstructorError(
+                None, None, problem, node.start_mark
+            ) from reason
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(mapping) < len(node.value):
-            problem = f"the key {quoted(_first_duplicate(key.value for key, _ in node.value))} is given twice"
+            problem = (
+                f"the key {quoted(_first_duplicate(key.value for key, _ in node.value))} is given "
+                "twice"
+            )
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
         return mapping
 
 
-def read_yaml(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
+def read_yaml(
+    path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES
+) -> Any:
     """Content of a YAML file as plain values: None, bool, int, float, str, list, dict.
 
-    Raises `error` if the file cannot be read, or is not YAML within the limits; the message names file, line and
-    `expected`, a noun phrase such as "the settings.yaml of a run".
+    Raises `error` if the file cannot be read, or is not YAML within the limits; the message names
+    file, line and `expected`, a noun phrase such as "the settings.yaml of a run".
     """
     return parse_yaml(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
 
 
-def read_json(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
+def read_json(
+    path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES
+) -> Any:
     """Content of a JSON file as plain values; see `read_yaml` for the arguments and errors."""
     return parse_json(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
 
 
 def parse_yaml(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Plain values of a YAML text of `source`, a file; raises `error` if it is not YAML within the limits."""
+    """Plain values of a YAML text of `source`, a file; raises `error` if it is not YAML within the
+    limits.
+    """
     try:
         _check_events(text)
         return yaml.load(text, _Loader)  # noqa: S506 - derived from the safe loader
@@ -77,56 +103,82 @@ def parse_yaml(text: str, source: object, error: type[Exception], expected: str)
         mark = getattr(reason, "problem_mark", None)
         line = "" if mark is None else f", line {mark.line + 1}"
         problem = shortened(_problem(reason), 100)
-        raise error(f"{source}{line}: expected {expected} in YAML, found an error: {problem}.") from reason
-    except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as reason:  # of the parser itself
-        raise error(f"{source}: expected {expected} in YAML, found text that is not YAML.") from reason
+        raise error(
+            f"{source}{line}: expected {expected} in YAML, found an error: {problem}."
+        ) from reason
+    # of the parser itself
+    except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as reason:
+        raise error(
+            f"{source}: expected {expected} in YAML, found text that is not YAML."
+        ) from reason
 
 
 def parse_json(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Plain values of a JSON text of `source`, a file; raises `error` if it is invalid, too large, or repeats a key."""
+    """Plain values of a JSON text of `source`, a file; raises `error` if it is invalid, too large,
+    or repeats a key.
+    """
     if text.count("[") + text.count("{") > MAX_CONTAINERS:
-        raise error(f"{source}: expected {expected} in JSON, found more than {MAX_CONTAINERS} lists and objects.")
+        raise error(
+            f"{source}: expected {expected} in JSON, found more than {MAX_CONTAINERS} "
+            "lists and objects."
+        )
     try:
         value = json.loads(
-            text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite, parse_int=_integer
+            text,
+            object_pairs_hook=_unique,
+            parse_constant=_finite,
+            parse_float=_finite,
+            parse_int=_integer,
         )
-        if re.search(r"\\u[dD][89a-fA-F]", text):  # half a character, with which a text may not be encodable
+        # half a character, with which a text may not be encodable
+        if re.search(r"\\u[dD][89a-fA-F]", text):
             json.dumps(value, ensure_ascii=False).encode()
         is_deep = _is_deeper(value, MAX_DEPTH)
     except json.JSONDecodeError as reason:
         raise error(
-            f"{source}, line {reason.lineno}: expected {expected} in JSON, found an error: {reason.msg}."
+            f"{source}, line {reason.lineno}: expected {expected} in JSON, found an error: "
+            f"{reason.msg}."
         ) from reason
     except UnicodeEncodeError as reason:
-        raise error(f"{source}: expected {expected} in JSON, found a text that is not Unicode.") from reason
+        raise error(
+            f"{source}: expected {expected} in JSON, found a text that is not Unicode."
+        ) from reason
     except ValueError as reason:  # of the hooks
         raise error(f"{source}: expected {expected} in JSON, found {reason}.") from reason
     except RecursionError:
         is_deep = True
     if is_deep:
-        raise error(f"{source}: expected {expected} in JSON, found more than {MAX_DEPTH} nested brackets.")
+        raise error(
+            f"{source}: expected {expected} in JSON, found more than {MAX_DEPTH} nested brackets."
+        )
     return value
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML's safe writer, without aliases for lists that occur twice, which `parse_yaml` refuses."""
+    """YAML's safe writer, without aliases for lists that occur twice, which `parse_yaml`
+    refuses.
+    """
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
 def yaml_text(content: Mapping[str, Any], **style: Any) -> str:
-    """A YAML text of plain values, not recursive, in their order; `style`: arguments of `yaml.dump`, such as width."""
+    """A YAML text of plain values, not recursive, in their order; `style`: arguments of
+    `yaml.dump`, such as width.
+    """
     return str(yaml.dump(dict(content), Dumper=_Dumper, sort_keys=False, **style))
 
 
 def _problem(error: yaml.YAMLError) -> str:
     """Description of a syntax error, with its context if the parser splits the description."""
     problem = str(getattr(error, "problem", None) or "characters that YAML does not allow")
-    if "nesting depth" in problem:  # libyaml from 0.2.6 reads ahead and may reach its own limit, 1000, first
+    # libyaml from 0.2.6 reads ahead and may reach its own limit, 1000, first
+    if "nesting depth" in problem:
         return f"more than {MAX_DEPTH} nested lists or keys"
     context = str(getattr(error, "context", None) or "")
-    if context and not context.startswith("while "):  # such as "found duplicate anchor" and "second occurrence"
+    # such as "found duplicate anchor" and "second occurrence"
+    if context and not context.startswith("while "):
         problem = f"{context}, {problem}"
     return problem.removeprefix("but ").removeprefix("found ")
 
@@ -156,7 +208,9 @@ def _is_deeper(value: object, depth: int) -> bool:
     """Whether lists and dicts are nested more than `depth` deep."""
     level: list[Any] = [value] if isinstance(value, list | dict) else []
     for _ in range(depth):
-        parts = (part for item in level for part in (item.values() if isinstance(item, dict) else item))
+        parts = (
+            part for item in level for part in (item.values() if isinstance(item, dict) else item)
+        )
         level = [part for part in parts if isinstance(part, list | dict)]
     return bool(level)
 
@@ -192,7 +246,9 @@ def _integer(digits: str) -> int:
 
 
 def _checked(value: Any) -> Any:
-    """The value; raises ValueError for an integer of more than 64 bits and a text that cannot be encoded."""
+    """The value; raises ValueError for an integer of more than 64 bits and a text that cannot be
+    encoded.
+    """
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         raise ValueError("an integer of more than 64 bits")
     if isinstance(value, str) and not value.isascii():

@@ -1,6 +1,8 @@
-"""XML files as events, with limits: no document types, no entities, no deep nesting; errors are one sentence.
+"""XML files as events, with limits: no document types, no entities, no deep nesting; errors are one
+sentence.
 
-A document type may declare entities that expand to gigabytes ("billion laughs") or name other files, so it is refused.
+A document type may declare entities that expand to gigabytes ("billion laughs") or name other
+files, so it is refused.
 """
 
 from collections.abc import Mapping
@@ -17,20 +19,27 @@ _BLOCK_BYTES = 65_536
 
 
 class XmlHandler(Protocol):
-    """Receiver of elements; `path` has the names of the enclosing elements and its own; `line` counts from 1."""
+    """Receiver of elements; `path` has the names of the enclosing elements and its own; `line`
+    counts from 1.
+    """
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins; it is the last of `path`."""
 
     def end(self, path: list[str], text: str, line: int) -> None:
-        """An element ends; `text` is its text before its first child, at most `MAX_TEXT` characters."""
+        """An element ends; `text` is its text before its first child, at most `MAX_TEXT`
+        characters.
+        """
 
 
-def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
-    """Pass the elements of a file to a handler, block by block; without a handler, the file is only checked.
+def parse_xml(
+    file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str
+) -> None:
+    """Pass the elements of a file to a handler, block by block; without a handler, the file is only
+    checked.
 
-    Raises `error` if the file cannot be read, is not XML, has a document type, or is nested too deeply; the message
-    names `path` and `expected`. Exceptions of the handler are passed on.
+    Raises `error` if the file cannot be read, is not XML, has a document type, or is nested too
+    deeply; the message names `path` and `expected`. Exceptions of the handler are passed on.
     """
     elements: list[str] = []
     text = ""
@@ -60,10 +69,17 @@ def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: typ
         text = (text + part)[:MAX_TEXT] if len(text) < MAX_TEXT else text
 
     def refuse(*_: object) -> NoReturn:
-        raise fault(" without a document type, found a declaration of a document type or an entity; remove it.")
+        raise fault(
+            " without a document type, found a declaration of a document type or an "
+            "entity; remove it."
+        )
 
     parser.buffer_text = True
-    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, characters
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = (
+        start,
+        end,
+        characters,
+    )
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
         with readable(path, error):
@@ -72,6 +88,9 @@ def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: typ
             parser.Parse(b"", True)
     except expat.ExpatError as reason:
         problem = shortened(expat.ErrorString(reason.code), 100)
-        raise error(f"{path}, line {reason.lineno}: expected {expected} in XML, found an error: {problem}.") from reason
-    except (ValueError, LookupError, UnicodeError) as reason:  # an encoding that Python does not have
+        raise error(
+            f"{path}, line {reason.lineno}: expected {expected} in XML, found an error: {problem}."
+        ) from reason
+    # an encoding that Python does not have
+    except (ValueError, LookupError, UnicodeError) as reason:
         raise error(f"{path}: expected {expected} as XML in UTF-8, found other text.") from reason

@@ -1,4 +1,5 @@
-"""open_bag: the files of an MCAP file or ROS bag, which may be a folder with several files, as one `Bag`.
+"""open_bag: the files of an MCAP file or ROS bag, which may be a folder with several files, as one
+`Bag`.
 
 ROS 2 bags in SQLite's format (.db3) are read here.
 """
@@ -16,19 +17,33 @@ import yaml
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import check_regular, counted, open_regular, shortened
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.recording.bags.container import DAMAGE, EXPECTED, ZSTD_MAGIC, Bag, Topic, missing_library, ros2_type
+from track_range.recording.bags.container import (
+    DAMAGE,
+    EXPECTED,
+    ZSTD_MAGIC,
+    Bag,
+    Topic,
+    missing_library,
+    ros2_type,
+)
 from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC, Ros1File
 from track_range.recording.frame import VideoError
 
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
-_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")  # suffixes of the files in the folder of a ROS 2 bag
+# suffixes of the files in the folder of a ROS 2 bag
+_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
-_MESSAGES = "SELECT timestamp, CASE WHEN timestamp >= ? THEN data END FROM messages WHERE topic_id = ? ORDER BY id"
+_MESSAGES = (
+    "SELECT timestamp, CASE WHEN timestamp >= ? THEN data END FROM messages WHERE topic_id = ? "
+    "ORDER BY id"
+)
 """Query for the messages of a topic; the content of earlier messages is not read."""
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is an MCAP file, a ROS bag, or the folder of a ROS 2 bag; files are recognised by content."""
+    """Whether a path is an MCAP file, a ROS bag, or the folder of a ROS 2 bag; files are recognised
+    by content.
+    """
     try:
         if path.is_dir():
             return bool(_files_in(path))
@@ -40,7 +55,9 @@ def is_bag(path: Path) -> bool:
 
 
 def open_bag(path: Path) -> Bag:
-    """The opened bag; VideoError for an unreadable or compressed file, several bags, or a missing package."""
+    """The opened bag; VideoError for an unreadable or compressed file, several bags, or a missing
+    package.
+    """
     if not path.is_dir():
         return _open_file(path)
     files = _files_in(path)
@@ -50,11 +67,17 @@ def open_bag(path: Path) -> Bag:
             f"{path}: expected the files of one bag, found {shortened(files[0].name, 50)} and "
             f"{shortened(files[-1].name, 50)} without metadata.yaml; give one file."
         )
-    return _open_file(files[0]) if len(files) == 1 else SplitBag(path, [_open_file(file) for file in files])
+    return (
+        _open_file(files[0])
+        if len(files) == 1
+        else SplitBag(path, [_open_file(file) for file in files])
+    )
 
 
 class SqliteFile:
-    """Messages of a .db3 file; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
+    """Messages of a .db3 file; see `Bag` for the attributes. Raises VideoError if it cannot be
+    read.
+    """
 
     def __init__(self, path: Path) -> None:
         check_regular(path, VideoError, EXPECTED)
@@ -63,15 +86,22 @@ class SqliteFile:
         self._ids: dict[str, int] = {}
         try:
             with closing(self._connected()) as database:
-                rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+                rows = database.execute(
+                    "SELECT id, name, type, serialization_format FROM topics"
+                ).fetchall()
                 for topic_id, name, type_name, encoding in rows:
                     self._ids[str(name)] = int(topic_id)
                     self.topics[str(name)] = Topic(
-                        str(name), ros2_type(str(type_name)), str(encoding), b"", _count(database, int(topic_id))
+                        str(name),
+                        ros2_type(str(type_name)),
+                        str(encoding),
+                        b"",
+                        _count(database, int(topic_id)),
                     )
         except DAMAGE as error:
             raise VideoError(
-                f"{path}: expected {EXPECTED}, found an SQLite file without readable topics ({type(error).__name__})."
+                f"{path}: expected {EXPECTED}, found an SQLite file without readable topics "
+                f"({type(error).__name__})."
             ) from error
 
     def _connected(self) -> sqlite3.Connection:
@@ -83,7 +113,8 @@ class SqliteFile:
                 database.execute("SELECT id FROM topics").fetchall()
                 return database
         database = sqlite3.connect(f"{address}&immutable=1", uri=True)
-        # otherwise SQLite refuses a file that is shorter than its header states, such as one that is cut off
+        # otherwise SQLite refuses a file that is shorter than its header states, such as one that
+        # is cut off
         database.execute("PRAGMA writable_schema=ON")
         return database
 
@@ -97,12 +128,17 @@ class SqliteFile:
                         yield number, float(stamp_ns) / 1e9, bytes(data)
                     number += 1
             except DAMAGE as error:
-                self.end_problem = f"the file is cut off or damaged after {number} messages ({type(error).__name__})"
+                self.end_problem = (
+                    f"the file is cut off or damaged after {number} messages "
+                    f"({type(error).__name__})"
+                )
 
 
 def _count(database: sqlite3.Connection, topic_id: int) -> int | None:
     try:
-        (count,) = database.execute("SELECT COUNT(*) FROM messages WHERE topic_id = ?", (topic_id,)).fetchone()
+        (count,) = database.execute(
+            "SELECT COUNT(*) FROM messages WHERE topic_id = ?", (topic_id,)
+        ).fetchone()
     except sqlite3.DatabaseError:
         return None
     return int(count)
@@ -117,14 +153,18 @@ class SplitBag:
         for bag in bags:
             for name, topic in bag.topics.items():
                 known = self.topics.get(name)
-                counts = [topic.n_messages] if known is None else [known.n_messages, topic.n_messages]
+                counts = (
+                    [topic.n_messages] if known is None else [known.n_messages, topic.n_messages]
+                )
                 n_messages = None if None in counts else sum(count or 0 for count in counts)
                 self.topics[name] = replace(topic, n_messages=n_messages)
 
     @property
     def end_problem(self) -> str:
         """Reason why reading of a file ended early; empty = it did not."""
-        return next((f"{bag.path.name}: {bag.end_problem}" for bag in self._bags if bag.end_problem), "")
+        return next(
+            (f"{bag.path.name}: {bag.end_problem}" for bag in self._bags if bag.end_problem), ""
+        )
 
     @property
     def n_damaged(self) -> int:
@@ -146,7 +186,10 @@ class SplitBag:
 def topic_list(bag: Bag, types: tuple[str, ...] = ()) -> str:
     """The first topics of a bag with their types for messages, topics of `types` first."""
     topics = sorted(bag.topics.values(), key=lambda topic: (topic.type not in types, topic.name))
-    shown = [f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})" for topic in topics[:4]]
+    shown = [
+        f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})"
+        for topic in topics[:4]
+    ]
     others = f" and {counted(len(topics) - 4, 'other')}" if len(topics) > 4 else ""
     return ", ".join(shown) + others or "no topics"
 
@@ -165,12 +208,18 @@ def _open_file(path: Path) -> Bag:
     if start.startswith(ROS1_MAGIC):
         return Ros1File(path)
     if start.startswith(b"#ROSBAG"):
-        raise VideoError(f"{path}: expected a ROS bag of version 2.0, found another version; convert it with rosbag.")
+        raise VideoError(
+            f"{path}: expected a ROS bag of version 2.0, found another version; "
+            "convert it with rosbag."
+        )
     if start.startswith(ZSTD_MAGIC):
         raise VideoError(
-            f"{path}: expected {EXPECTED}, found a file compressed as a whole; decompress it with zstd -d."
+            f"{path}: expected {EXPECTED}, found a file compressed as a whole; decompress it with "
+            "zstd -d."
         )
-    raise VideoError(f"{path}: expected {EXPECTED}, found an empty file, another format or a damaged file.")
+    raise VideoError(
+        f"{path}: expected {EXPECTED}, found an empty file, another format or a damaged file."
+    )
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -183,7 +232,9 @@ def _files_in(folder: Path) -> list[Path]:
         return []
     try:
         content = read_yaml(folder / "metadata.yaml", VideoError, "the metadata of a ROS 2 bag")
-        names = [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
+        names = [
+            str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]
+        ]
     except (UserError, yaml.YAMLError, LookupError, TypeError):
         return files
     listed = [folder / Path(name).name for name in names]

@@ -1,4 +1,6 @@
-"""BagVideo: the images of one topic of an MCAP file or ROS bag as a video; only one chunk of the file is in memory."""
+"""BagVideo: the images of one topic of an MCAP file or ROS bag as a video; only one chunk of the
+file is in memory.
+"""
 
 import itertools
 import re
@@ -14,7 +16,13 @@ from track_range.recording.bags.bag import open_bag, topic_list
 from track_range.recording.bags.container import DamagedError, Topic
 from track_range.recording.files.file_state import FileState
 from track_range.recording.files.video_file import ZED_SENTENCE
-from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.recording.frame import (
+    TIME_EPSILON_S,
+    VideoError,
+    VideoFrame,
+    is_neutral,
+    strictly_later,
+)
 from track_range.recording.names import BagTopic
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
@@ -23,11 +31,15 @@ from track_range.stereo.rig_formats.camera_info import CameraInfo
 _N_FIRST = 30  # messages from which the frame rate is estimated
 _FALLBACK_RATE_HZ = 10.0  # of a topic with a single message
 _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and its recording
-_FIRST_PLAUSIBLE_S = 631_152_000.0  # 1990; smaller times come from a simulation, or count since a computer was started
+# 1990; smaller times come from a simulation, or count since a computer was started
+_FIRST_PLAUSIBLE_S = 631_152_000.0
 _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; assumed
-_MAX_LEVELS = 3  # levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left
+# levels above an image topic in which its calibration is searched: /left/image_raw/compressed ->
+# /left
+_MAX_LEVELS = 3
 _ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files
-_CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")  # ends of the names of calibration topics
+# ends of the names of calibration topics
+_CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")
 """The last pattern belongs to RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and
 .../info/camera_info."""
 
@@ -40,8 +52,9 @@ def _is_depth(topic: str) -> bool:
 class BagVideo(RecordedVideo):
     """Images of one topic, in the order of their time stamps, which are seconds since 1970.
 
-    `camera` is the calibration in a topic beside it, if any; `is_rectified` follows from the topic's name. Raises
-    VideoError if the bag has no such topic or no image can be read, and, while iterating, if an image differs in size.
+    `camera` is the calibration in a topic beside it, if any; `is_rectified` follows from the
+    topic's name. Raises VideoError if the bag has no such topic or no image can be read, and, while
+    iterating, if an image differs in size.
     """
 
     path: BagTopic
@@ -60,7 +73,8 @@ class BagVideo(RecordedVideo):
             first, times_s = self._first_image()
         except DamagedError as error:
             raise VideoError(
-                f"{name}: expected images ({self._topic.type}), found other messages: {shortened(str(error), 100)}."
+                f"{name}: expected images ({self._topic.type}), found other messages: "
+                f"{shortened(str(error), 100)}."
             ) from error
         self.first_time_s = times_s[0]
         self.height_px, self.width_px = first.shape[:2]
@@ -78,7 +92,9 @@ class BagVideo(RecordedVideo):
             if topic.type in decoding.IMAGE_TYPES and _is_depth(topic.name)
         ]
         if depth and self._topic.name not in depth:
-            self._setup_notes.append(f"{name.path}: depth images ({', '.join(depth)}) are left out.")
+            self._setup_notes.append(
+                f"{name.path}: depth images ({', '.join(depth)}) are left out."
+            )
 
     @property
     def utc(self) -> UtcStart | None:
@@ -96,7 +112,11 @@ class BagVideo(RecordedVideo):
             (self._n_damaged, "damaged image", ""),
             (self._n_backward, "image", " with a repeated or backward time"),
         )
-        end = [f"{self._bag.end_problem}; all earlier images were used."] if self._bag.end_problem else []
+        end = (
+            [f"{self._bag.end_problem}; all earlier images were used."]
+            if self._bag.end_problem
+            else []
+        )
         notes = end + [f"skipped {counted(n, noun)}{clause}." for n, noun, clause in skipped if n]
         return (*self._setup_notes, *(f"{self.path}: {note}" for note in notes))
 
@@ -105,11 +125,14 @@ class BagVideo(RecordedVideo):
         self._n_backward = self._n_damaged = 0
         self.check_unchanged()
         decoder, last_s = decoding.ImageDecoder(self._topic), None
-        recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S  # a video is decoded from its start
+        # a video is decoded from its start
+        recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S
         for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
             try:
                 stamp_s, message = decoder.message(data)
-                time_s = strictly_later(stamp_s if self._uses_headers else recorded_s, last_s, interval_s=1 / self.fps)
+                time_s = strictly_later(
+                    stamp_s if self._uses_headers else recorded_s, last_s, interval_s=1 / self.fps
+                )
                 if time_s is None:
                     self._n_backward += 1
                     continue
@@ -134,14 +157,19 @@ class BagVideo(RecordedVideo):
 
     def _chosen_topic(self) -> Topic:
         topics, listed = self._bag.topics, topic_list(self._bag, decoding.IMAGE_TYPES)
-        if any(topic.encoding == _ZED_ENCODING for topic in topics.values()) or "svo_header" in topics:
+        if (
+            any(topic.encoding == _ZED_ENCODING for topic in topics.values())
+            or "svo_header" in topics
+        ):
             raise VideoError(f"{self.path}: {ZED_SENTENCE}")
         name = self.path.topic
         if name is None:
             images = [topic.name for topic in topics.values() if topic.type in decoding.IMAGE_TYPES]
             images = [one for one in images if not _is_depth(one)] or images
             if len(images) != 1:
-                raise VideoError(f"{self.path}: expected --topics with the topics of the images, found {listed}.")
+                raise VideoError(
+                    f"{self.path}: expected --topics with the topics of the images, found {listed}."
+                )
             name = images[0]
         if name not in topics:
             end = f", {self._bag.end_problem}" if self._bag.end_problem else ""
@@ -151,8 +179,8 @@ class BagVideo(RecordedVideo):
             raise VideoError(f"{self.path}: expected images, found {topic.type}; found {listed}.")
         if not decoding.is_readable(topic):
             raise VideoError(
-                f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got {shortened(topic.encoding)}; "
-                "convert the bag."
+                f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got "
+                f"{shortened(topic.encoding)}; convert the bag."
             )
         return topic
 
@@ -160,7 +188,9 @@ class BagVideo(RecordedVideo):
         decoder, first = decoding.ImageDecoder(self._topic), None
         times_s: list[tuple[float, float]] = []
         problem = "no messages"
-        for _, recorded_s, data in itertools.islice(self._bag.messages(self._topic.name, 0.0), _N_FIRST):
+        for _, recorded_s, data in itertools.islice(
+            self._bag.messages(self._topic.name, 0.0), _N_FIRST
+        ):
             try:
                 stamp_s, message = decoder.message(data)
                 first = decoder.image(message) if first is None else first
@@ -169,18 +199,29 @@ class BagVideo(RecordedVideo):
                 problem = str(error) if problem == "no messages" else problem
         if first is None:
             raise DamagedError(problem)
-        self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)  # a simulation may begin at 0
+        # a simulation may begin at 0
+        self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)
         if not self._uses_headers:
-            self._setup_notes.append(f"{self.path}: images have no time stamps; the times of recording are used.")
-        return first, [stamp_s if self._uses_headers else recorded_s for stamp_s, recorded_s in times_s]
+            self._setup_notes.append(
+                f"{self.path}: images have no time stamps; the times of recording are used."
+            )
+        return first, [
+            stamp_s if self._uses_headers else recorded_s for stamp_s, recorded_s in times_s
+        ]
 
     def _calibration(self) -> CameraInfo | None:
-        """The first message of the calibration topic beside the images: /left/image_raw -> /left/camera_info."""
+        """The first message of the calibration topic beside the images: /left/image_raw ->
+        /left/camera_info.
+        """
         parts = self._topic.name.rstrip("/").split("/")
         levels = ["/".join(parts[:-up]) for up in range(1, min(_MAX_LEVELS, len(parts)) + 1)]
         for level, name in itertools.product(levels, _CALIBRATION_NAMES):
             topic = self._bag.topics.get(f"{level}/{name}")
-            if topic is None or topic.type not in decoding.CALIBRATION_TYPES or not decoding.is_readable(topic):
+            if (
+                topic is None
+                or topic.type not in decoding.CALIBRATION_TYPES
+                or not decoding.is_readable(topic)
+            ):
                 continue
             for _, _, data in itertools.islice(self._bag.messages(topic.name, 0.0), _N_FIRST):
                 try:

@@ -1,7 +1,9 @@
-"""Bag: messages by topic in files of the formats MCAP, ROS 2 (SQLite) and ROS 1, and the common parts of their readers.
+"""Bag: messages by topic in files of the formats MCAP, ROS 2 (SQLite) and ROS 1, and the common
+parts of their readers.
 
-rosbags' AnyReader refuses MCAP files with Foxglove's messages, files that are cut off and unusual suffixes, and it does
-not see the journal that a killed recorder leaves. So each format has one reader here, for whole and for cut files.
+rosbags' AnyReader refuses MCAP files with Foxglove's messages, files that are cut off and unusual
+suffixes, and it does not see the journal that a killed recorder leaves. So each format has one
+reader here, for whole and for cut files.
 """
 
 import bz2
@@ -18,7 +20,8 @@ from track_range.recording.frame import VideoError
 
 EXPECTED = "an MCAP file or ROS bag"
 
-MAX_RECORD_BYTES = 2**29  # size limit of a record, bytes; chunks have 1 to 10 MB, the largest raw image 200 MB
+# size limit of a record, bytes; chunks have 1 to 10 MB, the largest raw image 200 MB
+MAX_RECORD_BYTES = 2**29
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -28,7 +31,16 @@ class DamagedError(ValueError):
 
 
 DAMAGE = (  # errors of readers and decompressors in damaged files
-    *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, TypeError),
+    *(
+        ArithmeticError,
+        AttributeError,
+        EOFError,
+        LookupError,
+        MemoryError,
+        OSError,
+        RuntimeError,
+        TypeError,
+    ),
     *(ValueError, struct.error, sqlite3.DatabaseError),
 )
 
@@ -59,23 +71,28 @@ class Bag(Protocol):
         """Number of damaged parts that were skipped."""
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
-        """Number, from 0, time of recording in s, and content of the messages of a topic in the order of the file.
+        """Number, from 0, time of recording in s, and content of the messages of a topic in the
+        order of the file.
 
         Messages before `from_s` may be left out, but are counted.
         """
 
 
 def ros2_type(name: str) -> str:
-    """Name of a message type as ROS 2 writes it, printable: sensor_msgs/Image -> sensor_msgs/msg/Image."""
+    """Name of a message type as ROS 2 writes it, printable: sensor_msgs/Image ->
+    sensor_msgs/msg/Image.
+    """
     name = shortened(name, 100)
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name
 
 
 def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
-    """Content of a chunk compressed with bz2, lz4, zstd or not ("", none), of which `n_bytes` are announced.
+    """Content of a chunk compressed with bz2, lz4, zstd or not ("", none), of which `n_bytes` are
+    announced.
 
-    Raises DamagedError if the compression is unknown or the size differs, and VideoError if a library is missing.
+    Raises DamagedError if the compression is unknown or the size differs, and VideoError if a
+    library is missing.
     """
     if n_bytes > MAX_RECORD_BYTES:
         raise DamagedError("chunk too large")
@@ -83,7 +100,9 @@ def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
     if compression == "bz2":
         content = bz2.BZ2Decompressor().decompress(data, max_length=n_bytes + 1)
     elif compression == "lz4":
-        content = library("lz4.frame").LZ4FrameDecompressor().decompress(data, max_length=n_bytes + 1)
+        content = (
+            library("lz4.frame").LZ4FrameDecompressor().decompress(data, max_length=n_bytes + 1)
+        )
     elif compression == "zstd":
         zstandard = library("zstandard")
         try:
@@ -108,5 +127,6 @@ def library(name: str) -> Any:
 def missing_library(error: ImportError) -> NoReturn:
     """Raise the VideoError for a package of the extra that is not installed."""
     raise VideoError(
-        f"MCAP files and ROS bags require the package {error.name}: install it with pip install 'track-range[mcap]'."
+        f"MCAP files and ROS bags require the package {error.name}: install it with pip install "
+        "'track-range[mcap]'."
     ) from error

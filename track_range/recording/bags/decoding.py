@@ -15,18 +15,34 @@ from av.video.codeccontext import VideoCodecContext
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, decode_image
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.bags.container import DAMAGE, ZSTD_MAGIC, DamagedError, Topic, decompressed, library
+from track_range.recording.bags.container import (
+    DAMAGE,
+    ZSTD_MAGIC,
+    DamagedError,
+    Topic,
+    decompressed,
+    library,
+)
 from track_range.recording.frame import bgr_image
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
-COMPRESSED_TYPES = ("sensor_msgs/msg/CompressedImage", "foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")
+COMPRESSED_TYPES = (
+    "sensor_msgs/msg/CompressedImage",
+    "foxglove.CompressedImage",
+    "foxglove_msgs/msg/CompressedImage",
+)
 RAW_TYPES = ("sensor_msgs/msg/Image", "foxglove.RawImage", "foxglove_msgs/msg/RawImage")
 VIDEO_TYPES = ("foxglove.CompressedVideo", "foxglove_msgs/msg/CompressedVideo")
 IMAGE_TYPES = (*COMPRESSED_TYPES, *RAW_TYPES, *VIDEO_TYPES)
-CALIBRATION_TYPES = ("sensor_msgs/msg/CameraInfo", "foxglove.CameraCalibration", "foxglove_msgs/msg/CameraCalibration")
+CALIBRATION_TYPES = (
+    "sensor_msgs/msg/CameraInfo",
+    "foxglove.CameraCalibration",
+    "foxglove_msgs/msg/CameraCalibration",
+)
 """Types of messages that are read."""
 
-_ENCODINGS: Mapping[str, tuple[int, int | None]] = {  # bytes per pixel and conversion to BGR; None = none
+# bytes per pixel and conversion to BGR; None = none
+_ENCODINGS: Mapping[str, tuple[int, int | None]] = {
     "bgr8": (3, None),
     "8UC3": (3, None),
     "rgb8": (3, cv2.COLOR_RGB2BGR),
@@ -64,7 +80,9 @@ class ImageDecoder:
         self._codec: VideoCodecContext | None = None
 
     def message(self, data: bytes) -> tuple[float, Any]:
-        """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot be read."""
+        """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot
+        be read.
+        """
         try:
             message = self._parsed(data)
             return stamp_s(message), message
@@ -72,7 +90,9 @@ class ImageDecoder:
             raise DamagedError(f"no {self._topic.type}") from error
 
     def image(self, message: Any) -> Image | None:
-        """(H, W, 3) uint8 BGR; None = a video frame without image. Raises DamagedError if unreadable."""
+        """(H, W, 3) uint8 BGR; None = a video frame without image. Raises DamagedError if
+        unreadable.
+        """
         try:
             name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
             if any(part in name for part in _DEPTH):
@@ -101,7 +121,8 @@ def message_reader(topic: Topic) -> Callable[[bytes], Any]:
     name, encoding = topic.type, topic.encoding
     if encoding == "protobuf":
         descriptor_pb2, descriptor_pool, message_factory = (
-            library(f"google.protobuf.{part}") for part in ("descriptor_pb2", "descriptor_pool", "message_factory")
+            library(f"google.protobuf.{part}")
+            for part in ("descriptor_pb2", "descriptor_pool", "message_factory")
         )
         pool = descriptor_pool.DescriptorPool()
         try:
@@ -125,7 +146,9 @@ def message_reader(topic: Topic) -> Callable[[bytes], Any]:
 
 
 def _uncompressed(data: bytes) -> bytes:
-    """A CDR message, which rosbag2 may have compressed (compression mode MESSAGE); CDR starts with a zero byte."""
+    """A CDR message, which rosbag2 may have compressed (compression mode MESSAGE); CDR starts with
+    a zero byte.
+    """
     if not data.startswith(ZSTD_MAGIC):
         return data
     n_bytes = library("zstandard").frame_content_size(data)
@@ -139,12 +162,16 @@ def stamp_s(message: Any) -> float:
     header = getattr(message, "header", None)
     stamp = message.timestamp if header is None else header.stamp
     seconds = stamp.sec if hasattr(stamp, "sec") else stamp.seconds
-    nanoseconds = next(getattr(stamp, name) for name in ("nanosec", "nanos", "nsec") if hasattr(stamp, name))
+    nanoseconds = next(
+        getattr(stamp, name) for name in ("nanosec", "nanos", "nsec") if hasattr(stamp, name)
+    )
     return float(seconds) + float(nanoseconds) / 1e9
 
 
 def _compressed_image(content: bytes) -> Image:
-    image = decode_image(content, "message", DamagedError, flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    image = decode_image(
+        content, "message", DamagedError, flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    )
     if image.dtype not in (np.uint8, np.uint16):
         raise DamagedError(f"pixels of type {image.dtype}")
     return (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8, copy=False)
@@ -154,10 +181,15 @@ def _raw_image(message: Any) -> Image:
     encoding, step = str(message.encoding), int(message.step)
     height, width = int(message.height), int(message.width)
     if encoding not in _ENCODINGS:
-        raise DamagedError(f"encoding {quoted(encoding, 20)}, expected one of {', '.join(list(_ENCODINGS)[:7])}, ...")
+        raise DamagedError(
+            f"encoding {quoted(encoding, 20)}, expected one of "
+            f"{', '.join(list(_ENCODINGS)[:7])}, ..."
+        )
     n_bytes, code = _ENCODINGS[encoding]
     data = np.frombuffer(memoryview(message.data), np.uint8)
-    if not (0 < width * height <= MAX_PIXELS and step >= width * n_bytes and data.size >= step * height):
+    if not (
+        0 < width * height <= MAX_PIXELS and step >= width * n_bytes and data.size >= step * height
+    ):
         raise DamagedError(f"{width}x{height} pixels in {data.size} bytes")
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, : width * n_bytes])
     if encoding == "mono16":
@@ -165,15 +197,27 @@ def _raw_image(message: Any) -> Image:
         pixels: npt.NDArray[Any] = (rows.view(order) >> 8).astype(np.uint8)
     else:
         pixels = rows.reshape((height, width) if n_bytes == 1 else (height, width, n_bytes))
-    return pixels.astype(np.uint8) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
+    return (
+        pixels.astype(np.uint8)
+        if code is None
+        else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
+    )
 
 
 def camera_message(topic: Topic, data: bytes) -> CameraInfo:
-    """The calibration in a message of one of `CALIBRATION_TYPES`; raises DamagedError if it cannot be read."""
+    """The calibration in a message of one of `CALIBRATION_TYPES`; raises DamagedError if it cannot
+    be read.
+    """
     try:
         message = message_reader(topic)(data)
-        d, k, r, p = (np.array(getattr(message, name, getattr(message, name.upper(), ())), float) for name in "dkrp")
-        r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()
+        d, k, r, p = (
+            np.array(getattr(message, name, getattr(message, name.upper(), ())), float)
+            for name in "dkrp"
+        )
+        r, p = (
+            r if r.any() else np.eye(3).ravel(),
+            p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel(),
+        )
         return CameraInfo(
             (int(message.width), int(message.height)),
             str(message.distortion_model),

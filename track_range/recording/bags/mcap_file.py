@@ -1,4 +1,6 @@
-"""McapFile: messages of an MCAP file, read chunk by chunk; files without a summary (cut-off files) in sequence."""
+"""McapFile: messages of an MCAP file, read chunk by chunk; files without a summary (cut-off files)
+in sequence.
+"""
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -16,13 +18,16 @@ from track_range.foundation.files.input_files import open_regular
 from track_range.recording.bags import container
 from track_range.recording.frame import VideoError
 
-_SCAN_BYTES = 500_000_000  # number of bytes of a file without a summary that are searched for topics
+# number of bytes of a file without a summary that are searched for topics
+_SCAN_BYTES = 500_000_000
 
 _DAMAGE = (*container.DAMAGE, McapError)
 
 
 class McapFile:
-    """Messages of an MCAP file; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
+    """Messages of an MCAP file; see `Bag` for the attributes. Raises VideoError if it cannot be
+    read.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0
@@ -78,13 +83,17 @@ class McapFile:
                 try:
                     if offsets and index.message_end_time / 1e9 < from_s:
                         for channel in channels & offsets.keys():
-                            file.seek(offsets[channel] + 9 + 2)  # after operation code, length and channel
-                            number += ReadDataStream(file).read4() // 16  # two numbers of 8 bytes per message
+                            # after operation code, length and channel
+                            file.seek(offsets[channel] + 9 + 2)
+                            # two numbers of 8 bytes per message
+                            number += ReadDataStream(file).read4() // 16
                     elif index.chunk_length > container.MAX_RECORD_BYTES:
                         raise container.DamagedError("chunk too large")
                     else:
                         file.seek(index.chunk_start_offset + 9)  # after operation code and length
-                        messages = list(self._messages_in([Chunk.read(ReadDataStream(file))], topic))
+                        messages = list(
+                            self._messages_in([Chunk.read(ReadDataStream(file))], topic)
+                        )
                 except _DAMAGE:
                     self.n_damaged += 1
                 for message in messages:
@@ -92,10 +101,14 @@ class McapFile:
                     number += 1
 
     def _messages_in(self, records: Iterable[Any], topic: str) -> Iterator[Message]:
-        """The messages of a topic in records and chunks of records; schemas and channels are collected."""
+        """The messages of a topic in records and chunks of records; schemas and channels are
+        collected.
+        """
         for record in records:
             if isinstance(record, Chunk):
-                data = container.decompressed(record.data, record.compression, record.uncompressed_size)
+                data = container.decompressed(
+                    record.data, record.compression, record.uncompressed_size
+                )
                 whole = replace(record, compression="", data=data)
                 yield from self._messages_in(breakup_chunk(whole, validate_crc=True), topic)
             elif isinstance(record, Schema):
@@ -107,15 +120,24 @@ class McapFile:
                 if channel is not None and channel.topic == topic:
                     yield record
 
-    def _in_sequence(self, file: BinaryIO, topic: str, max_bytes: int | None = None) -> Iterator[Message]:
-        """The messages of a topic from the beginning of the file to its end, or to the first damaged record."""
+    def _in_sequence(
+        self, file: BinaryIO, topic: str, max_bytes: int | None = None
+    ) -> Iterator[Message]:
+        """The messages of a topic from the beginning of the file to its end, or to the first
+        damaged record.
+        """
         file.seek(0)
         try:
-            for record in StreamReader(file, emit_chunks=True, record_size_limit=container.MAX_RECORD_BYTES).records:
+            for record in StreamReader(
+                file, emit_chunks=True, record_size_limit=container.MAX_RECORD_BYTES
+            ).records:
                 yield from self._messages_in([record], topic)
-                if isinstance(record, DataEnd) or (max_bytes is not None and file.tell() > max_bytes):
+                if isinstance(record, DataEnd) or (
+                    max_bytes is not None and file.tell() > max_bytes
+                ):
                     return
         except _DAMAGE as error:
             self.end_problem = (
-                f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB ({type(error).__name__})"
+                f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB "
+                f"({type(error).__name__})"
             )

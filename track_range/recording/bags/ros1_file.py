@@ -1,4 +1,5 @@
-"""Ros1File: messages of a ROS 1 bag (#ROSBAG V2.0), read chunk by chunk; files without an index in sequence.
+"""Ros1File: messages of a ROS 1 bag (#ROSBAG V2.0), read chunk by chunk; files without an index in
+sequence.
 
 record = length of header, header (name=value, ...), length of data, data
 
@@ -23,13 +24,16 @@ _MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"  # operation codes of 
 
 
 class Ros1File:
-    """Messages of a ROS 1 bag; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
+    """Messages of a ROS 1 bag; see `Bag` for the attributes. Raises VideoError if it cannot be
+    read.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0
         self.topics: dict[str, container.Topic] = {}
         self._topic_of: dict[int, str] = {}
-        self._chunks: list[tuple[int, float, dict[int, int]]] = []  # place, last time in s, messages by connection
+        # place, last time in s, messages by connection
+        self._chunks: list[tuple[int, float, dict[int, int]]] = []
         with open_regular(path, VideoError, container.EXPECTED) as file:
             try:
                 self._read_index(file)
@@ -51,10 +55,14 @@ class Ros1File:
         for _ in range(_number(header[b"chunk_count"])):
             fields, data = _record(file)
             by_connection = dict(struct.iter_unpack("<II", data))
-            self._chunks.append((_number(fields[b"chunk_pos"]), _time_s(fields[b"end_time"]), by_connection))
+            self._chunks.append(
+                (_number(fields[b"chunk_pos"]), _time_s(fields[b"end_time"]), by_connection)
+            )
             for connection, n_messages in by_connection.items():
                 counts[self._topic_of[connection]] += n_messages
-        self.topics = {name: replace(topic, n_messages=counts[name]) for name, topic in self.topics.items()}
+        self.topics = {
+            name: replace(topic, n_messages=counts[name]) for name, topic in self.topics.items()
+        }
         self._chunks.sort(key=lambda chunk: chunk[0])
 
     def _add_connection(self, header: dict[bytes, bytes], data: bytes) -> None:
@@ -64,7 +72,8 @@ class Ros1File:
         self._topic_of[_number(header[b"conn"])] = name
         type_name = container.ros2_type(fields[b"type"].decode())
         self.topics.setdefault(
-            name, container.Topic(name, type_name, "ros1", fields.get(b"message_definition", b""), None)
+            name,
+            container.Topic(name, type_name, "ros1", fields.get(b"message_definition", b""), None),
         )
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
@@ -92,19 +101,29 @@ class Ros1File:
                     yield number, time_s, data
                     number += 1
 
-    def _messages_in(self, header: dict[bytes, bytes], data: bytes, topic: str) -> Iterator[tuple[float, bytes]]:
+    def _messages_in(
+        self, header: dict[bytes, bytes], data: bytes, topic: str
+    ) -> Iterator[tuple[float, bytes]]:
         """Time and content of the messages of a topic in a chunk; connections are collected."""
-        content = container.decompressed(data, header[b"compression"].decode(), _number(header[b"size"]))
+        content = container.decompressed(
+            data, header[b"compression"].decode(), _number(header[b"size"])
+        )
         records = io.BytesIO(content)
         while records.seek(0, io.SEEK_CUR) < len(content):
             fields, data = _record(records)
             if fields[b"op"] == _CONNECTION:
                 self._add_connection(fields, data)
-            elif fields[b"op"] == _MESSAGE and topic and self._topic_of.get(_number(fields[b"conn"])) == topic:
+            elif (
+                fields[b"op"] == _MESSAGE
+                and topic
+                and self._topic_of.get(_number(fields[b"conn"])) == topic
+            ):
                 yield _time_s(fields[b"time"]), data
 
     def _in_sequence(self, file: BinaryIO, topic: str) -> Iterator[tuple[float, bytes]]:
-        """Time and content of the messages of a topic from the beginning to the first damaged record."""
+        """Time and content of the messages of a topic from the beginning to the first damaged
+        record.
+        """
         n_bytes = file.seek(0, 2)
         file.seek(len(MAGIC))
         try:

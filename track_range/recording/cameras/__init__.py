@@ -1,1 +1,3 @@
-"""Cameras of a recording: calibration files, focal lengths of known cameras, pairs without calibration."""
+"""Cameras of a recording: calibration files, focal lengths of known cameras, pairs without
+calibration.
+"""

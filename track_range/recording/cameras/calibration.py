@@ -33,23 +33,30 @@ from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, read_calibration
 
-_GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given by the user; assumed
-_ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
-_MAX_HEIGHT_SIGMA = 0.05  # relative standard deviation of a fitted camera height up to which it is used as known
-_CODEC_CROP_PX = 2  # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
+# relative standard deviation of a focal length given by the user; assumed
+_GIVEN_FOCAL_SIGMA = 0.02
+# baseline of an uncalibrated pair; it only sets the range of disparities that is searched
+_ASSUMED_BASELINE_M = 0.5
+# relative standard deviation of a fitted camera height up to which it is used as known
+_MAX_HEIGHT_SIGMA = 0.05
+# tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
+_CODEC_CROP_PX = 2
 
 _MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note
 
 Video = RecordedVideo | LiveVideo  # a source of the images of one camera
-Sizes = tuple[tuple[int, int], ...]  # (width, height) of recorded images: of the left or only camera, of the right one
-CalibrationKind = Literal["rig", "focal length", "estimated"]  # a file, a given length, or the sizes of road users
+# (width, height) of recorded images: of the left or only camera, of the right one
+Sizes = tuple[tuple[int, int], ...]
+# a file, a given length, or the sizes of road users
+CalibrationKind = Literal["rig", "focal length", "estimated"]
 
 
 @dataclass(frozen=True, slots=True)
 class LensView:
     """The part of a wide lens's field of view that its images are undistorted to."""
 
-    fov_deg: float | None = None  # horizontal field of view; None = that of the lens, up to 120 degrees
+    # horizontal field of view; None = that of the lens, up to 120 degrees
+    fov_deg: float | None = None
     yaw_deg: float = 0.0  # direction of its axis, to the right of the camera's; 0 for pairs
 
 
@@ -63,33 +70,42 @@ class RecordingCalibration:
     kind: CalibrationKind
     camera: PinholeCamera  # the left or only camera
     rectifier: Rectifier | Undistorter  # computes the rectified (one camera: undistorted) images
-    # (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped
+    # (width, height) of the left or only recorded images, and of the right ones; larger ones are
+    # cropped
     sizes_px: Sizes
     # the rectified pair with its alignment; None = one camera, or a pair without calibration
     rig: StereoRig | None = None
     raw_rig: StereoRig | None = None  # the pair as loaded
-    raw_camera: PinholeCamera | None = None  # the left or only camera as loaded; None = as recorded images are
+    # the left or only camera as loaded; None = as recorded images are
+    raw_camera: PinholeCamera | None = None
     view: LensView = WHOLE_VIEW
     path: Path | None = None  # the calibration file; None = a focal length
     # (3,) translation of labels from the rig's reference camera to the left camera's frame
     left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     file_notes: tuple[str, ...] = ()  # messages for the user about the file
-    search_notes: tuple[str, ...] = ()  # the sentence that names the file if it was not given but found
+    # the sentence that names the file if it was not given but found
+    search_notes: tuple[str, ...] = ()
     alignment: PairAlignment | None = None  # disparity correction of a calibrated pair
-    # y_right - y_left of matching points of a pair without calibration, which is corrected; None = the rows do not
-    # match, so that the pair cannot be matched, or the recording is another one
+    # y_right - y_left of matching points of a pair without calibration, which is corrected; None =
+    # the rows do not match, so that the pair cannot be matched, or the recording is another one
     row_offset_px: float | None = None
-    guesses: tuple[FocalGuess, ...] = ()  # guesses of a focal length that is not known; empty = it is
-    focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
-    # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
+    # guesses of a focal length that is not known; empty = it is
+    guesses: tuple[FocalGuess, ...] = ()
+    # estimate of a focal length that is not known exactly; None = it is
+    focal: FocalGuess | None = None
+    # height, pitch and uncertainty of the focal length of a camera that was calibrated from the
+    # road; None = unknown
     mounting: Mounting | None = None
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
-    alternatives: tuple[image_size.FocalAlternative, ...] = ()  # other readings of the calibration or focal length
+    # other readings of the calibration or focal length
+    alternatives: tuple[image_size.FocalAlternative, ...] = ()
     pixel_aspect: float = 1.0  # width / height of the recorded pixels, by the video
 
     @property
     def focal_sigma(self) -> float:
-        """Relative standard deviation of the focal length, which all distances share; 0 = without alternatives."""
+        """Relative standard deviation of the focal length, which all distances share; 0 = without
+        alternatives.
+        """
         if self.focal is not None:
             return self.focal.sigma
         largest = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
@@ -97,16 +113,29 @@ class RecordingCalibration:
 
     @property
     def scale_sigma(self) -> float:
-        """Relative standard deviation that all distances share: of the focal length, and of a board's calibration."""
+        """Relative standard deviation that all distances share: of the focal length, and of a
+        board's calibration.
+        """
         known = self.accuracy
-        board = 0.0 if known is None else known.focal_sigma if len(self.sizes_px) == 1 else known.scale_sigma
+        board = (
+            0.0
+            if known is None
+            else known.focal_sigma
+            if len(self.sizes_px) == 1
+            else known.scale_sigma
+        )
         return math.hypot(self.focal_sigma, board)
 
     @property
     def camera_height_m(self) -> float | None:
-        """Height of the camera above the road in its calibration, if the calibration has it; None = unknown."""
+        """Height of the camera above the road in its calibration, if the calibration has it; None =
+        unknown.
+        """
         mounting = self.mounting
-        if mounting is None or mounting.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * mounting.camera_height_m:
+        if (
+            mounting is None
+            or mounting.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * mounting.camera_height_m
+        ):
             return None
         return mounting.camera_height_m
 
@@ -118,56 +147,67 @@ class RecordingCalibration:
         return (*self.search_notes, *self.file_notes, *self._pixel_notes(), *alignment, *focal)
 
     def _pixel_notes(self) -> tuple[str, ...]:
-        """A note on images whose pixels are not square according to the calibration or the video."""
+        """A note on images whose pixels are not square according to the calibration or the
+        video.
+        """
         recorded = self.raw_camera or self.camera
         own, aspect = recorded.fy_px / recorded.fx_px, self.pixel_aspect
         is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
         if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
             return ()
         doubt = (
-            f" According to the video, they are {aspect:.3g} times as wide as high; check the calibration."
+            f" According to the video, they are {aspect:.3g} times as wide as high; check the "
+            "calibration."
             if is_contradicted
             else ""
         )
         return (
-            f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
-            f"they are resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which "
-            f"focal length and boxes refer.{doubt}",
+            f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} "
+            "times as wide as high: they are resampled to "
+            f"{self.camera.width_px}x{self.camera.height_px} px with square pixels, to which focal "
+            f"length and boxes refer.{doubt}",
         )
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
         length = (
-            f"the focal length is estimated as {focal.focal_px:.0f} px within {100 * focal.sigma:.0f} %, from "
-            f"{focal.source} (give --focal-px if it is known)"
+            f"the focal length is estimated as {focal.focal_px:.0f} px within "
+            f"{100 * focal.sigma:.0f} %, from {focal.source} (give --focal-px if it is known)"
         )
         if len(self.sizes_px) == 1:
             return (
-                f"No calibration: {length}, and all distances share the error of the focal length; a known distance "
-                "reduces this error: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' "
-                "--out rig.yaml.",
+                f"No calibration: {length}, and all distances share the error of the focal length; "
+                "a known distance reduces this error: track-range calibrate --mono VIDEO "
+                "--known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
             )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
         how = (
-            "for calibrated distances record a chessboard with both cameras, run `track-range calibrate --stereo LEFT "
-            "RIGHT --board 9x6 --square-mm MM --out rig.yaml`, and give --rig rig.yaml"
+            "for calibrated distances record a chessboard with both cameras, run `track-range "
+            "calibrate --stereo LEFT RIGHT --board 9x6 --square-mm MM --out rig.yaml`, and give "
+            "--rig rig.yaml"
         )
         if self.row_offset_px is None:
             return (
                 f"No rig, so distances are uncalibrated: {length}; {how}.",
-                "Matching points of left and right are not in equal rows, so stereo matching needs a rig: distances "
-                "come from the left video alone.",
+                "Matching points of left and right are not in equal rows, so stereo matching needs "
+                "a rig: distances come from the left video alone.",
             )
         row_px = self.row_offset_px
-        rows = f" Left and right have a vertical offset of {row_px:+.1f} px, which is corrected." if row_px else ""
+        rows = (
+            f" Left and right have a vertical offset of {row_px:+.1f} px, which is corrected."
+            if row_px
+            else ""
+        )
         return (
-            f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from the sizes of road "
-            f"users; {how}.{rows}",
+            f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from "
+            f"the sizes of road users; {how}.{rows}",
         )
 
     @property
     def assumed_rig(self) -> StereoRig | None:
-        """An uncalibrated pair that can be matched, with an assumed baseline; None = any other recording."""
+        """An uncalibrated pair that can be matched, with an assumed baseline; None = any other
+        recording.
+        """
         return None if self.row_offset_px is None else assumed_rig(self.camera)
 
     @property
@@ -177,20 +217,36 @@ class RecordingCalibration:
 
     @property
     def recorded_view(self) -> Rectifier | Undistorter | None:
-        """Undistorter of the left images of a wide lens, for drawing in recorded images; None for other lenses."""
+        """Undistorter of the left images of a wide lens, for drawing in recorded images; None for
+        other lenses.
+        """
         return self.rectifier if self.has_wide_lens else None
 
-    def frame(self, left: VideoFrame, right: VideoFrame | None, first_s: float, start: UtcStart | None = None) -> Frame:
+    def frame(
+        self,
+        left: VideoFrame,
+        right: VideoFrame | None,
+        first_s: float,
+        start: UtcStart | None = None,
+    ) -> Frame:
         """The images of one time, cropped to `sizes_px` and rectified (one camera: undistorted).
 
-        `first_s` is the file time of the left video's first frame, and `start` its UTC; None = unknown.
+        `first_s` is the file time of the left video's first frame, and `start` its UTC; None =
+        unknown.
         """
         images = (left.image,) if right is None else (left.image, right.image)
-        cut = [image[:height_px, :width_px] for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)]
+        cut = [
+            image[:height_px, :width_px]
+            for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)
+        ]
         time_s = left.time_s - first_s
-        return self.frame_of(cut, left.index, time_s, math.nan if start is None else start.start_s + time_s)
+        return self.frame_of(
+            cut, left.index, time_s, math.nan if start is None else start.start_s + time_s
+        )
 
-    def frame_of(self, images: Sequence[Image], index: int, time_s: float, utc_s: float = math.nan) -> Frame:
+    def frame_of(
+        self, images: Sequence[Image], index: int, time_s: float, utc_s: float = math.nan
+    ) -> Frame:
         """The images of one or two cameras, of `sizes_px`, rectified (one camera: undistorted)."""
         left_image: Image
         right_image: ImageView | None
@@ -198,10 +254,14 @@ class RecordingCalibration:
             left_image, right_image = self.rectifier.undistort(images[0]), None
         else:
             left_image, right_image = self.rectifier.rectify(images[0], images[1])
-        return Frame(index, time_s, left_image, right_image, utc_s, images[0] if self.has_wide_lens else None)
+        return Frame(
+            index, time_s, left_image, right_image, utc_s, images[0] if self.has_wide_lens else None
+        )
 
     def with_alignment(self, alignment: PairAlignment) -> RecordingCalibration:
-        """A copy with the alignment of the pair; its right view and shift, if any, become part of the rectification."""
+        """A copy with the alignment of the pair; its right view and shift, if any, become part of
+        the rectification.
+        """
         rectifier, measured = self.rectifier, alignment.measured
         view = RightView.of(measured).if_needed(self.camera)
         shift_px = alignment.applied.shift_px
@@ -221,7 +281,9 @@ class RecordingCalibration:
         """A copy for videos that are both turned by 180 degrees against the rig."""
         if self.raw_rig is None:
             return self
-        rectifier = Rectifier(self.raw_rig, fov_deg=self.view.fov_deg, is_turned=True, source=self.path or "the rig")
+        rectifier = Rectifier(
+            self.raw_rig, fov_deg=self.view.fov_deg, is_turned=True, source=self.path or "the rig"
+        )
         return replace(self, rectifier=rectifier)
 
     def with_row_offset(self, row_px: float) -> RecordingCalibration:
@@ -231,8 +293,14 @@ class RecordingCalibration:
         return replace(self, rectifier=Rectifier(rig, row_offset_px=row_px), row_offset_px=row_px)
 
     def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
-        """An uncalibrated recording with another focal length, on which its rectified images do not depend."""
-        return replace(self, camera=PinholeCamera.of_focal_length(guess.focal_px, self.camera.size_px), focal=guess)
+        """An uncalibrated recording with another focal length, on which its rectified images do not
+        depend.
+        """
+        return replace(
+            self,
+            camera=PinholeCamera.of_focal_length(guess.focal_px, self.camera.size_px),
+            focal=guess,
+        )
 
 
 def find_calibration(
@@ -245,12 +313,12 @@ def find_calibration(
 ) -> RecordingCalibration:
     """The calibration of one or two opened videos, left first.
 
-    It comes from `rig`, a file or a model of the cameras, the focal length, the bag, or a file next to `left`; the
-    first of these is used. Otherwise the focal length is estimated, and the distances are uncalibrated.
-    Images of wide lenses are undistorted to `view`.
+    It comes from `rig`, a file or a model of the cameras, the focal length, the bag, or a file next
+    to `left`; the first of these is used. Otherwise the focal length is estimated, and the
+    distances are uncalibrated. Images of wide lenses are undistorted to `view`.
 
-    Raises RigError if the file cannot be used or does not fit the images, or there is a field of view but no wide lens,
-    and VideoError if the videos of an uncalibrated pair differ in size.
+    Raises RigError if the file cannot be used or does not fit the images, or there is a field of
+    view but no wide lens, and VideoError if the videos of an uncalibrated pair differ in size.
     """
     # cropped to a common size if only rows or columns of a codec differ
     sizes_px: Sizes = tuple((video.width_px, video.height_px) for video in videos)
@@ -266,7 +334,9 @@ def find_calibration(
             return in_bag
         first_file = next(iter(files_of(left)), None)
         path = None if first_file is None else find_rig(first_file)
-        search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
+        search_notes = (
+            () if path is None else (f"Using calibration {path} found next to the left video.",)
+        )
     if path is not None:
         content = read_calibration(path, is_grey=videos[0].is_grey, is_pair=False)
         aspect = _pixel_aspect(videos, content.left)
@@ -277,7 +347,9 @@ def find_calibration(
 
 
 def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) -> float:
-    """Width / height of the pixels as the video states, for two images in one from the size of a camera's images."""
+    """Width / height of the pixels as the video states, for two images in one from the size of a
+    camera's images.
+    """
     if camera is not None and camera.width_px:
         for half in (video for video in videos if isinstance(video, VideoHalf)):
             half.with_packed_pixels(camera.width_px / camera.height_px)
@@ -287,9 +359,11 @@ def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) 
 def calibration_of(
     cameras: Path | StereoRig | PinholeCamera, sizes_px: Sizes, view: LensView = WHOLE_VIEW
 ) -> RecordingCalibration:
-    """The calibration of one camera or a pair, for images of one or two sizes, from a file or from camera models.
+    """The calibration of one camera or a pair, for images of one or two sizes, from a file or from
+    camera models.
 
-    Raises RigError if the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
+    Raises RigError if the file cannot be used, the cameras do not fit the images, or as
+    `find_calibration`.
     """
     if isinstance(cameras, Path):
         content = read_calibration(cameras, is_grey=False, is_pair=False)
@@ -300,41 +374,56 @@ def calibration_of(
 def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
     if view != WHOLE_VIEW and not (camera is not None and camera.is_wide):
         raise RigError(
-            "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
-            "found a pinhole; omit these options."
+            "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, "
+            "double-sphere or omni), found a pinhole; omit these options."
         )
 
 
 def _without_file(
     left: VideoName, videos: Sequence[Video], sizes_px: Sizes, focal_px: float | None, aspect: float
 ) -> RecordingCalibration:
-    """One camera or a pair with a given focal length, or an estimate from the header of the left video."""
+    """One camera or a pair with a given focal length, or an estimate from the header of the left
+    video.
+    """
     video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
     guesses, shown_px = tuple[FocalGuess, ...](), square_size(sizes_px[0], aspect)
     if focal_px is None:
-        guesses = focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(shown_px[0]),)
-    guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
+        guesses = (
+            focal_guesses(video)
+            if isinstance(video, RecordedVideo)
+            else (default_guess(shown_px[0]),)
+        )
+    guess = (
+        best_guess(guesses)
+        if focal_px is None
+        else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
+    )
     camera = PinholeCamera.of_focal_length(guess.focal_px, shown_px)
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
-    stated = focal_guesses(video) if focal_px is not None and isinstance(video, RecordedVideo) else ()
+    stated = (
+        focal_guesses(video) if focal_px is not None and isinstance(video, RecordedVideo) else ()
+    )
     contradictions = [
-        f"--focal-px: {guess.focal_px:.0f} px was given, but {other.source} means {other.focal_px:.0f} px within "
-        f"{100 * other.sigma:.0f} %; all distances scale with the focal length, so check which of the two is right."
+        f"--focal-px: {guess.focal_px:.0f} px was given, but {other.source} means "
+        f"{other.focal_px:.0f} px within {100 * other.sigma:.0f} %; all distances scale with the "
+        "focal length, so check which of the two is right."
         for other in stated
-        if other != default_guess(shown_px[0]) and abs(math.log(guess.focal_px / other.focal_px)) > 3 * other.sigma
+        if other != default_guess(shown_px[0])
+        and abs(math.log(guess.focal_px / other.focal_px)) > 3 * other.sigma
     ]
     if sizes_px[0] != sizes_px[-1]:
         (lw, lh), (rw, rh) = sizes_px
         raise VideoError(
-            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; different cameras "
-            "require --rig with the calibration of both."
+            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; "
+            "different cameras require --rig with the calibration of both."
         )
     stored = camera.resized(sizes_px[0])
     others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])
     doubt = (
-        f"{video.path}: pixel aspect of analogue video is not stated: {', '.join(other.cause for other in others)}. "
-        "Pixels are taken as square, and sigma covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
+        f"{video.path}: pixel aspect of analogue video is not stated: "
+        f"{', '.join(other.cause for other in others)}. Pixels are taken as square, and sigma "
+        "covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
     )
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
@@ -346,13 +435,22 @@ def _without_file(
         focal=None if is_exact else guess,
         alternatives=others,
         pixel_aspect=aspect,
-        file_notes=(*image_size.field_notes(camera, source), *contradictions, *([doubt] if others else [])),
+        file_notes=(
+            *image_size.field_notes(camera, source),
+            *contradictions,
+            *([doubt] if others else []),
+        ),
     )
 
 
 def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
-    """Sizes of the images as a calibration has them: stored, or with square pixels if these fit it better."""
-    candidates: list[Sizes] = [sizes_px, tuple(square_size(size_px, aspect) for size_px in sizes_px)]
+    """Sizes of the images as a calibration has them: stored, or with square pixels if these fit it
+    better.
+    """
+    candidates: list[Sizes] = [
+        sizes_px,
+        tuple(square_size(size_px, aspect) for size_px in sizes_px),
+    ]
     if not camera.width_px:
         return min(candidates, key=lambda sizes: abs((camera.cx_px + 0.5) / sizes[0][0] - 0.5))
     own = camera.width_px / camera.height_px
@@ -360,12 +458,20 @@ def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
 
 
 def _loaded(
-    path: Path, content: RigCalibration, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspect: float = 1.0
+    path: Path,
+    content: RigCalibration,
+    sizes_px: Sizes,
+    view: LensView,
+    *,
+    is_grey: bool,
+    aspect: float = 1.0,
 ) -> RecordingCalibration:
     fitted_px = _sizes_of(content.left, sizes_px, aspect)
     cameras: StereoRig | PinholeCamera
     if len(sizes_px) > 1:
-        cameras, notes = load_rig(path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey)
+        cameras, notes = load_rig(
+            path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey
+        )
     else:
         cameras, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
     content = content.of_size(fitted_px[0])
@@ -378,14 +484,21 @@ def _loaded(
     )
 
 
-def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView) -> RecordingCalibration | None:
-    """The calibration of the cameras in the bag or bags of a recording; None = not (all) calibrated."""
+def _calibration_in_bag(
+    videos: Sequence[Video], sizes_px: Sizes, view: LensView
+) -> RecordingCalibration | None:
+    """The calibration of the cameras in the bag or bags of a recording; None = not (all)
+    calibrated.
+    """
     bags = [video for video in videos if isinstance(video, BagVideo)]
     messages = [bag.camera for bag in bags if bag.camera is not None]
     if not messages or len(messages) < len(videos):
         return None
     path = bags[0].path.path
-    is_rectified = all(bag.is_rectified or is_undistorted(message) for bag, message in zip(bags, messages, strict=True))
+    is_rectified = all(
+        bag.is_rectified or is_undistorted(message)
+        for bag, message in zip(bags, messages, strict=True)
+    )
     cameras: StereoRig | PinholeCamera
     if len(messages) == 1:
         cameras = camera_of(messages[0], path, is_rectified=is_rectified)
@@ -395,9 +508,15 @@ def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView
 
 
 def _of_models(
-    given: StereoRig | PinholeCamera, path: Path | None, sizes_px: Sizes, view: LensView, aspect: float = 1.0
+    given: StereoRig | PinholeCamera,
+    path: Path | None,
+    sizes_px: Sizes,
+    view: LensView,
+    aspect: float = 1.0,
 ) -> RecordingCalibration:
-    """The calibration of one camera (the left camera of a rig) or of a pair; `path` is the file with the models."""
+    """The calibration of one camera (the left camera of a rig) or of a pair; `path` is the file
+    with the models.
+    """
     source = path or "rig"
     left = given.left if isinstance(given, StereoRig) else given
     fitted: StereoRig | PinholeCamera
@@ -413,11 +532,17 @@ def _of_models(
     accuracy = given.accuracy if isinstance(given, StereoRig) else None
     notes = notes if accuracy is None else (accuracy.sentence, *notes)
     loaded = _of_cameras(fitted, path, notes, sizes_px, view)
-    return replace(loaded, accuracy=accuracy, alternatives=image_size.size_alternatives(left, fitted_px[0]))
+    return replace(
+        loaded, accuracy=accuracy, alternatives=image_size.size_alternatives(left, fitted_px[0])
+    )
 
 
 def _of_cameras(
-    cameras: StereoRig | PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+    cameras: StereoRig | PinholeCamera,
+    path: Path | None,
+    notes: tuple[str, ...],
+    sizes_px: Sizes,
+    view: LensView,
 ) -> RecordingCalibration:
     rig: StereoRig | None = None
     if isinstance(cameras, StereoRig):
@@ -426,7 +551,11 @@ def _of_cameras(
         cameras = StereoRig(left, right, cameras.right_from_left, accuracy=cameras.accuracy)
         pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
         rectifier: Rectifier | Undistorter = pair
-        rig, recorded, shown = replace(pair.rig, accuracy=cameras.accuracy), cameras.left, pair.rig.left
+        rig, recorded, shown = (
+            replace(pair.rig, accuracy=cameras.accuracy),
+            cameras.left,
+            pair.rig.left,
+        )
     else:
         _check_view(cameras, view)
         cameras = cameras.resized(sizes_px[0])
@@ -437,9 +566,10 @@ def _of_cameras(
         direction = f", {view.yaw_deg:+g} degrees to the right of its axis" if view.yaw_deg else ""
         notes = (
             *notes,
-            f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its images are undistorted to "
-            f"{part.horizontal_deg:.0f} x {part.vertical_deg:.0f} degrees{direction}, {shown.width_px}x"
-            f"{shown.height_px} px (--fov-deg, --views); the rest is not measured.",
+            f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its "
+            f"images are undistorted to {part.horizontal_deg:.0f} x {part.vertical_deg:.0f} "
+            f"degrees{direction}, {shown.width_px}x{shown.height_px} px (--fov-deg, --views); the "
+            "rest is not measured.",
         )
     return RecordingCalibration(
         kind="rig",

@@ -1,11 +1,12 @@
-"""Guesses of the focal length from the data of a recording: header of the video, EXIF of images, camera model.
+"""Guesses of the focal length from the data of a recording: header of the video, EXIF of images,
+camera model.
 
 f_px = f_35 diagonal_px / 43.27 mm       f_35: focal length for 35 mm film, whose diagonal is 43.27 mm
 
-A field of view of a wide lens does not determine the focal length f at the image centre, since it depends on the
-projection. With half the image width r and half the field of view w, a lens without distortion has r = f tan w, and a
-fisheye r = f w. Wide lenses of dashcams are between the two; r = 2 f tan(w / 2) (stereographic) is used from 80 degrees
-on, with a sigma that covers both.
+A field of view of a wide lens does not determine the focal length f at the image centre, since it
+depends on the projection. With half the image width r and half the field of view w, a lens without
+distortion has r = f tan w, and a fisheye r = f w. Wide lenses of dashcams are between the two; r =
+2 f tan(w / 2) (stereographic) is used from 80 degrees on, with a sigma that covers both.
 """
 
 import math
@@ -21,7 +22,8 @@ from track_range.ranging.fitting.camera.focal_evidence import default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.recorded_video import RecordedVideo
 
-_WIDE_SIGMA = 0.15  # relative standard deviation of a focal length from the field of view of a wide lens
+# relative standard deviation of a focal length from the field of view of a wide lens
+_WIDE_SIGMA = 0.15
 _MEASURED_SIGMA = 0.02  # relative standard deviation of a focal length in px that was measured
 
 
@@ -31,12 +33,15 @@ class KnownCamera(NamedTuple):
     name: str  # maker and model, also as the option takes it
     focal_per_width: float  # focal length at the image centre divided by the image width
     source: str  # where the value is published
-    tags: tuple[str, ...] = ()  # texts in the metadata of its videos that identify it, in lower case
+    # texts in the metadata of its videos that identify it, in lower case
+    tags: tuple[str, ...] = ()
     sigma: float = _MEASURED_SIGMA  # relative standard deviation of the focal length
 
     def guess(self, width_px: int, evidence: str) -> FocalGuess:
         """The focal length in images of this width."""
-        return FocalGuess(self.focal_per_width * width_px, self.sigma, f"{evidence} ({self.source})")
+        return FocalGuess(
+            self.focal_per_width * width_px, self.sigma, f"{evidence} ({self.source})"
+        )
 
 
 _OPENPILOT = "openpilot, common/transformations/camera.py"
@@ -53,14 +58,16 @@ KNOWN_CAMERAS = (  # the mode of a camera with several fields of view is part of
     KnownCamera(
         "GoPro HERO3 Black wide",
         1 / (4 * math.tan(math.radians(121.0) / 4)),
-        "measured by R. Cunniff, racunniff.blogspot.com, December 2012",  # the field of view, 121 degrees
+        # the field of view, 121 degrees
+        "measured by R. Cunniff, racunniff.blogspot.com, December 2012",
         tags=("hd3.",),
         sigma=_WIDE_SIGMA,
     ),
 )
 
 _FILM_DIAGONAL_MM = 43.27  # diagonal of 36 mm x 24 mm
-_FILM_SIGMA = 0.08  # relative, of a 35 mm focal length: rounded, of diagonal or width, of cropped stabilised video
+# relative, of a 35 mm focal length: rounded, of diagonal or width, of cropped stabilised video
+_FILM_SIGMA = 0.08
 _PLAUSIBLE_MM = 8.0, 400.0  # range of focal lengths for 35 mm film
 
 _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focallengthin35mmformat")
@@ -69,22 +76,29 @@ _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focall
 _MODEL_KEYS = ("com.apple.quicktime.model", "com.android.model", "model", "firmware")
 """Keys of headers that identify the camera."""
 
-_EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110  # tags: folder of details, the two in it
+# tags: folder of details, the two in it
+_EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
 
 
 def focal_guesses(video: RecordedVideo, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
-    """Guesses from the given model, the header or EXIF, else a usual focal length; UsageError for an unknown model."""
+    """Guesses from the given model, the header or EXIF, else a usual focal length; UsageError for
+    an unknown model.
+    """
     size_px = video.shown_size_px
     if camera_model is not None:
         return (_of_model(camera_model, size_px[0]),)
-    tags = {key.lower(): value for key, value in video.metadata.items()} or _exif(Path(str(video.path)))
+    tags = {key.lower(): value for key, value in video.metadata.items()} or _exif(
+        Path(str(video.path))
+    )
     guesses = (_of_film(tags, size_px), _of_tags(tags, size_px[0]))
     return tuple(guess for guess in guesses if guess is not None) or (default_guess(size_px[0]),)
 
 
 def _of_model(name: str, width_px: int) -> FocalGuess:
     plain = "".join(name.lower().split())
-    camera = next((known for known in KNOWN_CAMERAS if "".join(known.name.lower().split()) == plain), None)
+    camera = next(
+        (known for known in KNOWN_CAMERAS if "".join(known.name.lower().split()) == plain), None
+    )
     if camera is None:
         names = ", ".join(known.name for known in KNOWN_CAMERAS)
         raise UsageError(f"--camera-model {quoted(name)}: expected one of {names}.")
@@ -112,7 +126,9 @@ def _exif(path: Path) -> dict[str, str]:
     """Tags of the first image of a folder, with the keys of `_FILM_KEYS` and `_MODEL_KEYS`."""
     if not path.is_dir():
         return {}
-    first = next((file for file in sorted(path.iterdir()) if file.suffix.lower() in IMAGE_SUFFIXES), None)
+    first = next(
+        (file for file in sorted(path.iterdir()) if file.suffix.lower() in IMAGE_SUFFIXES), None
+    )
     if first is None:
         return {}
     from PIL import Image, UnidentifiedImageError  # slow to import
@@ -122,5 +138,8 @@ def _exif(path: Path) -> dict[str, str]:
             exif = image.getexif()
     except (OSError, UnidentifiedImageError, ValueError):
         return {}
-    values = {_FILM_KEYS[1]: exif.get_ifd(_EXIF_FOLDER).get(_EXIF_FILM_MM), "model": exif.get(_EXIF_MODEL)}
+    values = {
+        _FILM_KEYS[1]: exif.get_ifd(_EXIF_FOLDER).get(_EXIF_FILM_MM),
+        "model": exif.get(_EXIF_MODEL),
+    }
     return {key: str(value) for key, value in values.items() if value}

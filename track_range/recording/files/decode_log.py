@@ -7,9 +7,11 @@ import numpy as np
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import counted
 
-_GAP_INTERVALS = 2.5  # time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
+# time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
+_GAP_INTERVALS = 2.5
 _SAMPLE_STEP = 16  # pixels from one to the next in which images are compared
-_MAX_REPEATED = 0.02  # fraction of repeated images above which there is a note; a camera repeats single ones
+# fraction of repeated images above which there is a note; a camera repeats single ones
+_MAX_REPEATED = 0.02
 
 
 class DecodeLog:
@@ -38,22 +40,27 @@ class DecodeLog:
         self._corrupt: set[int] = set()
 
     def restart(self) -> None:
-        """Continue at a later keyframe: reset the counts of decoded frames, but not the number of packets."""
+        """Continue at a later keyframe: reset the counts of decoded frames, but not the number of
+        packets.
+        """
         self.n_damaged = self.n_backward = self._n_gaps = 0
         self.last_s, self._longest_gap = None, (0.0, 0.0)
 
     def packet(self, stamp: int | None, *, is_corrupt: bool) -> None:
-        """Register a packet that contains a frame, decoded or not; packets come in decoding order."""
+        """Register a packet that contains a frame, decoded or not; packets come in decoding
+        order.
+        """
         if stamp is not None:
             heapq.heappush(self._stamps, stamp)
             if is_corrupt:
                 self._corrupt.add(stamp)
 
     def frame_index(self, stamp: int | None) -> int:
-        """Index of the frame with this timestamp, from 0; to be called once per frame in order of time.
+        """Index of the frame with this timestamp, from 0; to be called once per frame in order of
+        time.
 
-        It is the number of earlier packets, so that skipped and undecodable frames count; without timestamps decoded
-        frames are counted.
+        It is the number of earlier packets, so that skipped and undecodable frames count; without
+        timestamps decoded frames are counted.
         """
         while stamp is not None and self._stamps and self._stamps[0] < stamp:
             heapq.heappop(self._stamps)
@@ -75,7 +82,9 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def image(self, image: Image) -> None:
-        """Count an image that exactly repeats the previous image, if the images before and after the two differ."""
+        """Count an image that exactly repeats the previous image, if the images before and after
+        the two differ.
+        """
         sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
         is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
         self.n_repeated += self._repeats == (False, True) and not is_repeat
@@ -92,26 +101,32 @@ class DecodeLog:
         notes = []
         if self.stopped_by:
             notes.append(
-                f"reading stopped after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: the file is damaged or "
-                f"truncated there ({self.stopped_by})."
+                f"reading stopped after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: "
+                f"the file is damaged or truncated there ({self.stopped_by})."
             )
         if self.resets_s:
             notes.append(
-                f"the clock was set back {counted(len(self.resets_s), 'time')}, first after {self.resets_s[0]:.2f} s, "
-                "as in joined files: later frames continue at the nominal frame rate."
+                f"the clock was set back {counted(len(self.resets_s), 'time')}, first after "
+                f"{self.resets_s[0]:.2f} s, as in joined files: later frames continue at the "
+                "nominal frame rate."
             )
         if self._n_gaps:
             notes.append(
-                f"the timestamps have {counted(self._n_gaps, 'gap')}, the longest {self._longest_gap[0]:.2f} s, after "
-                f"{self._longest_gap[1]:.2f} s: frames are missing there."
+                f"the timestamps have {counted(self._n_gaps, 'gap')}, the longest "
+                f"{self._longest_gap[0]:.2f} s, after {self._longest_gap[1]:.2f} s: frames are "
+                "missing there."
             )
         if self.n_repeated > _MAX_REPEATED * self.n_used:
             notes.append(
-                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the previous image, as after a change of "
-                "the frame rate: speeds are less accurate; use the camera's original video."
+                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the previous image, "
+                "as after a change of the frame rate: speeds are less accurate; use the camera's "
+                "original video."
             )
         if self.n_damaged:
             notes.append(f"skipped {counted(self.n_damaged, 'damaged frame')}.")
         if self.n_backward:
-            notes.append(f"skipped {counted(self.n_backward, 'frame')} with a repeated or backward timestamp.")
+            notes.append(
+                f"skipped {counted(self.n_backward, 'frame')} with a repeated or backward "
+                "timestamp."
+            )
         return notes

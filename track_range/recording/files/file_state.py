@@ -10,13 +10,16 @@ from pathlib import Path
 from track_range.foundation.files.input_files import open_regular, readable
 from track_range.recording.frame import VideoError
 
-_N_SAMPLES, _SAMPLE_BYTES = 16, 4096  # samples by which contents are compared if the time of change differs
+# samples by which contents are compared if the time of change differs
+_N_SAMPLES, _SAMPLE_BYTES = 16, 4096
 _DIGEST_BYTES = 16  # size of the digest of a sample, bytes; recordings may have thousands of files
 
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """Size, time of change, and digests of parts of a file's content at regular distances, at one moment."""
+    """Size, time of change, and digests of parts of a file's content at regular distances, at one
+    moment.
+    """
 
     n_bytes: int
     modified_ns: int
@@ -24,7 +27,9 @@ class FileState:
 
     @classmethod
     def of(cls, path: Path, n_bytes: int | None = None) -> FileState:
-        """The state of a file, with samples at the offsets for a size of `n_bytes`; VideoError if it cannot be read."""
+        """The state of a file, with samples at the offsets for a size of `n_bytes`; VideoError if
+        it cannot be read.
+        """
         with open_regular(path, VideoError, "a video file or a folder of numbered images") as file:
             status = os.fstat(file.fileno())
             step = (status.st_size if n_bytes is None else n_bytes) / _N_SAMPLES
@@ -39,7 +44,8 @@ class FileState:
     def check_unchanged(self, path: Path) -> None:
         """Raise a VideoError if the file with this path was replaced, shortened or overwritten.
 
-        A file that was deleted, or has grown while its beginning stayed the same, counts as unchanged.
+        A file that was deleted, or has grown while its beginning stayed the same, counts as
+        unchanged.
         """
         try:
             status = path.stat()
@@ -58,7 +64,10 @@ class FileState:
         if status.st_size < self.n_bytes:
             change = f"shortened from {self.n_bytes} to {status.st_size} bytes"
         if change:
-            raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
+            raise VideoError(
+                f"{path}: the file was {change} while it was read; repeat the run "
+                "with the complete file."
+            )
 
     def has_grown(self, path: Path) -> bool:
         """Whether the file with this path is larger than before."""

@@ -1,8 +1,8 @@
 """ImageFolder: a folder of numbered images as a video.
 
-The number in a file name is the frame number, and time = number / fps: a missing number is a dropped frame, and left
-and right of a pair stay synchronised. Times in the names, or in a file of times beside the images, are used instead
-(`image_names`).
+The number in a file name is the frame number, and time = number / fps: a missing number is a
+dropped frame, and left and right of a pair stay synchronised. Times in the names, or in a file of
+times beside the images, are used instead (`image_names`).
 """
 
 import stat
@@ -18,7 +18,13 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import read_image
 from track_range.foundation.files.input_files import check_regular, counted
 from track_range.recording.files.image_names import is_epoch, named_images
-from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.recording.frame import (
+    TIME_EPSILON_S,
+    VideoError,
+    VideoFrame,
+    is_neutral,
+    strictly_later,
+)
 from track_range.recording.names import Bayer
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
@@ -33,8 +39,9 @@ class UnreadableImageError(VideoError):
 class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers; unreadable images are skipped.
 
-    `fps` is the argument, or the median rate of times in names or beside them, which may be seconds since 1970. Raises
-    VideoError if there are no numbered images, two have the same number, one is no regular file, or none is readable.
+    `fps` is the argument, or the median rate of times in names or beside them, which may be seconds
+    since 1970. Raises VideoError if there are no numbered images, two have the same number, one is
+    no regular file, or none is readable.
     """
 
     path: Path
@@ -50,9 +57,12 @@ class ImageFolder(RecordedVideo):
         steps_s = np.diff([] if times_s is None else times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
         self.fps = float(1 / np.median(steps_s)) if steps_s.size else fps
-        self._times_s = [number / fps for number, _ in self._images] if times_s is None else times_s.tolist()
+        self._times_s = (
+            [number / fps for number, _ in self._images] if times_s is None else times_s.tolist()
+        )
         self._shift, self._bayer = 0, bayer
-        self._leading: list[VideoError] = []  # errors of unreadable images before the first readable one
+        # errors of unreadable images before the first readable one
+        self._leading: list[VideoError] = []
         number, image = self._first_readable()
         self.first_time_s = self._times_s[number]
         self.height_px, self.width_px = image.shape[:2]
@@ -66,7 +76,10 @@ class ImageFolder(RecordedVideo):
         if not self._has_stamps:
             return None
         return UtcStart(
-            self.first_time_s, self._clock, ZONE_SPAN_S if self._is_local else None, is_local=self._is_local
+            self.first_time_s,
+            self._clock,
+            ZONE_SPAN_S if self._is_local else None,
+            is_local=self._is_local,
         )
 
     @property
@@ -74,9 +87,15 @@ class ImageFolder(RecordedVideo):
         """See `RecordedVideo`."""
         notes, n_unreadable = list(self._folder_notes), len(self._unreadable)
         if n_unreadable:
-            notes.append(f"{self.path}: skipped {counted(n_unreadable, 'unreadable image')}: {self._unreadable[0]}")
+            notes.append(
+                f"{self.path}: skipped {counted(n_unreadable, 'unreadable image')}: "
+                f"{self._unreadable[0]}"
+            )
         if self._n_backward:
-            skipped = f"skipped {counted(self._n_backward, 'image')} with a repeated or backward timestamp."
+            skipped = (
+                f"skipped {counted(self._n_backward, 'image')} with a repeated or backward "
+                "timestamp."
+            )
             notes.append(f"{self.path}: {skipped}")
         return tuple(notes)
 
@@ -99,25 +118,33 @@ class ImageFolder(RecordedVideo):
                 yield VideoFrame(number - first_number, time_s, image)
 
     def check_unchanged(self) -> None:
-        """See `RecordedVideo.check_unchanged`; an image that was still being written may have grown."""
+        """See `RecordedVideo.check_unchanged`; an image that was still being written may have
+        grown.
+        """
         for (_, path), (n_bytes, modified_ns) in zip(self._images, self._states, strict=True):
             try:
                 status = path.stat()
             except OSError:
                 continue
-            if status.st_size < n_bytes or (status.st_size == n_bytes and status.st_mtime_ns != modified_ns):
-                raise VideoError(f"{path}: the image was overwritten while the folder was read; repeat the run.")
+            if status.st_size < n_bytes or (
+                status.st_size == n_bytes and status.st_mtime_ns != modified_ns
+            ):
+                raise VideoError(
+                    f"{path}: the image was overwritten while the folder was read; repeat the run."
+                )
 
     def _first_readable(self) -> tuple[int, Image]:
-        """The first image that can be read, and its place in the list; raises the first error if none can."""
+        """The first image that can be read, and its place in the list; raises the first error if
+        none can.
+        """
         for number, (_, path) in enumerate(self._images):
             try:
                 stored = _stored(path, self._bayer)
                 self._shift = _shift_of(stored)
                 if self._shift not in (0, 8):
                     self._folder_notes.append(
-                        f"{self.path}: images have {8 + self._shift} bits per channel, judging by their largest value; "
-                        "their upper 8 bits are used."
+                        f"{self.path}: images have {8 + self._shift} bits per channel, judging by "
+                        "their largest value; their upper 8 bits are used."
                     )
                 return number, _reduced(stored, self._shift, self._bayer)
             except UnreadableImageError as error:
@@ -126,7 +153,9 @@ class ImageFolder(RecordedVideo):
 
     def _image(self, path: Path) -> Image:
         if not path.exists():
-            raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
+            raise VideoError(
+                f"{path}: the image was deleted or moved while the folder was read; repeat the run."
+            )
         image = _reduced(_stored(path, self._bayer), self._shift, self._bayer)
         advice = "a folder must contain the images of one camera"
         self.check_size(image.shape[1::-1], " like the first image", advice, path)
@@ -134,16 +163,24 @@ class ImageFolder(RecordedVideo):
 
 
 def _stored(path: Path, bayer: Bayer | None) -> npt.NDArray[Any]:
-    """The pixels of a file, uint8 or uint16: (H, W, 3) BGR, upright by EXIF, or (H, W) behind a Bayer filter."""
+    """The pixels of a file, uint8 or uint16: (H, W, 3) BGR, upright by EXIF, or (H, W) behind a
+    Bayer filter.
+    """
     flags = cv2.IMREAD_COLOR if bayer is None else cv2.IMREAD_GRAYSCALE
-    image = read_image(path, UnreadableImageError, "an image of the folder", flags=flags | cv2.IMREAD_ANYDEPTH)
+    image = read_image(
+        path, UnreadableImageError, "an image of the folder", flags=flags | cv2.IMREAD_ANYDEPTH
+    )
     if image.dtype not in (np.uint8, np.uint16):
-        raise VideoError(f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images.")
+        raise VideoError(
+            f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images."
+        )
     return image
 
 
 def _shift_of(image: npt.NDArray[Any]) -> int:
-    """Number of lowest bits to drop: of cameras with 10, 12 or 14 bits, the upper bits of 16 are zero."""
+    """Number of lowest bits to drop: of cameras with 10, 12 or 14 bits, the upper bits of 16 are
+    zero.
+    """
     if image.dtype == np.uint8:
         return 0
     largest = int(image.max())
@@ -152,13 +189,21 @@ def _shift_of(image: npt.NDArray[Any]) -> int:
 
 def _reduced(image: npt.NDArray[Any], shift: int, bayer: Bayer | None) -> Image:
     """The image as (H, W, 3) uint8 BGR."""
-    reduced = np.minimum(image >> shift, 255).astype(np.uint8) if image.dtype == np.uint16 else image
-    colours = reduced if bayer is None else cv2.cvtColor(reduced, getattr(cv2, f"COLOR_Bayer{bayer.upper()}2BGR"))
+    reduced = (
+        np.minimum(image >> shift, 255).astype(np.uint8) if image.dtype == np.uint16 else image
+    )
+    colours = (
+        reduced
+        if bayer is None
+        else cv2.cvtColor(reduced, getattr(cv2, f"COLOR_Bayer{bayer.upper()}2BGR"))
+    )
     return np.asarray(colours, np.uint8)
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """Size in bytes and time of the last change in ns of an image; raises VideoError if it is not a regular file."""
+    """Size in bytes and time of the last change in ns of an image; raises VideoError if it is not a
+    regular file.
+    """
     try:
         status = path.stat()
     except OSError:

@@ -31,19 +31,27 @@ _DATE = re.compile(
 _DECIMAL = re.compile(r"(\d+)\.(\d+)")
 _INTEGER = re.compile(r"(?<![\d.])([1-9]\d{9,18})(?![\d.])")
 _UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
-_STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05  # plausible median times between frames, and a usual one
+# plausible median times between frames, and a usual one
+_STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05
 _EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one since 1970
 _MAX_GAP = 100  # largest mean step of numbers that count frames
 _TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
 _MAX_LINE_BYTES = 300  # of these files, per image
-_SIDES = tuple(  # words in names of the left and the right camera, between other characters than letters and digits
+# words in names of the left and the right camera, between other characters than letters and digits
+_SIDES = tuple(
     tuple(pair.split())
     for pair in (
-        "left right,l r,cam0 cam1,cam_0 cam_1,camera0 camera1,infra1 infra2,camera_0 camera_1,image_02 image_03,"
-        "image_2 image_3,image_00 image_01,image_0 image_1,cam1 cam2,leftimg8bit rightimg8bit,im0 im1"
+        "left right,l r,cam0 cam1,cam_0 cam_1,camera0 camera1,infra1 infra2,camera_0 "
+        "camera_1,image_02 image_03,image_2 image_3,image_00 image_01,image_0 image_1,cam1 "
+        "cam2,leftimg8bit rightimg8bit,im0 im1"
     ).split(",")
 )
-_FOLDERS = (*_SIDES, ("left_images", "right_images"), ("left_rgb", "right_rgb"), ("image_left", "image_right"))
+_FOLDERS = (
+    *_SIDES,
+    ("left_images", "right_images"),
+    ("left_rgb", "right_rgb"),
+    ("image_left", "image_right"),
+)
 
 
 class NamedImages(NamedTuple):
@@ -57,25 +65,29 @@ class NamedImages(NamedTuple):
 
 
 def named_images(folder: Path) -> NamedImages:
-    """The images of a folder or pattern, or of the left camera of two. Raises VideoError if there are none.
+    """The images of a folder or pattern, or of the left camera of two. Raises VideoError if there
+    are none.
 
-    Times are read from a file beside the images (timestamps.txt, times.txt, data.csv), else from the names.
+    Times are read from a file beside the images (timestamps.txt, times.txt, data.csv), else from
+    the names.
     """
     with readable(folder, VideoError):
         files = matching_files(folder) if is_pattern(folder) else list(folder.iterdir())
-    files = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
+    files = [
+        file for file in files if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."
+    ]
     files = [file for file in files if re.search(r"\d", file.stem)]
     if not files:
         raise VideoError(
-            f"{folder}: expected numbered images (000000.png, 000001.png, ...) or videos, found none; give the "
-            "folder that contains them, or a video file."
+            f"{folder}: expected numbered images (000000.png, 000001.png, ...) or videos, found "
+            "none; give the folder that contains them, or a video file."
         )
     notes: list[str] = []
     if (sides := _sides_in(files)) is not None:
         files, right_files = sides.values()
         notes.append(
-            f"{folder}: contains the images of two cameras; the left images are used ({files[0].name}, not "
-            f"{right_files[0].name}); --stereo {folder} uses both."
+            f"{folder}: contains the images of two cameras; the left images are used "
+            f"({files[0].name}, not {right_files[0].name}); --stereo {folder} uses both."
         )
     files = sorted(files, key=lambda file: (natural_key(file.stem), file.name))
     times_s = _times_in_names([file.stem for file in files])
@@ -86,18 +98,26 @@ def named_images(folder: Path) -> NamedImages:
     stated = _stated_times(folder, [file for _, file in images], notes)
     if stated is not None:
         return NamedImages(images, stated[1], notes, stated[0], stated[2])
-    return NamedImages(images, times_s, notes, "names of the images", _DATE.search(files[0].stem) is not None)
+    return NamedImages(
+        images, times_s, notes, "names of the images", _DATE.search(files[0].stem) is not None
+    )
 
 
 def stereo_images(folder: Path) -> tuple[Path, Path] | None:
-    """The left and right folder in a folder, or the patterns of its left and right images; None = neither."""
+    """The left and right folder in a folder, or the patterns of its left and right images; None =
+    neither.
+    """
     names = {entry.name.lower(): entry for entry in sorted(folder.iterdir()) if entry.is_dir()}
     for left, right in _FOLDERS:
         if left in names and right in names:
             pair = names[left], names[right]
             inside = pair[0] / "data", pair[1] / "data"
             return inside if all(path.is_dir() for path in inside) else pair
-    files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
+    files = [
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."
+    ]
     if (sides := _sides_in(files)) is None:
         return None
     left_name, right_name = sides
@@ -105,17 +125,25 @@ def stereo_images(folder: Path) -> tuple[Path, Path] | None:
 
 
 def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
-    """Pattern and images of the left and right camera, whose names differ only in the side; None = one camera."""
+    """Pattern and images of the left and right camera, whose names differ only in the side; None =
+    one camera.
+    """
     for sides in _SIDES:
         halves: dict[str, list[Path]] = {}
         remaining: list[set[str]] = []
         for side in sides:
             digits = "0-9" if side[-1].isdigit() else ""
             word = re.compile(rf"(?<![a-z]){side}(?![a-z{digits}])", re.IGNORECASE)
-            if matches := {file: match for file in sorted(files) if (match := word.search(file.stem))}:
+            if matches := {
+                file: match for file in sorted(files) if (match := word.search(file.stem))
+            }:
                 remaining.append({word.sub("", file.stem.lower()) for file in matches})
                 first = next(iter(matches.values()))
-                start, end = ("*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*") if len(side) == 1 else "**"
+                start, end = (
+                    ("*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*")
+                    if len(side) == 1
+                    else "**"
+                )
                 halves[f"{start}{first[0]}{end}"] = list(matches)
         if len(halves) == 2 and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
             return halves
@@ -126,20 +154,24 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
     """The frame number of each image, in the order of the files: in the names, else counted."""
     digits = [re.findall(r"\d+", file.stem) for file in files]
     columns = [
-        [int(fields[-place]) for fields in digits if len(fields) >= place] for place in range(1, len(digits[-1]) + 1)
+        [int(fields[-place]) for fields in digits if len(fields) >= place]
+        for place in range(1, len(digits[-1]) + 1)
     ]
     for column in columns:
-        is_number = len(column) == len(files) and bool((np.diff(np.array(column, object)) > 0).all())
+        is_number = len(column) == len(files) and bool(
+            (np.diff(np.array(column, object)) > 0).all()
+        )
         if is_number and column[-1] - column[0] < _MAX_GAP * len(files) and column[-1] < 2**63:
             if n_missing := column[-1] - column[0] + 1 - len(files):
                 notes.append(
-                    f"{folder}: {counted(n_missing, 'number is', 'numbers are')} missing between {files[0].name} and "
-                    f"{files[-1].name}, and are treated as dropped frames."
+                    f"{folder}: {counted(n_missing, 'number is', 'numbers are')} missing between "
+                    f"{files[0].name} and {files[-1].name}, and are treated as dropped frames."
                 )
             return list(zip(column, files, strict=True))
     notes.append(
-        f"{folder}: the numbers in the names are no frame numbers ({files[0].name}, {files[-1].name}); the images "
-        "are taken in the order of their names, at the frame rate given by --folder-fps."
+        f"{folder}: the numbers in the names are no frame numbers ({files[0].name}, "
+        f"{files[-1].name}); the images are taken in the order of their names, at the frame rate "
+        "given by --folder-fps."
     )
     return list(enumerate(files))
 
@@ -150,15 +182,18 @@ def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
         return None
     dates = [list(_DATE.finditer(stem)) for stem in stems]
     if all(dates):
-        texts = ["{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups())) for parts in dates]
+        texts = [
+            "{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups()))
+            for parts in dates
+        ]
         with contextlib.suppress(ValueError):  # such as of 30 February
             times_s = np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9
             if _are_distinct(times_s):
                 return times_s
     decimals = [_DECIMAL.findall(stem) for stem in stems]
     if all(decimals):
-        # Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is 0.075304 s. The
-        # reading with the steadier steps is taken.
+        # Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is
+        # 0.075304 s. The reading with the steadier steps is taken.
         whole = np.array([float(parts[-1][0]) for parts in decimals])
         fractions = [parts[-1][1][:18] for parts in decimals]
         padded = [text.zfill(max(map(len, fractions))) for text in fractions]
@@ -166,7 +201,9 @@ def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
         if distinct := [times_s for times_s in readings if _are_distinct(times_s)]:
             return min(distinct, key=lambda times_s: float(np.std(np.diff(np.sort(times_s)))))
     integers = [_INTEGER.findall(stem) for stem in stems]
-    return _in_seconds(np.array([float(parts[-1]) for parts in integers])) if all(integers) else None
+    return (
+        _in_seconds(np.array([float(parts[-1]) for parts in integers])) if all(integers) else None
+    )
 
 
 def _are_distinct(times_s: FloatArray) -> bool:
@@ -174,29 +211,49 @@ def _are_distinct(times_s: FloatArray) -> bool:
 
 
 def _in_seconds(values: FloatArray) -> FloatArray | None:
-    """(N,) times in seconds of times in an unknown unit; None if none gives a plausible frame rate."""
+    """(N,) times in seconds of times in an unknown unit; None if none gives a plausible frame
+    rate.
+    """
     if len(values) < 2 or not _are_distinct(values):
         return None
     steps = np.diff(np.sort(values))
-    step, units = float(np.median(steps)), [unit for unit in _UNITS_S if _EPOCH_S[0] < values[0] * unit < _EPOCH_S[1]]
+    step, units = (
+        float(np.median(steps)),
+        [unit for unit in _UNITS_S if _EPOCH_S[0] < values[0] * unit < _EPOCH_S[1]],
+    )
     plausible = [unit for unit in units or _UNITS_S if _STEP_S[0] <= step * unit <= _STEP_S[1]]
     if not plausible:
         return None
-    return np.asarray(values * min(plausible, key=lambda unit: abs(math.log(step * unit / _USUAL_STEP_S))))
+    return np.asarray(
+        values * min(plausible, key=lambda unit: abs(math.log(step * unit / _USUAL_STEP_S)))
+    )
 
 
-def _stated_times(folder: Path, files: Sequence[Path], notes: list[str]) -> tuple[str, FloatArray, bool] | None:
-    """Name of a file of times in or beside the folder, (N,) times in seconds, and whether they are dates; or None."""
+def _stated_times(
+    folder: Path, files: Sequence[Path], notes: list[str]
+) -> tuple[str, FloatArray, bool] | None:
+    """Name of a file of times in or beside the folder, (N,) times in seconds, and whether they are
+    dates; or None.
+    """
     places = (
-        (folder.parent, folder.absolute().parent.parent) if is_pattern(folder) else (folder, folder.absolute().parent)
+        (folder.parent, folder.absolute().parent.parent)
+        if is_pattern(folder)
+        else (folder, folder.absolute().parent)
     )
     candidates = (place / name for name in _TIME_FILES for place in places)
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None
     expected = "a date and time, or seconds, per image"
-    text = read_text(file, VideoError, expected, max_bytes=max(_MAX_LINE_BYTES * (len(files) + 1), MAX_TEXT_BYTES))
-    lines = [line.strip() for line in text.split("\n") if line.strip() and line.lstrip()[0] not in "#%"]
+    text = read_text(
+        file,
+        VideoError,
+        expected,
+        max_bytes=max(_MAX_LINE_BYTES * (len(files) + 1), MAX_TEXT_BYTES),
+    )
+    lines = [
+        line.strip() for line in text.split("\n") if line.strip() and line.lstrip()[0] not in "#%"
+    ]
     rows = [re.split(r"[,;\t]|\s+(?=\S*[a-zA-Z/])|(?<=\d)\s+(?=\d+$)", line) for line in lines]
     rows = [row for row in rows if re.match(r"[-+.\d]", row[0])]
     by_name = {Path(cell.strip()).name: row[0] for row in rows for cell in row[1:]}
@@ -205,11 +262,16 @@ def _stated_times(folder: Path, files: Sequence[Path], notes: list[str]) -> tupl
     elif len(rows) == len(files):
         cells = [row[0] for row in rows]
     else:
-        notes.append(f"{file}: ignored; it has {counted(len(rows), 'line')} for {counted(len(files), 'image')}.")
+        notes.append(
+            f"{file}: ignored; it has {counted(len(rows), 'line')} for "
+            f"{counted(len(files), 'image')}."
+        )
         return None
     times_s = _parsed_times(cells)
     if times_s is None:
-        notes.append(f"{file}: ignored; expected a date and time, or increasing seconds, on every line.")
+        notes.append(
+            f"{file}: ignored; expected a date and time, or increasing seconds, on every line."
+        )
         return None
     notes.append(f"{file}: used for the frame times of {folder}.")
     return file.name, times_s, _TIMESTAMP.match(cells[0].strip()) is not None
@@ -219,7 +281,9 @@ _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d
 
 
 def _parsed_times(cells: Sequence[str]) -> FloatArray | None:
-    """(N,) times in seconds of dates, seconds, or whole numbers in another unit; None for other texts."""
+    """(N,) times in seconds of dates, seconds, or whole numbers in another unit; None for other
+    texts.
+    """
     try:
         if all(_TIMESTAMP.fullmatch(cell.strip()) for cell in cells):
             dates = [_TIMESTAMP.sub(r"\1T\2", cell.strip()) for cell in cells]

@@ -1,6 +1,7 @@
 """VideoFile: the frames of a video file with their timestamps, decoded with PyAV (FFmpeg).
 
-    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip damaged frames
+    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip
+    damaged frames
 
     time_s = pts * time_base,    including the stream's start offset, since the videos of a pair may start apart
 
@@ -46,29 +47,37 @@ from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
 _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
-_SHORTFALL_FRAMES = 2.5  # frames missing at the end of the header's duration from which a file counts as truncated
-_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
+# frames missing at the end of the header's duration from which a file counts as truncated
+_SHORTFALL_FRAMES = 2.5
+# range of frame rates; the rate of another header is ignored
+_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5
 
 _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that are no videos
 
-_RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))  # FFmpeg's names of streams without a container
-_MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; other rates belong to a clock
+# FFmpeg's names of streams without a container
+_RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))
+# range of their frame rates; other rates belong to a clock
+_MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0
 _MIN_SHARED = 10  # number of frames per time from which the times of a file are useless
 _MAX_ENTRIES = 10_000  # entries of the index of a file that are compared: ten hours have a million
-_RESET_S = 1.0  # step back in time from which the clock was set back; frames are stored in another order within less
-_MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006  # time base of Matroska, and largest error of its rounding, s
+# step back in time from which the clock was set back; frames are stored in another order within
+# less
+_RESET_S = 1.0
+# time base of Matroska, and largest error of its rounding, s
+_MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006
 
 _MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
 
 _FORMATS = (
-    "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
-    "ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,"
-    "vc1test,vvc,webm,wtv,yuv4mpegpipe,"
+    "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,"
+    "h263,h264,hevc,ivf,ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,"
+    "mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,vc1test,vvc,webm,wtv,yuv4mpegpipe,"
     "aac,ac3,flac,mp3,wav"  # "contains no video"
 )
 """FFmpeg's names of the formats that are read.
 
-No playlists and session descriptions (hls, concat, dash, sdp, ...), which make FFmpeg open other files or the network.
+No playlists and session descriptions (hls, concat, dash, sdp, ...), which make FFmpeg open other
+files or the network.
 """
 
 _OPTIONS = {  # of FFmpeg, for opening a file
@@ -80,7 +89,9 @@ _OPTIONS = {  # of FFmpeg, for opening a file
 
 
 class VideoFile(RecordedVideo):
-    """A video file; raises VideoError if it cannot be read, contains no video, or nothing can be decoded."""
+    """A video file; raises VideoError if it cannot be read, contains no video, or nothing can be
+    decoded.
+    """
 
     path: Path
 
@@ -98,8 +109,8 @@ class VideoFile(RecordedVideo):
         self._first = next(iter(self._reading), None)
         if self._first is None:
             raise VideoError(
-                f"{path}: no frame can be decoded; the video is damaged or truncated, or its images have more than "
-                f"{MAX_PIXELS // 10**6} megapixels."
+                f"{path}: no frame can be decoded; the video is damaged or truncated, or its "
+                f"images have more than {MAX_PIXELS // 10**6} megapixels."
             )
         _, self.first_time_s, frame = self._first
         self.metadata = {**container.metadata, **stream.metadata}
@@ -114,13 +125,17 @@ class VideoFile(RecordedVideo):
         self._axes = _display_axes(frame)
         self.is_upright_file = self._axes == UPRIGHT and stream == container.streams.video[0]
         if self._axes != UPRIGHT:
-            self._file_notes.append(f"{path}: the images are rotated upright, as the metadata state.")
+            self._file_notes.append(
+                f"{path}: the images are rotated upright, as the metadata state."
+            )
         if stated := float(stream.sample_aspect_ratio or 0):
             stated = 1 / stated if self._axes[1] else stated  # of the upright image
             if 1 / _MAX_PIXEL_ASPECT <= stated <= _MAX_PIXEL_ASPECT:
                 self.pixel_aspect = stated
             else:
-                self._file_notes.append(f"{path}: the stated pixel aspect of {stated:.3g} is ignored.")
+                self._file_notes.append(
+                    f"{path}: the stated pixel aspect of {stated:.3g} is ignored."
+                )
         self.stated_layout = _stated_layout(frame)
         image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
@@ -134,8 +149,15 @@ class VideoFile(RecordedVideo):
     @property
     def notes(self) -> tuple[str, ...]:
         """See `RecordedVideo`."""
-        growth = ["grew while it was read; frames that were added may be missing."] if self._has_grown else []
-        return (*self._file_notes, *(f"{self.path}: {note}" for note in (*self._log.notes, *growth)))
+        growth = (
+            ["grew while it was read; frames that were added may be missing."]
+            if self._has_grown
+            else []
+        )
+        return (
+            *self._file_notes,
+            *(f"{self.path}: {note}" for note in (*self._log.notes, *growth)),
+        )
 
     def close(self) -> None:
         """See `RecordedVideo`."""
@@ -159,7 +181,10 @@ class VideoFile(RecordedVideo):
                     self._log.n_used += 1
                     decoded = DecodedImage(frame, self._axes)
                     if decoded.size_px != (self.width_px, self.height_px):
-                        advice = f"cut the video after {counted(self._log.n_used - 1, 'frame')}, or use --duration"
+                        advice = (
+                            f"cut the video after {counted(self._log.n_used - 1, 'frame')}, or use "
+                            "--duration"
+                        )
                         self.check_size(decoded.size_px, "", advice)
                     image = decoded.to_bgr()
                     self._log.image(image)
@@ -182,12 +207,15 @@ class VideoHeader:
     first_s: float  # time stamp of the first frame
     duration_s: float  # 0 = not stated
     n_frames: int | None  # None = not stated
-    stamps: tuple[Stamp | None, Stamp | None]  # date and time in the metadata and in the file name; None = none
+    # date and time in the metadata and in the file name; None = none
+    stamps: tuple[Stamp | None, Stamp | None]
     state: FileState
 
     @classmethod
     def read(cls, path: Path, track: int | None = None) -> VideoHeader:
-        """The header of a file, which is closed again; raises VideoError if it is unreadable or has no video."""
+        """The header of a file, which is closed again; raises VideoError if it is unreadable or has
+        no video.
+        """
         state = FileState.of(path)
         with closing(_Reading(path, state, track)) as reading:
             container, stream = reading.container, reading.stream
@@ -198,15 +226,22 @@ class VideoHeader:
                 (stream.codec_context.width, stream.codec_context.height),
                 reading.fps,
                 first_s,
-                duration_s or (container.duration or 0) / av.time_base or (stream.frames or 0) / reading.fps,
+                duration_s
+                or (container.duration or 0) / av.time_base
+                or (stream.frames or 0) / reading.fps,
                 stream.frames or None,
-                (stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)),
+                (
+                    stamp_in_header({**container.metadata, **stream.metadata}),
+                    stamp_in_name(path.name),
+                ),
                 state,
             )
 
 
 def count_packets(path: Path) -> tuple[int, float]:
-    """Number of frames and duration, s, of a file by its packets; raises VideoError if it cannot be read."""
+    """Number of frames and duration, s, of a file by its packets; raises VideoError if it cannot be
+    read.
+    """
     with closing(_Reading(path, FileState.of(path))) as reading:
         n_frames, first, last = 0, math.inf, -math.inf
         for packet in reading.with_frames():
@@ -217,11 +252,13 @@ def count_packets(path: Path) -> tuple[int, float]:
         return n_frames, span_s + 1 / reading.fps
 
 
-def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[tuple[float, bytes], None, None]:
+def compressed_frames(
+    path: Path, *, last_s: float | None = None
+) -> Generator[tuple[float, bytes], None, None]:
     """Time stamp, s, and content of the compressed frames of a file, in its order.
 
-    With `last_s` only about the last seconds, from a keyframe at least that long before the end. A VideoError means
-    that the file cannot be read.
+    With `last_s` only about the last seconds, from a keyframe at least that long before the end. A
+    VideoError means that the file cannot be read.
     """
     with closing(_Reading(path, FileState.of(path))) as reading:
         container, start_us = reading.container, reading.container.start_time or 0
@@ -236,20 +273,23 @@ def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[t
 class _Reading:
     """One reading of a file from its start; iterating gives the intact frames in order of time.
 
-    `packets` were not decoded yet, see `_demuxed`; `notes` are messages about the header, without the path.
+    `packets` were not decoded yet, see `_demuxed`; `notes` are messages about the header, without
+    the path.
     """
 
     def __init__(self, path: Path, state: FileState, track: int | None = None) -> None:
         self._path, self._state = path, state
         self.container, tracks = _open(path)
-        self.tracks_px = tuple((one.codec_context.width, one.codec_context.height) for one in tracks)
+        self.tracks_px = tuple(
+            (one.codec_context.width, one.codec_context.height) for one in tracks
+        )
         largest = max(range(len(tracks)), key=lambda number: math.prod(self.tracks_px[number]))
         number = largest if track is None else track
         if not 0 <= number < len(tracks):
             self.container.close()
             raise VideoError(
-                f"{path}: expected video track {track}, found {counted(len(tracks), 'track')}, counted from 0; "
-                "correct --track (Python: track)."
+                f"{path}: expected video track {track}, found {counted(len(tracks), 'track')}, "
+                "counted from 0; correct --track (Python: track)."
             )
         self.stream = _prepared(tracks[number])
         self.log = DecodeLog()
@@ -258,35 +298,46 @@ class _Reading:
             if other != number:
                 is_equal = size_px == self.tracks_px[number]
                 self.notes.append(
-                    f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} is used; --track "
-                    f"chooses another track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
+                    f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track "
+                    f"{number} is used; --track chooses another "
+                    f"track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
                 )
-        entries = itertools.islice(getattr(self.stream, "index_entries", ()), _MAX_ENTRIES)  # since PyAV 17
+        # since PyAV 17
+        entries = itertools.islice(getattr(self.stream, "index_entries", ()), _MAX_ENTRIES)
         stamps = [entry.timestamp for entry in entries]
         try:
             _check_times(path, len(stamps), len(set(stamps)))
         except VideoError:
             self.container.close()
             raise
-        rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
+        rates_hz = [
+            float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate
+        ]
         plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
         self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
         if rates_hz and not plausible_hz:
-            self.notes.append(f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
+            self.notes.append(
+                f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used."
+            )
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
-        self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
-        if self.container.format.name in _RAW:  # without timestamps, which FFmpeg counts at 25 frames/s
+        self._is_stamped = not (
+            self.container.format.name == "avi" and self.stream.codec_context.has_b_frames
+        )
+        # without timestamps, which FFmpeg counts at 25 frames/s
+        if self.container.format.name in _RAW:
             self._is_stamped = False
             stated = float(self.stream.codec_context.framerate or 0)
             if _MIN_STATED_HZ <= stated <= _MAX_STATED_HZ:
                 self.fps = stated
             else:
                 self.notes.append(
-                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, and speeds depend on this "
-                    "rate: store the video with the true rate (ffmpeg -r RATE -i IN -c copy OUT.mp4)."
+                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, and "
+                    "speeds depend on this rate: store the video with the true rate (ffmpeg -r "
+                    "RATE -i IN -c copy OUT.mp4)."
                 )
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
-        self._last_stamp: int | None = None  # of the packets so far, in ticks of `time_base`, continued over resets
+        # of the packets so far, in ticks of `time_base`, continued over resets
+        self._last_stamp: int | None = None
         self._shift = 0  # from the clock of the file to the continued one, in ticks
         self.packets = self._demuxed()
         self._decoded: deque[av.VideoFrame] = deque()
@@ -297,19 +348,34 @@ class _Reading:
 
     def with_frames(self) -> Iterator[Packet[VideoStream]]:
         """The packets that contain frames."""
-        return (packet for packet in self.packets if packet is not None and packet.size and not packet.is_discard)
+        return (
+            packet
+            for packet in self.packets
+            if packet is not None and packet.size and not packet.is_discard
+        )
 
     def skip_to(self, from_s: float) -> None:
-        """Skip the packets before the last keyframe at or before `from_s`; later frames do not depend on them."""
+        """Skip the packets before the last keyframe at or before `from_s`; later frames do not
+        depend on them.
+        """
         self._from_s = from_s
         if not self._is_stamped:
             return
         stamp = (from_s + TIME_EPSILON_S) / float(self.time_base)
-        first = -math.inf if self.log.last_s is None else (self.log.last_s + TIME_EPSILON_S) / float(self.time_base)
+        first = (
+            -math.inf
+            if self.log.last_s is None
+            else (self.log.last_s + TIME_EPSILON_S) / float(self.time_base)
+        )
         waiting: list[Packet[VideoStream] | None] = []
         for packet in self.packets:
             is_before = packet is not None and packet.pts is not None and packet.pts <= stamp
-            if is_before and packet is not None and packet.is_keyframe and first < (packet.pts or 0):
+            if (
+                is_before
+                and packet is not None
+                and packet.is_keyframe
+                and first < (packet.pts or 0)
+            ):
                 waiting.clear()
                 self._decoded.clear()
                 self.stream.codec_context.flush_buffers()
@@ -338,7 +404,9 @@ class _Reading:
                 log.n_damaged += 1
 
     def _unrounded(self, stamp_s: float | None) -> float | None:
-        """The time of a frame at the nominal rate, if a file with whole milliseconds may have rounded it."""
+        """The time of a frame at the nominal rate, if a file with whole milliseconds may have
+        rounded it.
+        """
         if stamp_s is None or self.time_base != _MILLISECOND:
             return stamp_s
         expected_s = round(stamp_s * self.fps) / self.fps
@@ -348,7 +416,8 @@ class _Reading:
         """The next frame that can be decoded; None = the end of the file."""
         while not self._decoded:
             try:
-                self._decoded.extend(self.stream.decode(next(self.packets)))  # None flushes the decoder
+                # None flushes the decoder
+                self._decoded.extend(self.stream.decode(next(self.packets)))
             except StopIteration:
                 return None
             except (av.FFmpegError, MemoryError):
@@ -366,7 +435,8 @@ class _Reading:
                 self.log.stopped_by = error.strerror or str(error)
                 yield None
                 return
-            except IndexError:  # PyAV does not know a stream that begins later, as in transport streams of dashcams
+            # PyAV does not know a stream that begins later, as in transport streams of dashcams
+            except IndexError:
                 packets = self.container.demux(self.stream)
                 continue
             if packet is None:
@@ -377,7 +447,9 @@ class _Reading:
             yield packet
 
     def _continue_clock(self, packet: Packet[VideoStream]) -> None:
-        """Let the times of a packet follow on where the clock of the file was set back, as in joined files."""
+        """Let the times of a packet follow on where the clock of the file was set back, as in
+        joined files.
+        """
         stamp, last = packet.dts if packet.dts is not None else packet.pts, self._last_stamp
         if stamp is None or not self._is_stamped:
             return
@@ -394,18 +466,22 @@ class _Reading:
 
 
 def _check_times(path: Path, n_frames: int, n_times: int) -> None:
-    """Raise a VideoError if nearly all of `n_frames` frames have a time that another frame has already."""
+    """Raise a VideoError if nearly all of `n_frames` frames have a time that another frame has
+    already.
+    """
     if n_frames >= _MIN_SHARED * n_times > 0:
         raise VideoError(
-            f"{path}: expected a time for each frame, found {counted(n_times, 'time')} for {n_frames} frames; "
-            "copy the video again, or store it with its frame rate (ffmpeg -r RATE -i IN OUT.mp4)."
+            f"{path}: expected a time for each frame, found {counted(n_times, 'time')} for "
+            f"{n_frames} frames; copy the video again, or store it with its frame rate (ffmpeg -r "
+            "RATE -i IN OUT.mp4)."
         )
 
 
 def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     """Axes of `DecodedImage`, which rotate the stored image upright as players do."""
     try:
-        side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]  # PyAV's type hint is too narrow
+        # PyAV's type hint is too narrow
+        side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]
     except KeyError:
         return UPRIGHT
     a, b, _, c, d = (int(sign) for sign in np.sign(np.frombuffer(bytes(side), np.int32)[:5]))
@@ -413,7 +489,8 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     return (a, b, c, d) if is_right_angle else UPRIGHT
 
 
-_STEREO_3D: dict[tuple[int, int], StereoLayout] = {  # by the type and the flag `inverted` of FFmpeg's AVStereo3D
+# by the type and the flag `inverted` of FFmpeg's AVStereo3D
+_STEREO_3D: dict[tuple[int, int], StereoLayout] = {
     (1, 0): "side-by-side",
     (1, 1): "right-left",
     (2, 0): "top-bottom",
@@ -443,7 +520,9 @@ def _open(path: Path) -> tuple[InputContainer, list[VideoStream]]:
         tracks = [stream for stream in videos if stream.codec_context is not None]  # can be decoded
         tracks = [stream for stream in tracks if stream.frames != 1] or tracks
         if not tracks:
-            raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
+            raise VideoError(
+                f"{path}: contains no video; give a video file or a folder of numbered images."
+            )
         for stream in tracks:
             check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
     except VideoError:
@@ -461,9 +540,10 @@ def _prepared(stream: VideoStream) -> VideoStream:
 
 
 ZED_SENTENCE = (
-    "a recording of a ZED camera (SVO), which only its SDK can read; export it with ZED's sample SVO Export as an AVI "
-    "of both images beside each other, give this file with --stereo FILE --stereo-layout side-by-side (Python: "
-    "stereo_layout), and the camera's factory calibration SN*.conf with --rig."
+    "a recording of a ZED camera (SVO), which only its SDK can read; export it with ZED's sample "
+    "SVO Export as an AVI of both images beside each other, give this file with --stereo FILE "
+    "--stereo-layout side-by-side (Python: stereo_layout), and the camera's factory calibration "
+    "SN*.conf with --rig."
 )
 
 
@@ -476,20 +556,29 @@ def _unreadable_reason(path: Path) -> str:
     except OSError as error:
         return f"cannot be read ({error.strerror}); check its permissions."
     if is_image:
-        return "expected a video, got a single image; give a video file or a folder of numbered images."
+        return (
+            "expected a video, got a single image; give a video file or a folder of numbered "
+            "images."
+        )
     if not start:
         return "the file is empty; copy or record it again."
     if path.suffix.lower() in (".svo", ".svo2"):
         return ZED_SENTENCE
     if start[4:8] == b"ftyp":
-        return "this MP4 file has no index, since recording or copying was cut off; copy it again, or repair it."
+        return (
+            "this MP4 file has no index, since recording or copying was cut off; copy it again, or "
+            "repair it."
+        )
     return "not a video, or damaged at its start; give a video file or a folder of numbered images."
 
 
 def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:
-    """Duration stated by the header in s, 0 = none; and whether it counts from time 0 instead of the first frame."""
+    """Duration stated by the header in s, 0 = none; and whether it counts from time 0 instead of
+    the first frame.
+    """
     if container.format.name == "avi" and stream.frames and stream.average_rate:
-        return float(stream.frames / stream.average_rate), False  # FFmpeg's duration is not the header's
+        # FFmpeg's duration is not the header's
+        return float(stream.frames / stream.average_rate), False
     is_matroska = container.format.name.startswith("matroska")
     if stream.duration and stream.time_base and not is_matroska:
         return float(stream.duration * stream.time_base), False

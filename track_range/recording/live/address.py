@@ -1,4 +1,6 @@
-"""LiveAddress: the address of a camera or a network stream: `0`, `/dev/video0`, `rtsp://...`, `http://...`."""
+"""LiveAddress: the address of a camera or a network stream: `0`, `/dev/video0`, `rtsp://...`,
+`http://...`.
+"""
 
 import re
 from dataclasses import dataclass
@@ -6,26 +8,40 @@ from pathlib import Path
 
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
 _CREDENTIALS = re.compile(r"://\S*@")
-_PASSWORD = re.compile(r"(?<=[?&])((?:user|username|usr|password|pass|passwd|pwd)=)[^&#]*", re.IGNORECASE)
+_PASSWORD = re.compile(
+    r"(?<=[?&])((?:user|username|usr|password|pass|passwd|pwd)=)[^&#]*", re.IGNORECASE
+)
 _NUMBER = re.compile(r"\d{1,3}")
 
-_LOW_LATENCY = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
+_LOW_LATENCY = {
+    "fflags": "nobuffer",
+    "flags": "low_delay",
+    "analyzeduration": "2000000",
+    "fpsprobesize": "2",
+}
 """FFmpeg options that disable buffering and limit the probing of a stream to 2 s."""
 
-_NETWORK = {  # FFmpeg's protocols of a stream: without files, which a playlist of the server may name
-    "protocol_whitelist": "crypto,http,httpproxy,https,mmsh,mmst,rtmp,rtmpe,rtmps,rtmpt,rtmpte,rtmpts,ffrtmpcrypt,"
-    "ffrtmphttp,rtp,srt,srtp,tcp,tls,udp"
+# FFmpeg's protocols of a stream: without files, which a playlist of the server may name
+_NETWORK = {
+    "protocol_whitelist": "crypto,http,httpproxy,https,mmsh,mmst,rtmp,rtmpe,rtmps,rtmpt,rtmpte,"
+    "rtmpts,ffrtmpcrypt,ffrtmphttp,rtp,srt,srtp,tcp,tls,udp"
 }
 
 
 @dataclass(frozen=True, slots=True)
 class LiveAddress:
-    """The address of a camera (path) or stream (URL); its text form omits the user name and password."""
+    """The address of a camera (path) or stream (URL); its text form omits the user name and
+    password.
+    """
 
     url: str
 
     def __str__(self) -> str:
-        return self.url if self.is_camera else _PASSWORD.sub(r"\1...", _CREDENTIALS.sub("://", self.url, count=1))
+        return (
+            self.url
+            if self.is_camera
+            else _PASSWORD.sub(r"\1...", _CREDENTIALS.sub("://", self.url, count=1))
+        )
 
     @property
     def is_camera(self) -> bool:
@@ -49,7 +65,9 @@ class LiveAddress:
 
 
 def live_address(name: str) -> LiveAddress | None:
-    """The camera or stream with this name; None = a file or folder. Numbers are cameras unless a file has the name."""
+    """The camera or stream with this name; None = a file or folder. Numbers are cameras unless a
+    file has the name.
+    """
     scheme, colon, _ = name.partition("://")
     if colon and scheme.lower() in _SCHEMES:
         return LiveAddress(name)

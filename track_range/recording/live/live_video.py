@@ -1,6 +1,8 @@
-"""LiveVideo: the newest frames of a camera or a network stream, read in a thread that never waits for the consumer.
+"""LiveVideo: the newest frames of a camera or a network stream, read in a thread that never waits
+for the consumer.
 
-camera --> thread: demux, decode --> queue of the newest frames --> consumer; older frames are dropped and counted
+camera --> thread: demux, decode --> queue of the newest frames --> consumer; older frames are
+dropped and counted
 """
 
 from __future__ import annotations
@@ -20,7 +22,13 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
-from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral
+from track_range.recording.frame import (
+    TIME_EPSILON_S,
+    VideoError,
+    VideoFrame,
+    bgr_image,
+    is_neutral,
+)
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.names import StereoLayout
 from track_range.recording.recorded_video import VideoPart
@@ -31,26 +39,33 @@ _OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its nex
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
 _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0  # largest delay from exposure to arrival; assumed
-_SAME_CLOCK_S = 10.0  # largest difference between timestamp and arrival of a stream on this machine's clock
-_N_OFFSETS = 300  # frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms
+# largest difference between timestamp and arrival of a stream on this machine's clock
+_SAME_CLOCK_S = 10.0
+# frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms
+_N_OFFSETS = 300
 
 
 class StreamClock:
-    """Converts the timestamps of one stream to strictly increasing times of `time.monotonic` of this machine.
+    """Converts the timestamps of one stream to strictly increasing times of `time.monotonic` of
+    this machine.
 
-    Timestamps of cameras (Linux) already use that clock and stay as they are. Timestamps of a network stream have an
-    arbitrary origin, and its frames arrive with varying delay; the frame with the shortest delay gives the offset:
+    Timestamps of cameras (Linux) already use that clock and stay as they are. Timestamps of a
+    network stream have an arbitrary origin, and its frames arrive with varying delay; the frame
+    with the shortest delay gives the offset:
 
         time_s = stamp_s + min(arrived_s - stamp_s)         over the most recent frames, to follow clock drift
     """
 
     def __init__(self) -> None:
-        self.is_shared: bool | None = None  # whether the timestamps use this machine's clock; None = no frame yet
+        # whether the timestamps use this machine's clock; None = no frame yet
+        self.is_shared: bool | None = None
         self._offsets_s: deque[float] = deque(maxlen=_N_OFFSETS)
         self._last_s = float("-inf")
 
     def time_s(self, stamp_s: float | None, arrived_s: float) -> float | None:
-        """The time of a frame with a timestamp, if any, and an arrival; None if it is not after the previous frame."""
+        """The time of a frame with a timestamp, if any, and an arrival; None if it is not after the
+        previous frame.
+        """
         if stamp_s is None:
             time_s = arrived_s
         else:
@@ -65,17 +80,19 @@ class StreamClock:
 
 
 class LiveVideo:
-    """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
+    """An open camera or stream, read once: the iteration starts with the newest frame and closes
+    the connection.
 
-    The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
-    Each `every`-th frame is used, or of a right camera (`is_partner`) the frames that fit the left camera's frames.
+    The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or
+    the run is stopped. Each `every`-th frame is used, or of a right camera (`is_partner`) the
+    frames that fit the left camera's frames.
 
-    `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is FFmpeg's message if the
-    connection was lost, `has_ended` whether the source ended the stream normally. Attributes that are not described
-    here: see `RecordedVideo`.
+    `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is
+    FFmpeg's message if the connection was lost, `has_ended` whether the source ended the stream
+    normally. Attributes that are not described here: see `RecordedVideo`.
 
-    Raises VideoError if the source cannot be opened, contains no video, or sends no frame; while iterating, if the
-    connection is lost, or the image size changes.
+    Raises VideoError if the source cannot be opened, contains no video, or sends no frame; while
+    iterating, if the connection is lost, or the image size changes.
     """
 
     n_frames: int | None = None
@@ -99,7 +116,8 @@ class LiveVideo:
         self.n_received = self.n_taken = 0
         self.ended_by, self.has_ended, self.is_over, self.is_closed = "", False, False, False
         self.busy_s = 0.0  # CPU time spent on converting frames
-        # index, time and frame, which is converted only when it is used: a slow consumer drops most of them
+        # index, time and frame, which is converted only when it is used: a slow consumer drops most
+        # of them
         self._waiting: deque[tuple[int, float, av.VideoFrame]] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
         self._arrivals: list[threading.Event] = []
@@ -110,24 +128,31 @@ class LiveVideo:
         self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
         first = threading.Event()
         self.notify(first)
-        self._thread = threading.Thread(target=self._read, args=(container, stream), name="live", daemon=True)
+        self._thread = threading.Thread(
+            target=self._read, args=(container, stream), name="live", daemon=True
+        )
         self._thread.start()
         if not (first.wait(_OPEN_S) and self._waiting):
             self.close()
-            raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
+            raise VideoError(
+                f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera."
+            )
         image = bgr_image(self._waiting[-1][2])
         self.height_px, self.width_px = image.shape[:2]
         self.pixel_aspect: float | None = None
         self.is_grey = is_neutral(image)
         self.first_image: Image | None = image  # as long as it is needed
         self._utc_from_monotonic_s = time.time() - time.monotonic()
-        self.first_time_s = self.waiting_s()[0][1]  # time of `time.monotonic` at which the reading started
+        # time of `time.monotonic` at which the reading started
+        self.first_time_s = self.waiting_s()[0][1]
 
     @property
     def utc(self) -> UtcStart:
         """Time of this machine's clock at which the reading started."""
         delay_s = _CAMERA_DELAY_S if self.path.is_camera else _STREAM_DELAY_S
-        return UtcStart(self.first_time_s + self._utc_from_monotonic_s, "clock of this computer", delay_s)
+        return UtcStart(
+            self.first_time_s + self._utc_from_monotonic_s, "clock of this computer", delay_s
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -140,10 +165,12 @@ class LiveVideo:
             notes.append(f"{self.path}: the source ended the stream after {received}.")
         if n_dropped:
             processed = (
-                f"{received} received, {self.n_taken} processed, {n_dropped} dropped (not paired, or processing too "
-                "slow)"
+                f"{received} received, {self.n_taken} processed, {n_dropped} dropped (not paired, "
+                "or processing too slow)"
             )
-            processed += "" if self._every == 1 else f", other frames left out by --every {self._every}"
+            processed += (
+                "" if self._every == 1 else f", other frames left out by --every {self._every}"
+            )
             notes.append(f"{self.path}: {processed}.")
         return tuple(notes)
 
@@ -170,7 +197,9 @@ class LiveVideo:
             return [(index, time_s) for index, time_s, _ in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
-        """The frame with the index; earlier frames are dropped. None = dropped; raises VideoError for another size."""
+        """The frame with the index; earlier frames are dropped. None = dropped; raises VideoError
+        for another size.
+        """
         began_s = time.thread_time()
         with self._lock:
             while self._waiting and self._waiting[0][0] < index:
@@ -182,8 +211,8 @@ class LiveVideo:
         width_px, height_px = stored.width, stored.height
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
-                "set the camera to a fixed image size."
+                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got "
+                f"{width_px}x{height_px}; set the camera to a fixed image size."
             )
         frame = VideoFrame(index, time_s, bgr_image(stored))
         self.busy_s += time.thread_time() - began_s
@@ -193,7 +222,10 @@ class LiveVideo:
         """Raise a VideoError if the connection was lost."""
         if self.ended_by:
             received = counted(self.n_received, "frame")
-            raise VideoError(f"{self.path}: connection lost after {received} ({self.ended_by}); check the camera.")
+            raise VideoError(
+                f"{self.path}: connection lost after {received} ({self.ended_by}); "
+                "check the camera."
+            )
 
     def close(self) -> None:
         """Stop the thread and close the connection."""
@@ -219,7 +251,10 @@ class LiveVideo:
                 self.check()
                 return
             if not newest and not arrival.wait(SILENCE_S):
-                raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
+                raise VideoError(
+                    f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; "
+                    "check the camera."
+                )
             for index, time_s in newest:
                 if self.is_after_end(time_s):
                     return
@@ -236,7 +271,8 @@ class LiveVideo:
                 for packet in container.demux(stream):
                     if self._is_closing.is_set():
                         break
-                    with suppress(av.error.InvalidDataError):  # the first packets may depend on an earlier keyframe
+                    # the first packets may depend on an earlier keyframe
+                    with suppress(av.error.InvalidDataError):
                         for frame in packet.decode():
                             self._enqueue(frame)
             self.has_ended = not self._is_closing.is_set()
@@ -247,7 +283,11 @@ class LiveVideo:
             event.set()
 
     def _enqueue(self, frame: av.VideoFrame) -> None:
-        stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
+        stamp_s = (
+            None
+            if frame.pts is None or frame.time_base is None
+            else float(frame.pts * frame.time_base)
+        )
         index, self.n_received = self.n_received, self.n_received + 1
         time_s = self.clock.time_s(stamp_s, time.monotonic())
         if time_s is None or frame.is_corrupt or (index % self._every and not self._is_partner):
@@ -270,7 +310,9 @@ def _opened(address: LiveAddress) -> InputContainer:
     except (av.FFmpegError, ValueError) as error:
         noun = "camera" if address.is_camera else "stream"
         reason = _reason(error, timeout_s=_OPEN_S)
-        raise VideoError(f"{address}: the {noun} cannot be opened ({reason}); check the address.") from error
+        raise VideoError(
+            f"{address}: the {noun} cannot be opened ({reason}); check the address."
+        ) from error
     if not container.streams.video:
         container.close()
         raise VideoError(f"{address}: the stream contains no video; check the address.")

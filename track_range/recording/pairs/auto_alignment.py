@@ -1,4 +1,6 @@
-"""The alignment of a pair: estimated from its first frames or step by step, read from a file, given, or off."""
+"""The alignment of a pair: estimated from its first frames or step by step, read from a file,
+given, or off.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,12 @@ from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
-ESTIMATION_SPAN_S = 8.0  # length, in s, of the part of a drive from which the alignment is estimated
-_MAX_STATIC_FRAMES = 50  # frames without motion after which the search restarts; they would use up a drive's frames
-ESTIMATES_S = (2.0, 4.0, 8.0)  # times of estimates after the first frame in motion; the last one stays
+# length, in s, of the part of a drive from which the alignment is estimated
+ESTIMATION_SPAN_S = 8.0
+# frames without motion after which the search restarts; they would use up a drive's frames
+_MAX_STATIC_FRAMES = 50
+# times of estimates after the first frame in motion; the last one stays
+ESTIMATES_S = (2.0, 4.0, 8.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +35,8 @@ class PairAlignment:
     measured: Alignment  # as estimated or read
     is_applied: bool  # whether disparities are corrected by it
     rig: StereoRig | None = None  # the rectified pair; None = unknown
-    # the applied alignment over the time of the drive, for images shifted by `shift_px`; None = constant
+    # the applied alignment over the time of the drive, for images shifted by `shift_px`; None =
+    # constant
     drifting: DriftingAlignment | None = None
     estimation_s: float = 0.0  # time that the estimation took, including reading the first frames
 
@@ -39,14 +45,24 @@ class PairAlignment:
         """The alignment estimated from the frames of a drive, applied if it is significant."""
         start_s = time.perf_counter()
         measured, windows = drive.estimate(), drive.windows()
-        drifting = DriftingAlignment(measured.if_clear(), measured, windows) if measured.is_measured else None
+        drifting = (
+            DriftingAlignment(measured.if_clear(), measured, windows)
+            if measured.is_measured
+            else None
+        )
         estimation_s = time.perf_counter() - start_s
         return cls(
-            measured=measured, is_applied=measured.is_clear, rig=rig, drifting=drifting, estimation_s=estimation_s
+            measured=measured,
+            is_applied=measured.is_clear,
+            rig=rig,
+            drifting=drifting,
+            estimation_s=estimation_s,
         )
 
     def drift_monitor(self, rig: StereoRig) -> DriftMonitor | None:
-        """The monitor of the drift in the frames of a rectified pair; None = the alignment was not measured."""
+        """The monitor of the drift in the frames of a rectified pair; None = the alignment was not
+        measured.
+        """
         if self.drifting is None:
             return None
         return DriftMonitor(rig, self.drifting, self.measured, shift_px=self.applied.shift_px)
@@ -58,7 +74,9 @@ class PairAlignment:
 
     @property
     def correction(self) -> AlignmentSource:
-        """The correction of the disparities of rectified frames, whose right image is shifted by `shift_px`."""
+        """The correction of the disparities of rectified frames, whose right image is shifted by
+        `shift_px`.
+        """
         return self.drifting or self.applied.after_shift()
 
     @property
@@ -69,9 +87,10 @@ class PairAlignment:
             return (self.applied.sentence(),)
         m = self.measured
         rows = (
-            f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll {m.roll_deg:+.2f} degrees, "
-            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.1f} %): it is corrected, but the rig does "
-            "not fit these videos well; calibrate again.",
+            f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll "
+            f"{m.roll_deg:+.2f} degrees, focal length of the right camera "
+            f"{100 * (m.focal_ratio - 1):+.1f} %): it is corrected, but the rig does not fit these "
+            "videos well; calibrate again.",
         )
         rig = (health.sentence(),) if m.is_measured or health.has_row_error else ()
         moved = (health.move_sentence(),) if health.move is not None else ()
@@ -81,7 +100,9 @@ class PairAlignment:
     def health(self) -> RigHealth | None:
         """The meaning of the alignment for distances; None = the rig is unknown."""
         windows = () if self.drifting is None else self.drifting.windows
-        return None if self.rig is None else RigHealth(self.rig, self.measured, self.applied, windows)
+        return (
+            None if self.rig is None else RigHealth(self.rig, self.measured, self.applied, windows)
+        )
 
     def summary(self) -> dict[str, Any]:
         """The section `alignment` of summary.json."""
@@ -103,15 +124,25 @@ class PairAlignment:
         }
 
 
-def given_alignment(align: str | Path | Alignment | PairAlignment, rig: StereoRig) -> PairAlignment | None:
-    """The given alignment, or none ("off"); None = to be estimated ("auto"). Raises RigError for an unusable file."""
+def given_alignment(
+    align: str | Path | Alignment | PairAlignment, rig: StereoRig
+) -> PairAlignment | None:
+    """The given alignment, or none ("off"); None = to be estimated ("auto"). Raises RigError for an
+    unusable file.
+    """
     if isinstance(align, PairAlignment):
         return align
     if isinstance(align, Alignment):
         return PairAlignment(measured=align, is_applied=True, rig=rig)
     if align == "off":
-        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False, rig=rig)
-    return None if align == "auto" else PairAlignment(measured=load_alignment(align), is_applied=True, rig=rig)
+        return PairAlignment(
+            measured=Alignment(source="off, as requested"), is_applied=False, rig=rig
+        )
+    return (
+        None
+        if align == "auto"
+        else PairAlignment(measured=load_alignment(align), is_applied=True, rig=rig)
+    )
 
 
 def find_alignment(
@@ -122,10 +153,12 @@ def find_alignment(
     *,
     prior: Alignment = NOT_MEASURED,
 ) -> PairAlignment:
-    """The alignment of a calibrated pair: a given alignment, or "auto" = estimated from the drive's first frames.
+    """The alignment of a calibrated pair: a given alignment, or "auto" = estimated from the drive's
+    first frames.
 
-    As many of the rectified `frames` of the first `ESTIMATION_SPAN_S`, corrected by `prior`, are read as the estimation
-    needs. A RigError means that a file cannot be used; errors of `frames` are passed on.
+    As many of the rectified `frames` of the first `ESTIMATION_SPAN_S`, corrected by `prior`, are
+    read as the estimation needs. A RigError means that a file cannot be used; errors of `frames`
+    are passed on.
     """
     if (given := given_alignment(align, rig)) is not None:
         return given
@@ -143,9 +176,11 @@ def find_alignment(
 
 
 class StepwiseAlignment:
-    """Estimates the alignment as soon as `MIN_FRAMES` frames in motion exist, again at `ESTIMATES_S`, then its drift.
+    """Estimates the alignment as soon as `MIN_FRAMES` frames in motion exist, again at
+    `ESTIMATES_S`, then its drift.
 
-    An `AlignmentSource`: before the first estimate, no correction with the sigma of a pair that was not aligned.
+    An `AlignmentSource`: before the first estimate, no correction with the sigma of a pair that was
+    not aligned.
     """
 
     def __init__(self, rig: StereoRig, given: PairAlignment | None = None) -> None:
@@ -157,14 +192,20 @@ class StepwiseAlignment:
         self._is_final = given is not None
 
     def restart(self, prior: Alignment) -> None:
-        """Start again with frames that `prior` has corrected, which is applied until the next estimate."""
+        """Start again with frames that `prior` has corrected, which is applied until the next
+        estimate.
+        """
         self.current = PairAlignment(measured=prior, is_applied=True, rig=self._rig)
         self._prior, self._drift = prior, None
         self._start()
 
     def _start(self) -> None:
         """Look for the first frames in motion."""
-        self._drive, self._moving_s, self._is_final = DriveAlignment(self._rig, self._prior), math.nan, False
+        self._drive, self._moving_s, self._is_final = (
+            DriveAlignment(self._rig, self._prior),
+            math.nan,
+            False,
+        )
         self._n_estimates = self._n_static = 0
 
     @property
@@ -177,7 +218,9 @@ class StepwiseAlignment:
         return Alignment() if self.current is None else self.current.correction.at(time_s)
 
     def add(self, unaligned: Frame, aligned: Frame) -> PairAlignment | None:
-        """A new alignment after this frame, passed without and with the current alignment; None = unchanged."""
+        """A new alignment after this frame, passed without and with the current alignment; None =
+        unchanged.
+        """
         if self._is_final:
             if self._drift is not None:
                 self._drift.add(aligned)
@@ -207,7 +250,9 @@ class StepwiseAlignment:
         """Whether to estimate now; the last estimate is final."""
         n_due = sum(time_s - self._moving_s >= after_s for after_s in ESTIMATES_S)  # 0 for NaN
         self._is_final = self._drive.is_full or n_due == len(ESTIMATES_S)
-        is_next = n_due >= self._n_estimates if self._n_estimates else self._drive.n_moving >= MIN_FRAMES
+        is_next = (
+            n_due >= self._n_estimates if self._n_estimates else self._drive.n_moving >= MIN_FRAMES
+        )
         is_due = self._is_final or is_next
         if is_due:
             self._n_estimates = n_due + 1

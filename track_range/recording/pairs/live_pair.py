@@ -14,14 +14,17 @@ from track_range.recording.frame import VideoError
 from track_range.recording.live.live_video import SILENCE_S, LiveVideo
 from track_range.recording.pairs.video_pair import Pair, VideoPair
 
-_SHARED_CLOCK_INTERVALS = 0.25  # largest time difference within a pair, in frame intervals, if both use one clock
-_ARRIVAL_INTERVALS = 0.5  # largest time difference within a pair, in frame intervals, if only arrival times are known
+# largest time difference within a pair, in frame intervals, if both use one clock
+_SHARED_CLOCK_INTERVALS = 0.25
+# largest time difference within a pair, in frame intervals, if only arrival times are known
+_ARRIVAL_INTERVALS = 0.5
 
 
 class LivePair(VideoPair[LiveVideo]):
     """Pairs of frames of two live streams; the iteration starts with the newest frames.
 
-    While iterating, raises VideoError if a connection is lost, or no frames are close enough in time.
+    While iterating, raises VideoError if a connection is lost, or no frames are close enough in
+    time.
     """
 
     is_live = True
@@ -29,7 +32,9 @@ class LivePair(VideoPair[LiveVideo]):
     def __init__(self, left: LiveVideo, right: LiveVideo) -> None:
         self._is_shared = all(video.clock.is_shared for video in (left, right))
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS
-        super().__init__(left, right, tolerance_s=intervals / max(left.fps, right.fps), max_ahead_bytes=0)
+        super().__init__(
+            left, right, tolerance_s=intervals / max(left.fps, right.fps), max_ahead_bytes=0
+        )
         self._differences_s: list[float] = []
 
     @property
@@ -39,9 +44,9 @@ class LivePair(VideoPair[LiveVideo]):
             return ()
         median_ms = 1000 * np.median(self._differences_s)
         return (
-            f"Left and right frames of the network streams are paired by arrival time, "
-            f"{counted(len(self._differences_s), 'pair')} with a median difference of {median_ms:.0f} ms: stereo "
-            "distances of moving objects are less accurate.",
+            "Left and right frames of the network streams are paired by arrival time, "
+            f"{counted(len(self._differences_s), 'pair')} with a median difference of "
+            f"{median_ms:.0f} ms: stereo distances of moving objects are less accurate.",
         )
 
     def pairs(self) -> Generator[Pair, None, None]:
@@ -68,16 +73,20 @@ class LivePair(VideoPair[LiveVideo]):
                 if not self._differences_s:
                     raise VideoError(
                         f"{self.left.path} and {self.right.path}: expected pairs of frames at most "
-                        f"{1000 * self.tolerance_s:.0f} ms apart, found none; synchronise the cameras."
+                        f"{1000 * self.tolerance_s:.0f} ms apart, found none; synchronise the "
+                        "cameras."
                     )
                 return
             elif not arrival.wait(SILENCE_S):
                 raise VideoError(
-                    f"{self.left.path} and {self.right.path}: no frame for {SILENCE_S:.0f} s; check the cameras."
+                    f"{self.left.path} and {self.right.path}: no frame for {SILENCE_S:.0f} s; "
+                    "check the cameras."
                 )
 
     def _newest(self) -> tuple[int, float, int, float] | None:
-        """Index and time of the left frame, then of the right frame, of the newest waiting pair; None = no pair."""
+        """Index and time of the left frame, then of the right frame, of the newest waiting pair;
+        None = no pair.
+        """
         left, right = self.left.waiting_s(), self.right.waiting_s()
         if not left or not right:
             return None

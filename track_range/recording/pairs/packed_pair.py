@@ -1,4 +1,6 @@
-"""PackedPair: the pairs of a video whose images contain two cameras; the images of a pair are simultaneous."""
+"""PackedPair: the pairs of a video whose images contain two cameras; the images of a pair are
+simultaneous.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ from pathlib import Path
 from track_range.foundation.prefetch import prefetch
 from track_range.recording.frame import VideoFrame
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import Half, PackedLayout, Segments, StereoLayout, VideoTrack, WholeName
+from track_range.recording.names import (
+    Half,
+    PackedLayout,
+    Segments,
+    StereoLayout,
+    VideoTrack,
+    WholeName,
+)
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import stereo_tracks
 from track_range.recording.pairs.video_half import VideoHalf
@@ -19,13 +28,22 @@ from track_range.recording.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
 
 
 def pair_in(
-    whole: RecordedVideo | LiveVideo, name: WholeName, layout: StereoLayout, opened: Callable[..., RecordedVideo]
+    whole: RecordedVideo | LiveVideo,
+    name: WholeName,
+    layout: StereoLayout,
+    opened: Callable[..., RecordedVideo],
 ) -> PackedPair | RecordedPair:
-    """The pair in the images of a recording, or in two video tracks, which `opened` opens as `open_video` does."""
+    """The pair in the images of a recording, or in two video tracks, which `opened` opens as
+    `open_video` does.
+    """
     if layout != "tracks":
         return PackedPair(whole, name, layout)
     whole.close()
-    tracks = [VideoTrack(name, number) for number in stereo_tracks(whole)[:2] if isinstance(name, Path | Segments)]
+    tracks = [
+        VideoTrack(name, number)
+        for number in stereo_tracks(whole)[:2]
+        if isinstance(name, Path | Segments)
+    ]
     left = opened(tracks[0])
     return RecordedPair(left, opened(tracks[1], left=left))
 
@@ -35,10 +53,17 @@ class PackedPair(VideoPair[VideoHalf]):
 
     _newest: VideoFrame  # that of the last pair
 
-    def __init__(self, whole: RecordedVideo | LiveVideo, name: WholeName, layout: PackedLayout) -> None:
+    def __init__(
+        self, whole: RecordedVideo | LiveVideo, name: WholeName, layout: PackedLayout
+    ) -> None:
         self.whole, self.is_live = whole, isinstance(whole, LiveVideo)
         left, right = (VideoHalf(whole, Half(name, layout, is_right)) for is_right in (False, True))
-        super().__init__(left, right, tolerance_s=0.0, max_ahead_bytes=0 if self.is_live else MAX_LOOK_AHEAD_BYTES)
+        super().__init__(
+            left,
+            right,
+            tolerance_s=0.0,
+            max_ahead_bytes=0 if self.is_live else MAX_LOOK_AHEAD_BYTES,
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -53,7 +78,10 @@ class PackedPair(VideoPair[VideoHalf]):
             frames = prefetch(self.whole, depth=FRAMES_AHEAD, low_priority=True, name="read pair")
         with closing(frames):
             for frame in frames:
-                self.left.first_time_s, self.left.busy_s = self.whole.first_time_s, self.whole.busy_s
+                self.left.first_time_s, self.left.busy_s = (
+                    self.whole.first_time_s,
+                    self.whole.busy_s,
+                )
                 self._newest = frame
                 yield self._halves(frame)
 

@@ -20,8 +20,8 @@ _WAIT_AT_REST_S = 1.0  # the same after the first explanation, which lacks the e
 _MAX_FRAMES = round(MAX_CHECKED_PAIRS * _WAIT_S / MIN_STEP_S)  # number of frames with so many pairs
 
 _UNMATCHED = (
-    f"The rig could not be checked: left and right have too few matching points in equal rows in the first "
-    f"{MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
+    "The rig could not be checked: left and right have too few matching points in equal rows in "
+    f"the first {MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
 _SWAP = "swap the two videos"  # advice of `find_fault`
 _MIN_ROW_FRACTION = 0.5  # of the matches of an uncalibrated pair that has equal rows
@@ -31,7 +31,8 @@ _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it
 class PairMonitor:
     """Checks the first pairs, which are rectified to `rig`, and explains contradictions.
 
-    Pairs at rest do not show errors that all disparities have in common: the first pairs in motion are checked again.
+    Pairs at rest do not show errors that all disparities have in common: the first pairs in motion
+    are checked again.
     """
 
     def __init__(self, rig: StereoRig, *, is_packed: bool = False) -> None:
@@ -46,7 +47,9 @@ class PairMonitor:
         self._is_finished = False
 
     def add(self, frame: Frame) -> None:
-        """Check a frame, if it is due; raises RigError once left and right are known to be swapped."""
+        """Check a frame, if it is due; raises RigError once left and right are known to be
+        swapped.
+        """
         if self.finding is not None:
             self.finish()
         if self._is_finished or frame.right is None or frame.time_s < self._next_s:
@@ -66,7 +69,9 @@ class PairMonitor:
         elif self._evidence.flow_px > 4 * _MIN_FLOW_PX:
             self._wait_s = MIN_STEP_S
         self._next_s = frame.time_s + 0.99 * self._wait_s
-        is_enough = n_pairs >= MAX_CHECKED_PAIRS or (n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2)
+        is_enough = n_pairs >= MAX_CHECKED_PAIRS or (
+            n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2
+        )
         if is_enough and not self._is_at_rest:
             self._explain()
             self.finish()
@@ -78,11 +83,15 @@ class PairMonitor:
                 return
 
     def finish(self) -> PairFinding | None:
-        """The explanation of the pairs so far, None without pairs; only the first later pairs in motion are checked."""
+        """The explanation of the pairs so far, None without pairs; only the first later pairs in
+        motion are checked.
+        """
         if self.finding is None and self._evidence.n_pairs:
             self._explain()
         if self.finding is not None and self.finding.fault == "swapped":
-            advice = "give another --stereo-layout (Python: stereo_layout)" if self._is_packed else _SWAP
+            advice = (
+                "give another --stereo-layout (Python: stereo_layout)" if self._is_packed else _SWAP
+            )
             raise RigError(self.finding.sentence.replace(_SWAP, advice))
         return self.finding
 
@@ -90,7 +99,11 @@ class PairMonitor:
         figures = self._evidence.figures()
         finding = find_fault(figures, self._rig)
         if self.finding is None:
-            self.finding, self.view, self._row_fraction = finding, figures.view, figures.row_fraction
+            self.finding, self.view, self._row_fraction = (
+                finding,
+                figures.view,
+                figures.row_fraction,
+            )
             self._is_at_rest = not self._n_moving and finding.fault == "fits"
         elif finding.fault in ("verged", "refused"):
             self.finding = finding
@@ -98,15 +111,21 @@ class PairMonitor:
 
     @property
     def has_stereo_so_far(self) -> bool:
-        """Whether the pairs so far can be ranged, although they may not be enough for an explanation."""
+        """Whether the pairs so far can be ranged, although they may not be enough for an
+        explanation.
+        """
         return find_fault(self._evidence.figures(), self._rig).has_stereo
 
     @property
     def row_offset_px(self) -> float | None:
-        """The vertical offset that makes rows of an uncalibrated pair equal; None if there is no such offset."""
+        """The vertical offset that makes rows of an uncalibrated pair equal; None if there is no
+        such offset.
+        """
         if self.finding is None or self.finding.fault not in ("fits", "verged", "unsteady"):
             return None
-        is_shift = replace(self.view, row_offset_px=0.0).rows_px(self._rig.left) <= _MAX_ROW_OFFSET_PX
+        is_shift = (
+            replace(self.view, row_offset_px=0.0).rows_px(self._rig.left) <= _MAX_ROW_OFFSET_PX
+        )
         if self.finding.fault == "unsteady":
             return 0.0 if self._row_fraction >= _MIN_ROW_FRACTION else None
         return self.view.row_offset_px if is_shift else None
@@ -119,9 +138,13 @@ class PairMonitor:
         if self.finding.fault == "unknown":
             return (_UNMATCHED,)
         row_px = self.view.row_offset_px - self.corrected_px
-        if self.finding.sentence or self.finding.fault == "unsteady" or abs(row_px) <= _MAX_ROW_OFFSET_PX:
+        if (
+            self.finding.sentence
+            or self.finding.fault == "unsteady"
+            or abs(row_px) <= _MAX_ROW_OFFSET_PX
+        ):
             return tuple(filter(None, [self.finding.sentence]))
         return (
-            f"Left and right have a vertical offset of {row_px:+.1f} px: the rig does not fit these videos well, so "
-            "stereo distances are less accurate; calibrate again.",
+            f"Left and right have a vertical offset of {row_px:+.1f} px: the rig does not fit "
+            "these videos well, so stereo distances are less accurate; calibrate again.",
         )

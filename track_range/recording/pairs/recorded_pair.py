@@ -1,7 +1,7 @@
 """RecordedPair: the frames of two recorded videos, paired by time.
 
-Each frame is paired with the frame of the other video that is nearest in time, not by its number: cameras drop frames,
-start at different times and run at different rates.
+Each frame is paired with the frame of the other video that is nearest in time, not by its number:
+cameras drop frames, start at different times and run at different rates.
 
     left   |  a     b     c     d                pairs: (b, B) (d, D)
     right           B           D     E          a, c and E are unpaired
@@ -22,11 +22,12 @@ from track_range.recording.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
 _TOLERANCE_INTERVALS = 0.25
 """Largest time difference within a pair, in intervals of the faster video.
 
-At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. With half an interval every frame would
-find a partner.
+At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. With half an interval
+every frame would find a partner.
 """
 
-_RATE_DIFFERENCE = 0.01  # relative difference up to which nominal rates count as equal, such as 29.97 and 30
+# relative difference up to which nominal rates count as equal, such as 29.97 and 30
+_RATE_DIFFERENCE = 0.01
 
 
 @dataclass(slots=True)
@@ -68,7 +69,8 @@ class _Side:
 
 
 class RecordedPair(VideoPair[RecordedVideo]):
-    """Pairs of frames of two videos with times that differ by at most a quarter of the shorter nominal frame interval.
+    """Pairs of frames of two videos with times that differ by at most a quarter of the shorter
+    nominal frame interval.
 
     Each video is decoded ahead in a thread. Each iteration starts from the beginning. Iterating
     raises VideoError if there is no pair at all, and the errors of the videos.
@@ -82,7 +84,11 @@ class RecordedPair(VideoPair[RecordedVideo]):
 
     def _new_sides(self) -> tuple[_Side, _Side]:
         left, right = (
-            _Side(name, video, prefetch(video, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"))
+            _Side(
+                name,
+                video,
+                prefetch(video, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"),
+            )
             for name, video in (("left", self.left), ("right", self.right))
         )
         return left, right
@@ -92,15 +98,17 @@ class RecordedPair(VideoPair[RecordedVideo]):
         """Messages for the user about unpaired frames; complete only after the last pair."""
         (left, right), left_hz, right_hz = self._sides, self.left.fps, self.right.fps
         rates = (
-            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: only frames within "
-            f"{1000 * self.tolerance_s:.1f} ms of each other are paired.",
+            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: "
+            f"only frames within {1000 * self.tolerance_s:.1f} ms of each other are paired.",
         )
         has_equal_rates = abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz)
         unpaired = *self._unpaired_notes(left, right), *self._unpaired_notes(right, left)
         return unpaired if has_equal_rates else rates + unpaired
 
     def pairs(self) -> Generator[Pair, None, None]:
-        """Pair the earlier of two frames with the later frame, unless the successor of the earlier frame is nearer."""
+        """Pair the earlier of two frames with the later frame, unless the successor of the earlier
+        frame is nearer.
+        """
         self._n_pairs, self._nearest_s = 0, math.inf
         self._sides = left, right = self._new_sides()
         with closing(left.frames), closing(right.frames):
@@ -112,7 +120,9 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 earlier, later = (right, left) if is_right_earlier else (left, right)
                 later_s, gap_s = later.last_s, abs(pair[1].time_s - pair[0].time_s)
                 earlier.advance()
-                is_successor_nearer = earlier.current is not None and abs(earlier.current.time_s - later_s) < gap_s
+                is_successor_nearer = (
+                    earlier.current is not None and abs(earlier.current.time_s - later_s) < gap_s
+                )
                 if is_successor_nearer or gap_s > self.tolerance_s + TIME_EPSILON_S:
                     self._nearest_s = min(self._nearest_s, gap_s)
                     earlier.n_after += 1
@@ -133,10 +143,14 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 raise side.error
             side.video.check_unchanged()
         if not self._n_pairs:
-            spans = [f"{side.video.path} ({side.first_s:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
+            spans = [
+                f"{side.video.path} ({side.first_s:.2f} s to {side.end_s:.2f} s)"
+                for side in self._sides
+            ]
             raise VideoError(
-                f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, found none nearer "
-                f"than {self._nearest_s:.3f} s; use two videos of one recording, from cameras with synchronised clocks."
+                f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s "
+                f"apart, found none nearer than {self._nearest_s:.3f} s; use two videos of one "
+                "recording, from cameras with synchronised clocks."
             )
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
@@ -149,8 +163,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
         for verb, adverb, opposite, n_skipped, by_s in ends:
             if n_skipped and by_s > self.tolerance_s:
                 notes.append(
-                    f"The {other.name} video {verb} {by_s:.2f} s {adverb} than the {side.name} one: "
-                    f"skipped {counted(n_skipped, f'{opposite} {noun}')}."
+                    f"The {other.name} video {verb} {by_s:.2f} s {adverb} than the {side.name} "
+                    f"one: skipped {counted(n_skipped, f'{opposite} {noun}')}."
                 )
             else:
                 n_between += n_skipped

@@ -1,6 +1,7 @@
 """find_layout: how the images of a recording contain the images of two cameras.
 
-given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video tracks of equal size
+given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video
+tracks of equal size
       -> stated by the name (drive_SBS.mp4) -> halves that match as left and right do
 """
 
@@ -40,7 +41,10 @@ _SHOWN: dict[StereoLayout, str] = {
     "bottom-top": "below each other, the left camera's at the bottom",
     "tracks": "in two video tracks, the left camera's in the first track",
 }
-_SWAPPED: dict[StereoLayout, StereoLayout] = {"side-by-side": "right-left", "top-bottom": "bottom-top"}
+_SWAPPED: dict[StereoLayout, StereoLayout] = {
+    "side-by-side": "right-left",
+    "top-bottom": "bottom-top",
+}
 
 _THUMBNAIL_PX = 32, 18  # size of the images that are compared first
 _MAX_SHIFT_PX = 4  # largest displacement of these, a disparity of an eighth of the width
@@ -61,15 +65,18 @@ class FoundLayout:
     def sentence(self, name: str) -> str:
         """Note for the user on the layout of the video `name`, and the option for another one."""
         shown = f"{_SHOWN[self.layout]} ({self.source})"
-        return f"{name}: the images of the two cameras are {shown}; --stereo-layout chooses another layout."
+        return (
+            f"{name}: the images of the two cameras are {shown}; --stereo-layout chooses another "
+            "layout."
+        )
 
 
 def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundLayout:
     """The layout of a recording of two cameras; raises VideoError if it is not known."""
     if given == "tracks" and len(stereo_tracks(video)) < 2:
         raise VideoError(
-            f"{video.path}: expected two video tracks of equal size, found {_listed(video)}; choose another "
-            f"--stereo-layout (Python: stereo_layout)."
+            f"{video.path}: expected two video tracks of equal size, found {_listed(video)}; "
+            "choose another --stereo-layout (Python: stereo_layout)."
         )
     if given != "auto":
         return FoundLayout(given, "as given")
@@ -85,13 +92,14 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
         return matched
     if any(has_second_view(path) for path in files_of(video.path)[:1]):
         raise VideoError(
-            f"{video.path}: expected the images of two cameras in one image, found spatial video (MV-HEVC), of which "
-            "only the first view can be decoded; convert it to images beside each other, or use --mono."
+            f"{video.path}: expected the images of two cameras in one image, found spatial video "
+            "(MV-HEVC), of which only the first view can be decoded; convert it to images beside "
+            "each other, or use --mono."
         )
     raise VideoError(
-        f"{video.path}: expected the images of two cameras in one image, found no two halves that match; give the "
-        "right video as well, or --stereo-layout side-by-side, right-left, top-bottom, bottom-top or tracks (Python: "
-        "stereo_layout), or use --mono."
+        f"{video.path}: expected the images of two cameras in one image, found no two halves that "
+        "match; give the right video as well, or --stereo-layout side-by-side, right-left, "
+        "top-bottom, bottom-top or tracks (Python: stereo_layout), or use --mono."
     )
 
 
@@ -102,14 +110,17 @@ def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
     if layout is None:
         return ()
     return (
-        f"{video.path}: each image seems to contain the images of two cameras, {_SHOWN[layout.layout]} "
-        f"({layout.source}), so that road users are counted twice and distances are wrong; use --stereo {video.path} "
-        f"--stereo-layout {layout.layout} (Python: stereo_layout).",
+        f"{video.path}: each image seems to contain the images of two cameras, "
+        f"{_SHOWN[layout.layout]} ({layout.source}), so that road users are counted twice and "
+        f"distances are wrong; use --stereo {video.path} --stereo-layout {layout.layout} (Python: "
+        "stereo_layout).",
     )
 
 
 def has_second_view(path: Path) -> bool:
-    """Whether an MP4 file states a second view in the layers of its HEVC stream (box `lhvC`, ISO/IEC 14496-15)."""
+    """Whether an MP4 file states a second view in the layers of its HEVC stream (box `lhvC`,
+    ISO/IEC 14496-15).
+    """
     with suppress(OSError), path.open("rb") as file:
         movie = read_movie(file)
         return movie is not None and movie.video is not None and b"lhvC" in movie.video.description
@@ -123,11 +134,16 @@ def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
 
 
 def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
-    """The layout of images whose halves are as similar as left and right images; None = images of one camera."""
+    """The layout of images whose halves are as similar as left and right images; None = images of
+    one camera.
+    """
     if not images:
         return None
     for layout, reversed_layout in _SWAPPED.items():
-        halves = [[image_half(layout, image, is_right=is_right) for is_right in (False, True)] for image in images]
+        halves = [
+            [image_half(layout, image, is_right=is_right) for is_right in (False, True)]
+            for image in images
+        ]
         height_px, width_px = halves[0][0].shape[:2]
         if min(height_px, width_px) < 2 * _THUMBNAIL_PX[1] or not _are_alike(*halves[0]):
             continue
@@ -136,12 +152,25 @@ def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
         for pair in halves:
             evidence.add(*pair)
         figures = evidence.figures()
-        fault, n_agreeing = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault, len(figures.left_px)
-        if fault == "refused" and figures.arrangement == "equal" and n_agreeing:  # the order of the halves is in doubt
+        fault, n_agreeing = (
+            find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault,
+            len(figures.left_px),
+        )
+        # the order of the halves is in doubt
+        if fault == "refused" and figures.arrangement == "equal" and n_agreeing:
             median_px = float(np.median(figures.disparity_px))
-            fault = "unknown" if abs(median_px) < _MIN_PARALLAX_PX else "swapped" if median_px < 0 else "fits"
+            fault = (
+                "unknown"
+                if abs(median_px) < _MIN_PARALLAX_PX
+                else "swapped"
+                if median_px < 0
+                else "fits"
+            )
         if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):
-            share = f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal rows"
+            share = (
+                f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal "
+                "rows"
+            )
             return FoundLayout(reversed_layout if fault == "swapped" else layout, share)
     return None
 
@@ -149,11 +178,16 @@ def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
 def _are_alike(first: Image, second: Image) -> bool:
     """Whether small images of the halves are correlated at some displacement."""
     a, b = (
-        cv2.resize(image, _THUMBNAIL_PX, interpolation=cv2.INTER_AREA).mean(axis=2).astype(np.float32)
+        cv2.resize(image, _THUMBNAIL_PX, interpolation=cv2.INTER_AREA)
+        .mean(axis=2)
+        .astype(np.float32)
         for image in (first, second)
     )
     shift = _MAX_SHIFT_PX
-    return float(cv2.matchTemplate(b, a[:, shift:-shift], cv2.TM_CCOEFF_NORMED).max()) >= _MIN_CORRELATION
+    return (
+        float(cv2.matchTemplate(b, a[:, shift:-shift], cv2.TM_CCOEFF_NORMED).max())
+        >= _MIN_CORRELATION
+    )
 
 
 def _first_images(video: RecordedVideo | LiveVideo) -> list[Image]:
@@ -164,4 +198,7 @@ def _first_images(video: RecordedVideo | LiveVideo) -> list[Image]:
 
 
 def _listed(video: RecordedVideo | LiveVideo) -> str:
-    return " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in video.tracks_px) or "none"
+    return (
+        " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in video.tracks_px)
+        or "none"
+    )

@@ -1,11 +1,13 @@
-r"""SyncMonitor: checks during the whole run that left and right show the same moment, and corrects the pairing if not.
+r"""SyncMonitor: checks during the whole run that left and right show the same moment, and corrects
+the pairing if not.
 
     frame -> changes of both images -> one side repeats its image, or shows nothing?   stereo of the frame is off
           -> now and then, and where the changes differ: `measured_lag` -> lag of up to 5 frames?
           -> wait for `n_ahead` frames -> frame with the right image that shows its moment
 
-A lag counts after two checks of successive frames with the same result: that the right image of some frames later or
-earlier has no lag. Until then, stereo is off in the frames that contradict the present pairing.
+A lag counts after two checks of successive frames with the same result: that the right image of
+some frames later or earlier has no lag. Until then, stereo is off in the frames that contradict the
+present pairing.
 """
 
 import math
@@ -31,19 +33,27 @@ Action = Literal["stereo off", "re-paired"]
 
 _MAX_FINDINGS = 500  # largest number that is kept: one side may repeat every second image for hours
 MAX_LAG = 5  # longest lag that is searched, in frames
-_MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)  # time between the two left images of a measurement, and its frames
+# time between the two left images of a measurement, and its frames
+_MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)
 _SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and smallest one of others
-_N_AGREEING, _N_CONTRADICTING = 2, 3  # successive checks after which a lag counts, or that there is none that fits
+# successive checks after which a lag counts, or that there is none that fits
+_N_AGREEING, _N_CONTRADICTING = 2, 3
 
 PERIOD = 8  # frames between two checks without a reason
-_INCOME, _MAX_CREDIT = 1.15, 60.0  # measurements (3 ms each) per period in the long run, and at most at once
-_N_FAILED = MAX_LAG + 1  # successive checks without a result after which all lags are tried: their images are there
-_CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left changes that is a reason for a check
+# measurements (3 ms each) per period in the long run, and at most at once
+_INCOME, _MAX_CREDIT = 1.15, 60.0
+# successive checks without a result after which all lags are tried: their images are there
+_N_FAILED = MAX_LAG + 1
+# change of the logarithm of the ratio of right and left changes that is a reason for a check
+_CLEAR_RATIO = 0.15
 
 _N_USUAL, _MIN_USUAL = 15, 3  # number of frames whose median is the usual change
-_REPEATED, _NEVER_NEW = 0.25, 0.03  # largest change of a repeated image relative to its usual one, or to the other's
-_UNIFORM, _STRUCTURED = 3.0, 8.0  # standard deviation of grey levels of an image that shows nothing, and of the other
-_NOISE, _MIN_CHANGE = 0.3, 1.0  # change of the small images by noise, and the smallest one by motion, grey levels
+# largest change of a repeated image relative to its usual one, or to the other's
+_REPEATED, _NEVER_NEW = 0.25, 0.03
+# standard deviation of grey levels of an image that shows nothing, and of the other
+_UNIFORM, _STRUCTURED = 3.0, 8.0
+# change of the small images by noise, and the smallest one by motion, grey levels
+_NOISE, _MIN_CHANGE = 0.3, 1.0
 
 
 @dataclass(slots=True)
@@ -63,17 +73,22 @@ class SyncFinding:
 class _Entry:
     frame: Frame
     small: tuple[Image, Image]
-    shift: int | None  # the right image of its moment is that many frames later; None = stereo is off
-    repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image repeat the frame before
-    is_uniform: bool = False  # whether the image that counts as repeated shows nothing: covered, or without a signal
-    is_unknown: bool = False  # whether stereo is off since left and right do not agree, which may have other reasons
+    # the right image of its moment is that many frames later; None = stereo is off
+    shift: int | None
+    # whether the left and the right image repeat the frame before
+    repeated: tuple[bool, bool] = (False, False)
+    # whether the image that counts as repeated shows nothing: covered, or without a signal
+    is_uniform: bool = False
+    # whether stereo is off since left and right do not agree, which may have other reasons
+    is_unknown: bool = False
 
 
 @dataclass(slots=True)
 class SyncMonitor:
     """Checks the frames of a pair in order.
 
-    It waits for `n_ahead` frames, so that it finds most lags in time, and for twice as many until a check in motion.
+    It waits for `n_ahead` frames, so that it finds most lags in time, and for twice as many until a
+    check in motion.
     """
 
     n_ahead: int = 0
@@ -94,14 +109,18 @@ class SyncMonitor:
     _is_urgent: bool = False  # whether there is a reason to check the next frame
 
     def paired(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames with simultaneous right images; None where the right image is unknown or missing."""
+        """The frames with simultaneous right images; None where the right image is unknown or
+        missing.
+        """
         for frame in frames:
             yield from self.add(frame)
         while self._n_waiting:
             yield self._next()
 
     def add(self, frame: Frame) -> list[Frame]:
-        """Check the next frame; returns the frames that need not wait any longer: without `n_ahead`, this frame."""
+        """Check the next frame; returns the frames that need not wait any longer: without
+        `n_ahead`, this frame.
+        """
         if frame.right is None:
             return [frame]
         entry = _Entry(frame, (_small(frame.left), _small(frame.right)), self._shift)
@@ -149,17 +168,27 @@ class SyncMonitor:
             if any(entry.repeated):
                 kind = "uniform" if entry.is_uniform else "repeated"
             action: Action = "stereo off" if is_off else "re-paired"
-            if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
+            if before is None or (before.kind, before.side, before.lag_frames) != (
+                kind,
+                side,
+                abs(shift),
+            ):
                 before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
                 if len(self.findings) < _MAX_FINDINGS:
                     self.findings.append(before)
             before.frames += 1
-            before.action = action if action == "re-paired" else before.action  # the first frames may lack a partner
+            # the first frames may lack a partner
+            before.action = action if action == "re-paired" else before.action
             self._last = before
 
     def _compare(self, entry: _Entry, before: _Entry) -> None:
-        """Find repeated images, and whether the changes since the frame before are a reason for a check."""
-        left, right = (cv2.norm(a, b, cv2.NORM_L1) / a.size for a, b in zip(entry.small, before.small, strict=True))
+        """Find repeated images, and whether the changes since the frame before are a reason for a
+        check.
+        """
+        left, right = (
+            cv2.norm(a, b, cv2.NORM_L1) / a.size
+            for a, b in zip(entry.small, before.small, strict=True)
+        )
         usual = tuple(map(median, zip(*self._usual, strict=True))) if self._usual else (left, right)
         if len(self._usual) >= _MIN_USUAL:
             entry.repeated = (
@@ -172,7 +201,9 @@ class SyncMonitor:
             self._is_urgent |= abs(math.log(ratio)) > _CLEAR_RATIO or any(before.repeated)
 
     def _check(self, entry: _Entry) -> None:
-        """Measure the lag of the newest frame at the present shift, and look for another shift if it contradicts."""
+        """Measure the lag of the newest frame at the present shift, and look for another shift if
+        it contradicts.
+        """
         self._n_unchecked, self._is_urgent, self._is_of_right = 0, False, not self._is_of_right
         base = self._shift or 0
         lag = self._measured(self._newest(base), base, is_of_right=self._is_of_right)
@@ -199,22 +230,35 @@ class SyncMonitor:
 
     def _searched(self, base: int) -> int | None:
         """The shift at which the newest frame has no lag; None = unknown."""
-        if self._candidate is not None and self._fits(self._newest(self._candidate), self._candidate):
+        if self._candidate is not None and self._fits(
+            self._newest(self._candidate), self._candidate
+        ):
             return self._candidate
         shift, tried = base, set[int]()
-        while self._n_failed <= _N_FAILED and shift not in tried and abs(shift) <= MAX_LAG:  # Newton's method
+        # Newton's method
+        while self._n_failed <= _N_FAILED and shift not in tried and abs(shift) <= MAX_LAG:
             tried.add(shift)
             place = self._newest(shift)
-            late, early = (self._measured(place, shift, is_of_right=is_right) for is_right in (False, True))
+            late, early = (
+                self._measured(place, shift, is_of_right=is_right) for is_right in (False, True)
+            )
             if shift != base and _is_same(late) and not _is_other(early):
                 return shift
             # from the side whose moment is later, since points remain in view backwards in time
             steps = [x.value for x in (late, early) if x is not None and math.isfinite(x.sigma)]
-            clear = [x.value for x, sign in ((late, 1), (early, -1)) if x is not None and x.value * sign > 0]
+            clear = [
+                x.value
+                for x, sign in ((late, 1), (early, -1))
+                if x is not None and x.value * sign > 0
+            ]
             shift += round((clear or steps or [0.0])[0])
         if self._n_failed < _N_FAILED or self._credit < 2 * MAX_LAG:
             return None
-        lags = {k: self._measured(self._newest(k), k) for k in range(-MAX_LAG, MAX_LAG + 1) if k not in tried}
+        lags = {
+            k: self._measured(self._newest(k), k)
+            for k in range(-MAX_LAG, MAX_LAG + 1)
+            if k not in tried
+        }
         same = {k: lag.n_points for k, lag in lags.items() if lag is not None and _is_same(lag)}
         best = max(same, key=same.__getitem__, default=None)
         return best if best is not None and self._fits(self._newest(best), best) else None
@@ -236,12 +280,15 @@ class SyncMonitor:
         return len(self._entries) - 1 - max(shift, 0)
 
     def _fits(self, place: int, shift: int) -> bool:
-        """Whether a left image and the right image at a shift show the same moment, from the motion in both videos."""
+        """Whether a left image and the right image at a shift show the same moment, from the motion
+        in both videos.
+        """
         lag = self._measured(place, shift)
         return _is_same(lag) and not _is_other(self._measured(place, shift, is_of_right=True))
 
     def _measured(self, place: int, shift: int, *, is_of_right: bool = False) -> Lag | None:
-        """The lag, in frames, of the right image that is paired with a left image by a shift; None = no motion.
+        """The lag, in frames, of the right image that is paired with a left image by a shift; None
+        = no motion.
 
         `is_of_right`: from the motion in the right images.
         """
@@ -254,13 +301,17 @@ class SyncMonitor:
         far = [other for other in others if abs(times_s[own] - times_s[other]) >= _MIN_STEP_S]
         other = far[0] if far else max(others, key=lambda other: abs(times_s[own] - times_s[other]))
         between = range(min(own, other) + 1, max(own, other) + 1)
-        if entries[partner].repeated[not is_of_right] or any(entries[i].repeated[is_of_right] for i in (own, *between)):
+        if entries[partner].repeated[not is_of_right] or any(
+            entries[i].repeated[is_of_right] for i in (own, *between)
+        ):
             return None
         self._credit -= 1
         before, now = (_image(entries[i].frame, is_right=is_of_right) for i in (other, own))
         lag = measured_lag(before, now, _image(entries[partner].frame, is_right=not is_of_right))
         step = (
-            (times_s[own] - times_s[other]) / median(b - a for a, b in pairwise(times_s)) * (-1 if is_of_right else 1)
+            (times_s[own] - times_s[other])
+            / median(b - a for a, b in pairwise(times_s))
+            * (-1 if is_of_right else 1)
         )
         return lag and lag._replace(value=lag.value * step)
 
@@ -269,12 +320,18 @@ class SyncMonitor:
         """Messages for the user so far, one for all findings of equal kind, side and lag."""
         groups: dict[tuple[object, ...], list[SyncFinding]] = {}
         for finding in self._clear_findings:
-            groups.setdefault((finding.kind, finding.side, finding.lag_frames, finding.action), []).append(finding)
+            groups.setdefault(
+                (finding.kind, finding.side, finding.lag_frames, finding.action), []
+            ).append(finding)
         return tuple(map(_sentence, groups.values()))
 
     @property
     def _clear_findings(self) -> list[SyncFinding]:
-        return [finding for finding in self.findings if finding.kind != "apart" or finding.frames >= _N_CONTRADICTING]
+        return [
+            finding
+            for finding in self.findings
+            if finding.kind != "apart" or finding.frames >= _N_CONTRADICTING
+        ]
 
     def summary(self) -> dict[str, list[dict[str, Any]]]:
         """The section `synchronisation` of summary.json, if there are findings."""
@@ -290,8 +347,12 @@ def _is_other(lag: Lag | None) -> bool:
     return lag is not None and lag.is_known and abs(lag.value) >= _OTHER
 
 
-def _is_repeated(change: float, usual: float, other: float, other_usual: float, *, is_old: bool) -> bool:
-    """Whether one side repeats its image while the other side moves, or has repeated it and not moved since."""
+def _is_repeated(
+    change: float, usual: float, other: float, other_usual: float, *, is_old: bool
+) -> bool:
+    """Whether one side repeats its image while the other side moves, or has repeated it and not
+    moved since.
+    """
     if usual < _NEVER_NEW * other_usual:
         return other_usual > _MIN_CHANGE and change < _NEVER_NEW * other_usual
     other_moves = other > max(_MIN_CHANGE, other_usual / 2) and usual > _MIN_CHANGE
@@ -303,7 +364,9 @@ def _image(frame: Frame, *, is_right: bool) -> ImageView:
 
 
 def _small(view: ImageView) -> Image:
-    """Means of 2x2 recorded pixels in every fourth row and column: cheap, with changes above the noise in motion."""
+    """Means of 2x2 recorded pixels in every fourth row and column: cheap, with changes above the
+    noise in motion.
+    """
     image = view.recorded if isinstance(view, RemappedView) else whole_image(view)
     sample = np.ascontiguousarray(image[::4, ::4] if image.ndim == 2 else image[::4, ::4, 1])
     size_px = max(sample.shape[1] // 2, 1), max(sample.shape[0] // 2, 1)
@@ -317,22 +380,29 @@ def _sentence(group: list[SyncFinding]) -> str:
     off = "stereo distances of these frames are off"
     if first.kind == "repeated":
         return (
-            f"The {first.side} video repeats its last image while the other video moves ({when}): {off}; check the "
-            f"{first.side} camera and its recording."
+            f"The {first.side} video repeats its last image while the other video moves ({when}): "
+            f"{off}; check the {first.side} camera and its recording."
         )
     if first.kind == "uniform":
         return (
-            f"The {first.side} images are black or uniform, while the other images are not ({when}): {off}; check the "
-            f"lens, the exposure and the cable of the {first.side} camera."
+            f"The {first.side} images are black or uniform, while the other images are not "
+            f"({when}): {off}; check the lens, the exposure and the cable of the {first.side} "
+            "camera."
         )
     if first.kind == "apart":
         return (
-            f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} frames explains it: "
-            f"{off}; check the timestamps, and that the two videos belong together."
+            f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} "
+            f"frames explains it: {off}; check the timestamps, and that the two videos belong "
+            "together."
         )
-    done = off if first.action == "stereo off" else "left frames are paired with right frames of the same moment"
+    done = (
+        off
+        if first.action == "stereo off"
+        else "left frames are paired with right frames of the same moment"
+    )
     return (
-        f"Left and right are not synchronised: the {first.side} video lags by {counted(first.lag_frames, 'frame')} "
-        f"({when}; found from the vertical motion of the images): {done}; check for dropped and repeated frames and "
-        "correct the timestamps, or use a hardware trigger."
+        f"Left and right are not synchronised: the {first.side} video lags by "
+        f"{counted(first.lag_frames, 'frame')} ({when}; found from the vertical motion of the "
+        f"images): {done}; check for dropped and repeated frames and correct the timestamps, or "
+        "use a hardware trigger."
     )

@@ -1,4 +1,6 @@
-"""VideoHalf: the images of one camera in a video whose images contain two cameras beside or below each other."""
+"""VideoHalf: the images of one camera in a video whose images contain two cameras beside or below
+each other.
+"""
 
 import math
 from collections.abc import Generator
@@ -12,7 +14,9 @@ from track_range.recording.utc import UtcStart
 
 
 def image_half(layout: StereoLayout, image: Image, *, is_right: bool) -> Image:
-    """The part of an image that belongs to one camera, without a copy; an odd row or column is left out."""
+    """The part of an image that belongs to one camera, without a copy; an odd row or column is left
+    out.
+    """
     length_px = image.shape[0 if layout in STACKED else 1] // 2
     half = slice(-length_px, None) if is_right != (layout in REVERSED) else slice(length_px)
     return image[half] if layout in STACKED else image[:, half]
@@ -25,7 +29,9 @@ def half_size_px(layout: PackedLayout, size_px: tuple[int, int]) -> tuple[int, i
 
 
 class VideoHalf(RecordedVideo):
-    """The images of one camera in `whole`; the left camera's object reports for both, as they are read together."""
+    """The images of one camera in `whole`; the left camera's object reports for both, as they are
+    read together.
+    """
 
     path: Half
 
@@ -58,7 +64,9 @@ class VideoHalf(RecordedVideo):
                 yield self.half(frame)
 
     def half(self, frame: VideoFrame) -> VideoFrame:
-        """The part of a frame of both cameras that belongs to this camera; it shares the memory of the frame."""
+        """The part of a frame of both cameras that belongs to this camera; it shares the memory of
+        the frame.
+        """
         image = image_half(self.path.layout, frame.image, is_right=self.path.is_right)
         return VideoFrame(frame.index, frame.time_s, image)
 
@@ -72,7 +80,8 @@ class VideoHalf(RecordedVideo):
         self.whole.close()
 
     def with_packed_pixels(self, aspect: float) -> None:
-        """Take the pixels as twice as wide, or half, where the images were squeezed to fit beside or below each other.
+        """Take the pixels as twice as wide, or half, where the images were squeezed to fit beside
+        or below each other.
 
         `aspect` is the width / height of the images by a calibration.
         """

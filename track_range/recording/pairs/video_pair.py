@@ -1,7 +1,9 @@
-r"""VideoPair: the frames of two videos, paired by time; the first pairs can be read before the main pass.
+r"""VideoPair: the frames of two videos, paired by time; the first pairs can be read before the main
+pass.
 
 pairs -> read_ahead() -> alignment, checks
-               \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one by one), the rest
+               \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one
+               by one), the rest
 """
 
 from abc import ABC, abstractmethod
@@ -20,10 +22,12 @@ Pair = tuple[VideoFrame, VideoFrame]
 
 
 class VideoPair(ABC, Generic[V]):
-    """Pairs of frames of two videos; the first pairs may be read before the iteration, and are not decoded twice.
+    """Pairs of frames of two videos; the first pairs may be read before the iteration, and are not
+    decoded twice.
 
-    The buffer always holds one pair. If more than `max_ahead_bytes` are needed, it is dropped and reading restarts:
-    recorded videos from their start, live videos with the next pair. Times differ by at most `tolerance_s`.
+    The buffer always holds one pair. If more than `max_ahead_bytes` are needed, it is dropped and
+    reading restarts: recorded videos from their start, live videos with the next pair. Times differ
+    by at most `tolerance_s`.
     """
 
     is_live: bool = False
@@ -44,10 +48,14 @@ class VideoPair(ABC, Generic[V]):
 
     @abstractmethod
     def pairs(self) -> Generator[Pair, None, None]:
-        """The pairs, read from the start of recorded videos, or from the newest frames of live videos."""
+        """The pairs, read from the start of recorded videos, or from the newest frames of live
+        videos.
+        """
 
     def read_ahead(self) -> Generator[Pair, None, None]:
-        """The first pairs, until the caller stops, before the iteration; a later call starts with them again."""
+        """The first pairs, until the caller stops, before the iteration; a later call starts with
+        them again.
+        """
         yield from (unpacked() for unpacked in tuple(self._ahead))
         unread, is_full = self._unread or self.pairs(), False
         self._unread = unread
@@ -67,7 +75,9 @@ class VideoPair(ABC, Generic[V]):
                 self._unread, self._n_bytes = None, 0
 
     def _packed(self, pair: Pair) -> tuple[int, Callable[[], Pair]]:
-        """Size of a pair in memory with its images in the smaller format, and a function that returns it."""
+        """Size of a pair in memory with its images in the smaller format, and a function that
+        returns it.
+        """
         left, right = (frame.packed() for frame in pair)
         return sum(frame.n_packed_bytes for frame in pair), lambda: (left(), right())
 

@@ -1,6 +1,8 @@
-"""SegmentedVideo: the frames of several video files that form one recording, as a dashcam writes them.
+"""SegmentedVideo: the frames of several video files that form one recording, as a dashcam writes
+them.
 
-headers of all files -> order and times (`segment_times`) -> one file open at a time -> frames with continuous numbers
+headers of all files -> order and times (`segment_times`) -> one file open at a time -> frames with
+continuous numbers
 """
 
 from __future__ import annotations
@@ -15,7 +17,12 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import counted, readable
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.files.file_state import FileState
-from track_range.recording.files.video_file import VideoFile, VideoHeader, compressed_frames, count_packets
+from track_range.recording.files.video_file import (
+    VideoFile,
+    VideoHeader,
+    compressed_frames,
+    count_packets,
+)
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.names import Segments, is_pattern, matching_files
 from track_range.recording.recorded_video import RecordedVideo, VideoPart
@@ -23,31 +30,35 @@ from track_range.recording.segments.segment_times import SegmentFacts, arranged,
 from track_range.recording.utc import UtcStart
 
 VIDEO_SUFFIXES = frozenset(
-    ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts "
-    ".vob .webm .wmv".split()
+    ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg "
+    ".mts .mxf .ogv .ts .vob .webm .wmv".split()
 )
 
 _MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
 _N_NOTES = 5  # messages about single files
 _RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")  # names of the videos that a run writes
-_CUT_STEP_S = 1e-4  # frames of two files closer than this are one: more than the rounding of time stamps, 1/90000 s
+# frames of two files closer than this are one: more than the rounding of time stamps, 1/90000 s
+_CUT_STEP_S = 1e-4
 _RATE_DIFFERENCE = 0.01  # relative difference up to which frame rates count as equal
 _MAX_OVERLAP_S = 5.0  # longest overlap that is searched; dashcams repeat 1 to 3 s
 
-_LIKE, _ADVICE = " as in other files", "select files of one camera and setting"  # of messages about other sizes
-_MIN_REPEATED_BYTES = 2000  # fewer bytes of equal frames may belong to an empty picture, equal by chance
+# of messages about other sizes
+_LIKE, _ADVICE = " as in other files", "select files of one camera and setting"
+# fewer bytes of equal frames may belong to an empty picture, equal by chance
+_MIN_REPEATED_BYTES = 2000
 
 
 class SegmentedVideo(RecordedVideo):
     """Several video files as one video; frame numbers and times continue from file to file.
 
-    Files that cannot be read are skipped with a note, unless no file can be read. A file that is named repeatedly, or
-    copied, is used once.
+    Files that cannot be read are skipped with a note, unless no file can be read. A file that is
+    named repeatedly, or copied, is used once.
 
     If this is the right video of a pair, the files of the `left` video give the times.
 
-    Raises VideoError if a named file does not exist, no file can be read, the files belong to several cameras, or
-    their images differ in size; while iterating, if a file was deleted or changed in the meantime.
+    Raises VideoError if a named file does not exist, no file can be read, the files belong to
+    several cameras, or their images differ in size; while iterating, if a file was deleted or
+    changed in the meantime.
     """
 
     def __init__(
@@ -62,13 +73,20 @@ class SegmentedVideo(RecordedVideo):
         self._setup_notes: list[str] = []
         self._reading_notes: list[str] = []
         if len(paths) > _MAX_FILES:
-            raise VideoError(f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; select fewer files.")
+            raise VideoError(
+                f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; "
+                "select fewer files."
+            )
         self._headers = self._readable(paths)
         facts = [
-            SegmentFacts(path, header.first_s, header.duration_s or count_packets(path)[1], *header.stamps)
+            SegmentFacts(
+                path, header.first_s, header.duration_s or count_packets(path)[1], *header.stamps
+            )
             for path, header in self._headers.items()
         ]
-        self.plan = plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s)
+        self.plan = plan = arranged(
+            facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s
+        )
         self._segments = plan.facts
         self._starts_s = plan.starts_s if left is None else paired_starts_s(plan, left.plan)
         self._planned_first_s = self._starts_s[0]
@@ -81,9 +99,15 @@ class SegmentedVideo(RecordedVideo):
         self.width_px, self.height_px = first.width_px, first.height_px
         self.pixel_aspect = first.pixel_aspect
         self.is_grey, self.fps = first.is_grey, first.fps
-        self.tracks_px, self.stated_layout, self.first_image = first.tracks_px, first.stated_layout, first.first_image
+        self.tracks_px, self.stated_layout, self.first_image = (
+            first.tracks_px,
+            first.stated_layout,
+            first.first_image,
+        )
         self.first_time_s = self._starts_s[0]
-        counts = [self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments]
+        counts = [
+            self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments
+        ]
         self.n_total = sum(counts) or None
 
     @property
@@ -92,21 +116,32 @@ class SegmentedVideo(RecordedVideo):
         utc = self.utc
         starts_s = [start_s - self.first_time_s for start_s in self._starts_s]
         return tuple(
-            VideoPart(segment.path, start_s, segment.duration_s, None if utc is None else utc.shifted(start_s))
+            VideoPart(
+                segment.path,
+                start_s,
+                segment.duration_s,
+                None if utc is None else utc.shifted(start_s),
+            )
             for segment, start_s in zip(self._segments, starts_s, strict=True)
         )
 
     @property
     def utc(self) -> UtcStart | None:
         """See `RecordedVideo`."""
-        return None if self.plan.utc is None else self.plan.utc.shifted(self.first_time_s - self._planned_first_s)
+        return (
+            None
+            if self.plan.utc is None
+            else self.plan.utc.shifted(self.first_time_s - self._planned_first_s)
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
         """See `RecordedVideo`."""
         notes = [*self._setup_notes, *self._reading_notes]
         if self._n_notes > _N_NOTES:
-            notes.append(f"{self.path}: {self._n_notes - _N_NOTES} more messages concern single files.")
+            notes.append(
+                f"{self.path}: {self._n_notes - _N_NOTES} more messages concern single files."
+            )
         return tuple(notes)
 
     def close(self) -> None:
@@ -119,7 +154,9 @@ class SegmentedVideo(RecordedVideo):
         """See `RecordedVideo.frames`; files before `from_s` are not decoded."""
         self._reading_notes, self._n_notes = [], 0
         n_before, last_s = 0, -float("inf")
-        for number, (segment, start_s) in enumerate(zip(self._segments, self._starts_s, strict=True)):
+        for number, (segment, start_s) in enumerate(
+            zip(self._segments, self._starts_s, strict=True)
+        ):
             if start_s >= until_s - TIME_EPSILON_S:
                 return
             is_last = number == len(self._segments) - 1
@@ -135,7 +172,9 @@ class SegmentedVideo(RecordedVideo):
                         time_s = frame.time_s + later_s
                         if time_s > earliest_s:
                             last_s = time_s
-                            yield VideoFrame(n_before + frame.index, time_s, frame.image, frame.decoded)
+                            yield VideoFrame(
+                                n_before + frame.index, time_s, frame.image, frame.decoded
+                            )
                 self._add_notes(video.notes)
             n_before += max(self._counted_frames(segment), n_read)
 
@@ -167,15 +206,22 @@ class SegmentedVideo(RecordedVideo):
         if copies:
             path, other = copies[0]
             self._setup_notes.append(
-                f"{self.path}: skipped {counted(len(copies), 'copy', 'copies')} of other files, such as {path.name}, "
-                f"which has the same content as {other.name}."
+                f"{self.path}: skipped {counted(len(copies), 'copy', 'copies')} of other files, "
+                f"such as {path.name}, which has the same content as {other.name}."
             )
         if not headers:
-            raise errors[0] if errors else VideoError(f"{self.path}: expected video files, found none.")
+            raise (
+                errors[0]
+                if errors
+                else VideoError(f"{self.path}: expected video files, found none.")
+            )
         self._setup_notes += [f"Skipped: {error}" for error in errors[:_N_NOTES]]
         if len(errors) > _N_NOTES:
-            self._setup_notes.append(f"{self.path}: skipped {counted(len(errors), 'file')} that cannot be read.")
-        sizes = Counter(tuple(sorted(header.size_px)) for header in headers.values())  # one may be rotated
+            self._setup_notes.append(
+                f"{self.path}: skipped {counted(len(errors), 'file')} that cannot be read."
+            )
+        # one may be rotated
+        sizes = Counter(tuple(sorted(header.size_px)) for header in headers.values())
         usual = max(sizes, key=lambda size: sizes[size])
         first = {tuple(sorted(header.size_px)): path for path, header in reversed(headers.items())}
         self.width_px, self.height_px = headers[first[usual]].size_px
@@ -204,7 +250,8 @@ class SegmentedVideo(RecordedVideo):
             current.close()
         if not segment.path.exists():
             raise VideoError(
-                f"{segment.path}: the file was deleted or moved while the recording was read; repeat the run."
+                f"{segment.path}: the file was deleted or moved while the recording was read; "
+                "repeat the run."
             )
         self._headers[segment.path].state.check_unchanged(segment.path)
         try:
@@ -219,7 +266,9 @@ class SegmentedVideo(RecordedVideo):
 
     def _counted_frames(self, segment: SegmentFacts) -> int:
         if segment.path not in self._n_frames:
-            self._n_frames[segment.path] = self._headers[segment.path].n_frames or count_packets(segment.path)[0]
+            self._n_frames[segment.path] = (
+                self._headers[segment.path].n_frames or count_packets(segment.path)[0]
+            )
         return self._n_frames[segment.path]
 
     def _add_notes(self, notes: Sequence[str]) -> None:
@@ -239,22 +288,26 @@ class SegmentedVideo(RecordedVideo):
 
 
 def segment_files(name: Path | Segments) -> list[Path] | None:
-    """The video files of a folder or pattern, or of several names; None = a single file or a folder of images.
+    """The video files of a folder or pattern, or of several names; None = a single file or a folder
+    of images.
 
-    Raises VideoError if no file matches a pattern, a folder contains both images and videos, or it cannot be read.
+    Raises VideoError if no file matches a pattern, a folder contains both images and videos, or it
+    cannot be read.
     """
     if isinstance(name, Segments):
         bag = next((part for part in name.paths if is_bag(part)), None)
         if bag is not None:
             raise VideoError(
-                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a folder with its files."
+                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a "
+                "folder with its files."
             )
         return [path for part in name.paths for path in (segment_files(part) or [part])]
     if is_pattern(name):
         files = [path for path in matching_files(name) if path.is_file()]
         if not files:
             raise VideoError(
-                f"{name}: no such file, and no file matches this pattern; give a video, folder or pattern."
+                f"{name}: no such file, and no file matches this pattern; give a video, folder or "
+                "pattern."
             )
         return files
     return _videos_in(name) if name.is_dir() else None
@@ -267,20 +320,26 @@ def _videos_in(name: Path) -> list[Path] | None:
     videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
     if (name / "settings.yaml").exists():  # results of a run in the folder of its input
         videos = [path for path in videos if path.name not in _RESULT_VIDEOS]
-    images = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES and any(map(str.isdigit, path.stem))]
+    images = [
+        path
+        for path in files
+        if path.suffix.lower() in IMAGE_SUFFIXES and any(map(str.isdigit, path.stem))
+    ]
     if videos and images:
         raise VideoError(
-            f"{name}: expected videos or numbered images, found both ({videos[0].name}, {images[0].name}); give a "
-            f"pattern such as '{name / ('*' + videos[0].suffix)}', or another folder."
+            f"{name}: expected videos or numbered images, found both ({videos[0].name}, "
+            f"{images[0].name}); give a pattern such as '{name / ('*' + videos[0].suffix)}', or "
+            "another folder."
         )
     return videos or None
 
 
 def _repeated_s(before: SegmentFacts, after: SegmentFacts) -> float:
-    """Time, s, from the start of `after` to the end of `before`, if its first frames are the last frames of `before`.
+    """Time, s, from the start of `after` to the end of `before`, if its first frames are the last
+    frames of `before`.
 
-    Dashcams with an overlap write the last second of a file also to the beginning of the next file, without encoding it
-    again. 0 = no compressed frame is in both, or a file cannot be read.
+    Dashcams with an overlap write the last second of a file also to the beginning of the next file,
+    without encoding it again. 0 = no compressed frame is in both, or a file cannot be read.
     """
     try:
         with closing(compressed_frames(after.path)) as beginning:

@@ -1,4 +1,5 @@
-"""Speed of the camera from the data of a recording: GPS records in the video file, or files beside it.
+"""Speed of the camera from the data of a recording: GPS records in the video file, or files beside
+it.
 
 sidecars/, containers/  readers of the formats, each of which returns a TelemetryTrack
 found.py                the telemetry of a recording, in a fixed order of preference

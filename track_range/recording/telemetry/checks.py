@@ -1,4 +1,6 @@
-"""usable: telemetry without implausible samples, or the reason for which a track is not used at all."""
+"""usable: telemetry without implausible samples, or the reason for which a track is not used at
+all.
+"""
 
 import math
 from dataclasses import replace
@@ -20,36 +22,43 @@ from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.world.ego_speed`
 
 _MAX_ACCELERATION_MPS2 = 15.0  # of a car over a second; emergency braking reaches 11
-_MAX_FRACTION = 0.1  # of wild samples up to which they are omitted; with more, the track is not used
+# of wild samples up to which they are omitted; with more, the track is not used
+_MAX_FRACTION = 0.1
 
 _MAX_CLOCK_STEP_S, _MAX_BACKWARD_S = 30.0, 2.0
-"""Largest change between the receiver's clock, which may lack 18 leap seconds at first, and the time in the video, and
-largest step back of a clock; receivers repeat a second now and then."""
+"""Largest change between the receiver's clock, which may lack 18 leap seconds at first, and the
+time in the video, and largest step back of a clock; receivers repeat a second now and then."""
 
-_HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0  # gaps of whole hours are jumps of the clock; one pause in 600 is like that
+# gaps of whole hours are jumps of the clock; one pause in 600 is like that
+_HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
 
 MIN_STABLE_S, _MIN_STABLE_FRACTION = 10.0, 0.9
-"""Shortest time with a fix, and smallest fraction of samples with a fix, after which a clock that was wrong before the
-fix is no reason to doubt later samples."""
+"""Shortest time with a fix, and smallest fraction of samples with a fix, after which a clock that
+was wrong before the fix is no reason to doubt later samples."""
 
-_FIRST_DATE_S = 1_199_145_600.0  # 2008; receivers without a date state 1980, 2000 or 2004, or 1024 weeks ago
+# 2008; receivers without a date state 1980, 2000 or 2004, or 1024 weeks ago
+_FIRST_DATE_S = 1_199_145_600.0
 
 _MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
-"""Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed: the
-one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
+"""Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed:
+the one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction
+of 0.38."""
 
 _MIN_COMPARED, _UNIT_TOLERANCE, _MAX_DEVIATION = 10, 0.05, 0.12
-"""Number of steps that are compared with positions; relative difference up to which they confirm a unit, and the
-largest difference of a vehicle's own speed, as of a speedometer, which becomes less certain. Units differ by 13 %."""
+"""Number of steps that are compared with positions; relative difference up to which they confirm a
+unit, and the largest difference of a vehicle's own speed, as of a speedometer, which becomes less
+certain. Units differ by 13 %."""
 
-_MAX_SCATTER = 0.3  # largest median relative deviation of single steps where the positions decide on the unit
+# largest median relative deviation of single steps where the positions decide on the unit
+_MAX_SCATTER = 0.3
 
 
 def usable(track: TelemetryTrack) -> TelemetryTrack:
     """The track in the order of time, without wild samples, which become NaN.
 
-    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`).
-    Raises TelemetryError for no fix, wild positions or speeds, or a clock that jumps.
+    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts
+    (`MIN_STABLE_S`). Raises TelemetryError for no fix, wild positions or speeds, or a clock that
+    jumps.
     """
     if not len(track) or not np.isfinite(track.speed_mps).any():
         raise TelemetryError("the receiver had no fix.")
@@ -61,7 +70,8 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
             raise
         _check_clock(warm)
         track = warm
-    order = np.lexsort((np.isnan(track.speed_mps), track.time_s))  # of several with the same time, one with a speed
+    # of several with the same time, one with a speed
+    order = np.lexsort((np.isnan(track.speed_mps), track.time_s))
     track = track.selected(order[np.concatenate([[True], np.diff(track.time_s[order]) > 0])])
     _check_losses(track)
     _check_positions(track)
@@ -88,7 +98,9 @@ def _check_clock(track: TelemetryTrack) -> None:
 
 
 def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
-    """The track from its first dated sample with a fix on; None = it starts with a fix, or the fix is not stable."""
+    """The track from its first dated sample with a fix on; None = it starts with a fix, or the fix
+    is not stable.
+    """
     has_fix = np.isfinite(track.speed_mps) & ~(track.utc_s < _FIRST_DATE_S)
     if has_fix[0] or not has_fix.any():
         return None
@@ -97,18 +109,23 @@ def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
     length_s = float(warm.time_s.max() - warm.time_s[0])
     if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_FRACTION:
         return None
-    note = f"its first {first} samples, before the receiver had a fix, have a wrong clock and are not used."
+    note = (
+        f"its first {first} samples, before the receiver had a fix, have a wrong clock and are not "
+        "used."
+    )
     return replace(warm, notes=(*track.notes, note))
 
 
 def _check_losses(track: TelemetryTrack) -> None:
-    """Raise an error if the receiver keeps losing its fix: such fixes state 100 km/h in parked cars."""
+    """Raise an error if the receiver keeps losing its fix: such fixes state 100 km/h in parked
+    cars.
+    """
     has_fix = np.isfinite(track.speed_mps)
     n_losses = int((has_fix[:-1] & ~has_fix[1:]).sum())
     if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_FRACTION:
         raise TelemetryError(
-            f"the receiver loses its fix {n_losses} times and has a fix in only {has_fix.mean():.0%} of the samples; "
-            "such speeds are not reliable."
+            f"the receiver loses its fix {n_losses} times and has a fix in only "
+            f"{has_fix.mean():.0%} of the samples; such speeds are not reliable."
         )
 
 
@@ -117,7 +134,9 @@ def _duration(seconds: float) -> str:
 
 
 def _check_positions(track: TelemetryTrack) -> None:
-    """Raise an error if many positions are not on the Earth, or the steps between them are too fast."""
+    """Raise an error if many positions are not on the Earth, or the steps between them are too
+    fast.
+    """
     lat, lon = track.latitude_deg, track.longitude_deg
     known = has_position(lat, lon)
     if not known.any():
@@ -136,24 +155,29 @@ def _check_positions(track: TelemetryTrack) -> None:
 
 
 def with_unit(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with its speeds in the unit that its positions show, which sometimes differs from the stated unit.
+    """The track with its speeds in the unit that its positions show, which sometimes differs from
+    the stated unit.
 
-    Speeds become less certain if their difference is smaller than between units. Without a stated unit, and with too
-    few positions of a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the
-    speeds contradict the positions in every unit.
+    Speeds become less certain if their difference is smaller than between units. Without a stated
+    unit, and with too few positions of a moving car, they are taken as m/s, with a note if any is
+    fast. A TelemetryError means that the speeds contradict the positions in every unit.
     """
     if not track.has_own_speed:
         return track
     positions = speed_from_positions(
-        track.time_s, track.latitude_deg, track.longitude_deg, np.full(len(track), np.nan), clock=track.clock
+        track.time_s,
+        track.latitude_deg,
+        track.longitude_deg,
+        np.full(len(track), np.nan),
+        clock=track.clock,
     )
     ratio = speed_ratio(positions, track.time_s, track.speed_mps, _MIN_COMPARED)
     if positions is None or math.isnan(ratio.median):
         if track.unit is not None or not (track.speed_mps > MOVING_MPS).any():
             return track
         note = (
-            f"its speeds have no unit and are taken as m/s, since only {ratio.n_moving} positions of a moving car are "
-            "known, too few to find the unit."
+            f"its speeds have no unit and are taken as m/s, since only {ratio.n_moving} positions "
+            "of a moving car are known, too few to find the unit."
         )
         return replace(track, notes=(*track.notes, note))
     stated_mps = float(np.nanmedian(track.speed_mps))
@@ -162,8 +186,9 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
     if abs(ratio.median - 1) <= _MAX_DEVIATION and track.unit is not None:
         sigma_mps = math.hypot(track.speed_sigma_mps, abs(ratio.median - 1) * stated_mps)
         note = (
-            f"its speeds are {abs(1 / ratio.median - 1):.0%} {'below' if ratio.median > 1 else 'above'} the speeds of "
-            f"its positions; their standard deviation is {sigma_mps:.1f} m/s."
+            f"its speeds are {abs(1 / ratio.median - 1):.0%} "
+            f"{'below' if ratio.median > 1 else 'above'} the speeds of its positions; their "
+            f"standard deviation is {sigma_mps:.1f} m/s."
         )
         return replace(track, speed_sigma_mps=sigma_mps, notes=(*track.notes, note))
     stated = track.unit or "m/s"
@@ -171,16 +196,20 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
     if unit is None or ratio.scatter > _MAX_SCATTER:
         found_mps = ratio.median * stated_mps
         raise TelemetryError(
-            f"its speeds, {stated_mps:.3g} m/s in the median, contradict its positions, which show {found_mps:.3g} "
-            "m/s; no other unit explains the difference."
+            f"its speeds, {stated_mps:.3g} m/s in the median, contradict its positions, which show "
+            f"{found_mps:.3g} m/s; no other unit explains the difference."
         )
-    note = f"its speeds are in {unit} instead of {stated}, as the positions show; they were converted."
+    note = (
+        f"its speeds are in {unit} instead of {stated}, as the positions show; they were converted."
+    )
     factor = MPS_PER_UNIT[unit] / MPS_PER_UNIT[stated]
     return replace(track, speed_mps=track.speed_mps * factor, unit=unit, notes=(*track.notes, note))
 
 
 def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with NaN for speeds that are too large; raises TelemetryError if many are, or change too fast."""
+    """The track with NaN for speeds that are too large; raises TelemetryError if many are, or
+    change too fast.
+    """
     speed_mps = track.speed_mps
     known = np.isfinite(speed_mps)
     is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))

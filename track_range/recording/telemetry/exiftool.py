@@ -1,7 +1,9 @@
-"""read_with_exiftool: telemetry that the program ExifTool finds in a video file, for formats that no reader here knows.
+"""read_with_exiftool: telemetry that the program ExifTool finds in a video file, for formats that
+no reader here knows.
 
-ExifTool (exiftool.org) is used if it is installed. Its output is one JSON object; each record of a receiver is a
-"document", and the keys are DOCUMENT:TAG, such as "Doc12:GPSSpeed", or "Doc3-2:GPSSpeed" in a sample with several.
+ExifTool (exiftool.org) is used if it is installed. Its output is one JSON object; each record of a
+receiver is a "document", and the keys are DOCUMENT:TAG, such as "Doc12:GPSSpeed", or
+"Doc3-2:GPSSpeed" in a sample with several.
 """
 
 import math
@@ -23,27 +25,48 @@ from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-TIMEOUT_S = 20.0  # longest time in s that ExifTool may take; it reads files of unknown formats from start to end
-_MAX_OUTPUT_BYTES = 200_000_000  # size limit of ExifTool's output, bytes; an hour at 18 Hz has 25 MB
+# longest time in s that ExifTool may take; it reads files of unknown formats from start to end
+TIMEOUT_S = 20.0
+# size limit of ExifTool's output, bytes; an hour at 18 Hz has 25 MB
+_MAX_OUTPUT_BYTES = 200_000_000
 
 _TAGS = (  # `SampleTime` is the time in the video, s
-    *("GPSDateTime", "GPSLatitude", "GPSLongitude", "GPSSpeed", "GPSSpeedRef", "GPSTrack", "GPSMeasureMode"),
+    *(
+        "GPSDateTime",
+        "GPSLatitude",
+        "GPSLongitude",
+        "GPSSpeed",
+        "GPSSpeedRef",
+        "GPSTrack",
+        "GPSMeasureMode",
+    ),
     *("GPSStatus", "SampleTime", "SampleDuration"),
 )
 
 _KEY = re.compile(r"Doc(\d+)(?:-(\d+))?(?:-\d+)*:(\w+)")
-_UNITS = {"K": "km/h", "M": "mph", "N": "kn"}  # by GPSSpeedRef (Exif); without it, km/h is documented
+# by GPSSpeedRef (Exif); without it, km/h is documented
+_UNITS = {"K": "km/h", "M": "mph", "N": "kn"}
 _DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d(?:\.\d+)?)")
 
 _MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 
 
 def read_with_exiftool(path: Path) -> TelemetryTrack | None:
-    """Telemetry that ExifTool finds; None = it is not installed, or finds none. Raises TelemetryError at a timeout."""
+    """Telemetry that ExifTool finds; None = it is not installed, or finds none. Raises
+    TelemetryError at a timeout.
+    """
     program = shutil.which("exiftool")
     if program is None:
         return None
-    options = ("-ee3", "-n", "-j", "-G3", "-api", "largefilesupport=1", *(f"-{tag}" for tag in _TAGS))
+    options = (
+        "-ee3",
+        "-n",
+        "-j",
+        "-G3",
+        "-api",
+        "largefilesupport=1",
+        *(f"-{tag}" for tag in _TAGS),
+    )
     with tempfile.TemporaryFile() as output:
         try:
             subprocess.run(
@@ -55,7 +78,9 @@ def read_with_exiftool(path: Path) -> TelemetryTrack | None:
                 check=False,  # it fails with partial output, too
             )
         except subprocess.TimeoutExpired as error:
-            raise TelemetryError(f"{path}: exiftool did not finish within {TIMEOUT_S:.0f} s.") from error
+            raise TelemetryError(
+                f"{path}: exiftool did not finish within {TIMEOUT_S:.0f} s."
+            ) from error
         except OSError:
             return None
         if os.fstat(output.fileno()).st_size > _MAX_OUTPUT_BYTES:
@@ -72,7 +97,8 @@ def read_with_exiftool(path: Path) -> TelemetryTrack | None:
 def track_of_records(record: object) -> TelemetryTrack | None:
     """Telemetry of the JSON object of a file; None = it has no records of a receiver.
 
-    Times are times in the video if ExifTool states them for all records, otherwise times of the receiver.
+    Times are times in the video if ExifTool states them for all records, otherwise times of the
+    receiver.
     """
     if not isinstance(record, Mapping):
         return None
@@ -82,8 +108,12 @@ def track_of_records(record: object) -> TelemetryTrack | None:
         if match and match[3] in _TAGS:
             documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
     times_s = _times_s(documents)
-    gps = {key: tags for key, tags in documents.items() if "GPSLatitude" in tags or "GPSSpeed" in tags}
-    samples = [_sample(tags, times_s.get(key, math.nan)) for key, tags in sorted(gps.items())[:MAX_SAMPLES]]
+    gps = {
+        key: tags for key, tags in documents.items() if "GPSLatitude" in tags or "GPSSpeed" in tags
+    }
+    samples = [
+        _sample(tags, times_s.get(key, math.nan)) for key, tags in sorted(gps.items())[:MAX_SAMPLES]
+    ]
     if not samples:
         return None
     is_timed = all(math.isfinite(sample.time_s) for sample in samples)
@@ -111,8 +141,12 @@ def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document
         timed = next((key for key in keys if "SampleTime" in documents[key]), None)
         if timed is None:
             continue
-        start_s, duration_s = (plain_number(documents[timed].get(name)) for name in ("SampleTime", "SampleDuration"))
-        has_gps = [key for key in keys if "GPSLatitude" in documents[key] or "GPSSpeed" in documents[key]]
+        start_s, duration_s = (
+            plain_number(documents[timed].get(name)) for name in ("SampleTime", "SampleDuration")
+        )
+        has_gps = [
+            key for key in keys if "GPSLatitude" in documents[key] or "GPSSpeed" in documents[key]
+        ]
         step_s = duration_s / len(has_gps) if has_gps and math.isfinite(duration_s) else 0.0
         for i, key in enumerate(has_gps):
             own_s = plain_number(documents[key].get("SampleTime"))
@@ -123,12 +157,19 @@ def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document
 def _sample(tags: Mapping[str, Any], time_s: float) -> Sample:
     """A record as a sample; without speed and position if it states that there is no fix."""
     mode, status = plain_number(tags.get("GPSMeasureMode")), str(tags.get("GPSStatus", "A"))
-    latitude_deg, longitude_deg = plain_number(tags.get("GPSLatitude")), plain_number(tags.get("GPSLongitude"))
+    latitude_deg, longitude_deg = (
+        plain_number(tags.get("GPSLatitude")),
+        plain_number(tags.get("GPSLongitude")),
+    )
     date = _DATE.match(str(tags.get("GPSDateTime", "")))
     utc_s = date_s(*(float(part) for part in date.groups())) if date else math.nan
-    is_void = latitude_deg == longitude_deg == 0 or mode < _MIN_MODE or status not in ("A", "Active")
+    is_void = (
+        latitude_deg == longitude_deg == 0 or mode < _MIN_MODE or status not in ("A", "Active")
+    )
     if is_void:
         return Sample(time_s, utc_s)
     factor = MPS_PER_UNIT[_UNITS.get(str(tags.get("GPSSpeedRef", "K"))[:1], "km/h")]
     speed_mps = factor * plain_number(tags.get("GPSSpeed"))
-    return Sample(time_s, utc_s, speed_mps, plain_number(tags.get("GPSTrack")), latitude_deg, longitude_deg)
+    return Sample(
+        time_s, utc_s, speed_mps, plain_number(tags.get("GPSTrack")), latitude_deg, longitude_deg
+    )

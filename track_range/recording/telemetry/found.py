@@ -1,6 +1,8 @@
-"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed order of preference.
+"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed
+order of preference.
 
-    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, VBO, TCX, KML, FIT, 70mai's and
+    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, VBO, TCX, KML, FIT,
+    70mai's and
                               BlackVue's logs
 
 Telemetry that cannot be used is a note, and the next file is tried.
@@ -21,20 +23,31 @@ from track_range.recording.telemetry.containers.blackvue import read_blackvue
 from track_range.recording.telemetry.containers.camm import read_camm
 from track_range.recording.telemetry.containers.gpmf import read_bare_gpmf, read_gpmf
 from track_range.recording.telemetry.containers.ligogps import read_ligogps
-from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, read_at, read_movie
+from track_range.recording.telemetry.containers.mp4_boxes import (
+    MAX_TELEMETRY_BYTES,
+    Movie,
+    read_at,
+    read_movie,
+)
 from track_range.recording.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
 from track_range.recording.telemetry.containers.novatek import read_novatek
 from track_range.recording.telemetry.containers.ros_topics import read_ros_topics
 from track_range.recording.telemetry.containers.tesla import read_tesla
 from track_range.recording.telemetry.containers.text_tracks import read_text_tracks
 from track_range.recording.telemetry.exiftool import read_with_exiftool
-from track_range.recording.telemetry.sidecars.reading import SUFFIXES, kind_of, read_sidecar, sidecar_names
+from track_range.recording.telemetry.sidecars.reading import (
+    SUFFIXES,
+    kind_of,
+    read_sidecar,
+    sidecar_names,
+)
 from track_range.recording.telemetry.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
 
-READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (  # in the order of their use
+# in the order of their use
+READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (
     read_gpmf,
     read_camm,
     read_novatek,
@@ -49,7 +62,8 @@ READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = 
 class FoundTelemetry:
     """Telemetry of a recording."""
 
-    track: TelemetryTrack | None = None  # samples in seconds from the first frame; None = none can be used
+    # samples in seconds from the first frame; None = none can be used
+    track: TelemetryTrack | None = None
     sigma_s: float = 0.0  # standard deviation of their time offset
     notes: tuple[str, ...] = ()  # messages for the user
     files: tuple[Path, ...] = ()  # the files that were read, besides the videos
@@ -59,7 +73,9 @@ Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]  # None = the f
 
 
 def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
-    """Telemetry of a recording from each source that has any, best first; without a track where none can be used."""
+    """Telemetry of a recording from each source that has any, best first; without a track where
+    none can be used.
+    """
     for read in (_inside, _beside):
         telemetry = _of_parts(parts, read)
         if telemetry.track is not None or telemetry.notes:
@@ -67,14 +83,18 @@ def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
 
 
 def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
-    """Telemetry of a file that the user names, for the whole recording; raises TelemetryError if it is unusable."""
+    """Telemetry of a file that the user names, for the whole recording; raises TelemetryError if it
+    is unusable.
+    """
     first = parts[0]
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
     is_sidecar = path.suffix.lower() in SUFFIXES
     track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
-        raise TelemetryError(f"{path}: expected speeds or positions with times, found {kind_of(path) or 'none'}.")
+        raise TelemetryError(
+            f"{path}: expected speeds or positions with times, found {kind_of(path) or 'none'}."
+        )
     track, sigma_s = _checked(track, path, recording)
     check_covered(track.time_s, whole_s, str(path))
     notes = tuple(f"{path.name}: {note}" for note in track.notes)
@@ -87,7 +107,9 @@ def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 
 
 def _in_video(path: Path) -> TelemetryTrack | None:
-    """Telemetry inside a video file, from our readers, else from ExifTool; otherwise the error of our readers."""
+    """Telemetry inside a video file, from our readers, else from ExifTool; otherwise the error of
+    our readers.
+    """
     if (track := read_ros_topics(path)) is not None or not path.is_file():
         return track
     try:
@@ -102,8 +124,9 @@ def _in_video(path: Path) -> TelemetryTrack | None:
 def embedded(path: Path) -> TelemetryTrack | None:
     """Telemetry inside a video file; None = it has none.
 
-    The first reader with a fix is used; without any fix, the first with samples. Damaged parts are left out. A
-    TelemetryError means that the file cannot be read, its telemetry has an unknown layout, or a package is missing.
+    The first reader with a fix is used; without any fix, the first with samples. Damaged parts are
+    left out. A TelemetryError means that the file cannot be read, its telemetry has an unknown
+    layout, or a package is missing.
     """
     with open_regular(path, TelemetryError, "a video") as file, readable(path, TelemetryError):
         start = read_at(file, 0, 1024)
@@ -120,7 +143,8 @@ def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack 
     for read in READERS:
         try:
             telemetry = read(file, movie, path)
-        except (ValueError, IndexError, OverflowError, struct.error):  # damaged in a way that no check foresees
+        # damaged in a way that no check foresees
+        except (ValueError, IndexError, OverflowError, struct.error):
             continue
         except TelemetryError as error:
             problem = problem or error
@@ -134,7 +158,9 @@ def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack 
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
-    """The first usable file beside a video; if there is none, the error of the first unusable file."""
+    """The first usable file beside a video; if there is none, the error of the first unusable
+    file.
+    """
     problem: TelemetryError | None = None
     for name in sidecar_names(part.path.name):
         path = part.path.parent / name
@@ -153,11 +179,15 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 
 
 def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> tuple[TelemetryTrack, float]:
-    """A checked track on the clock of its video, and the sigma of its offset, s; errors name the file."""
+    """A checked track on the clock of its video, and the sigma of its offset, s; errors name the
+    file.
+    """
     try:
         return on_video_clock(usable(track), part)
     except TelemetryError as error:
-        raise TelemetryError(f"{path}: {'' if track.source == path.name else f'{track.source}: '}{error}") from error
+        raise TelemetryError(
+            f"{path}: {'' if track.source == path.name else f'{track.source}: '}{error}"
+        ) from error
 
 
 def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
@@ -183,11 +213,15 @@ def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
     shown = tuple(dict.fromkeys(notes))[:_MAX_NOTES]
     if not tracks:
         return FoundTelemetry(notes=shown)
-    return FoundTelemetry(track=_joined(tracks), sigma_s=max(sigmas_s), notes=shown, files=tuple(files))
+    return FoundTelemetry(
+        track=_joined(tracks), sigma_s=max(sigmas_s), notes=shown, files=tuple(files)
+    )
 
 
 def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
-    """Tracks of successive files as one; where two overlap, the later track begins after the earlier one."""
+    """Tracks of successive files as one; where two overlap, the later track begins after the
+    earlier one.
+    """
     first = tracks[0]
     if len(tracks) == 1:
         return first
@@ -195,7 +229,9 @@ def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
     for track in tracks:
         later.append(track.selected(track.time_s > last_s))
         last_s = max(last_s, float(track.time_s[-1]))
-    columns: dict[str, Any] = {name: np.concatenate([getattr(track, name) for track in later]) for name in COLUMNS}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(track, name) for track in later]) for name in COLUMNS
+    }
     return replace(
         first,
         **columns,

@@ -24,28 +24,41 @@ from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeri
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
-SPAN_S = 30.0  # length of the video measured before a run: three times the largest offset on both sides
+# length of the video measured before a run: three times the largest offset on both sides
+SPAN_S = 30.0
 _STEP_S = 0.095  # shortest time between two images that are compared, s: 10 Hz
 
 _N_PAIRS = 30
-"""Number of pairs of images in the part that is read. With one pair per second, offsets of simulated drives (city,
-seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at most 1.5 times their sigma."""
+"""Number of pairs of images in the part that is read. With one pair per second, offsets of
+simulated drives (city, seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at
+most 1.5 times their sigma."""
 
 _MIN_PAIRS = 20  # for an estimate of the time offset; with fewer key frames, all frames are decoded
 _MAX_GROUP_S = 1.5  # longest time between two key frames with which only pairs are decoded, s
-_MAX_DECODED_PX, _MIN_DECODED = 250e6, 60  # pixels to decode before a run, about 1.5 s; frames that are decoded anyway
-_CLAIMED_MPS, _STANDING_MPS = 3.0, 0.3  # speed that a camera at rest cannot have; largest stated of a car at rest
-_MIN_STILL, _MAX_CONTRADICTED = 10, 0.5  # images at rest (1 s) that can contradict; fraction with a stated motion
-_MOVING_HZ = 0.2  # expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m
+# pixels to decode before a run, about 1.5 s; frames that are decoded anyway
+_MAX_DECODED_PX, _MIN_DECODED = 250e6, 60
+# speed that a camera at rest cannot have; largest stated of a car at rest
+_CLAIMED_MPS, _STANDING_MPS = 3.0, 0.3
+# images at rest (1 s) that can contradict; fraction with a stated motion
+_MIN_STILL, _MAX_CONTRADICTED = 10, 0.5
+# expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m
+_MOVING_HZ = 0.2
 
 
 def motion_of(
-    video: RecordedName, camera: PinholeCamera, *, start_s: float, folder_fps: float, span_s: float = SPAN_S
+    video: RecordedName,
+    camera: PinholeCamera,
+    *,
+    start_s: float,
+    folder_fps: float,
+    span_s: float = SPAN_S,
 ) -> MotionSeries:
-    """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot be read.
+    """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot
+    be read.
 
-    In a file with frequent key frames, only key frames and the frames 0.1 s later are decoded; otherwise all frames
-    are. `camera` is its approximate camera. For large images, less than `span_s` is read (`_MAX_DECODED_PX`).
+    In a file with frequent key frames, only key frames and the frames 0.1 s later are decoded;
+    otherwise all frames are. `camera` is its approximate camera. For large images, less than
+    `span_s` is read (`_MAX_DECODED_PX`).
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
@@ -61,10 +74,15 @@ def motion_of(
                 motion = estimator.update(image, time_s)
                 if motion.is_known:
                     middle_s = time_s - motion.dt_s / 2
-                    rows.append((middle_s, motion.yaw_rad_s, motion.expansion_hz, float(motion.is_still)))
+                    rows.append(
+                        (middle_s, motion.yaw_rad_s, motion.expansion_hz, float(motion.is_still))
+                    )
     values = np.array(rows).reshape(-1, 4)
     return MotionSeries(
-        time_s=values[:, 0], yaw_rad_s=values[:, 1], expansion_hz=values[:, 2], is_still=values[:, 3] > 0
+        time_s=values[:, 0],
+        yaw_rad_s=values[:, 1],
+        expansion_hz=values[:, 2],
+        is_still=values[:, 3] > 0,
     )
 
 
@@ -75,7 +93,11 @@ def _images(
     n_left = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)
     from_s = reader.first_time_s + start_s
     length_s = min(span_s, reader.n_frames / reader.fps if reader.n_frames else span_s)
-    if isinstance(video, Path) and reader.is_upright_file and _key_interval_s(video, from_s) <= length_s / _MIN_PAIRS:
+    if (
+        isinstance(video, Path)
+        and reader.is_upright_file
+        and _key_interval_s(video, from_s) <= length_s / _MIN_PAIRS
+    ):
         for time_s, image in _pairs(video, from_s, from_s + span_s, length_s / _N_PAIRS, n_left):
             if image.shape != (reader.height_px, reader.width_px):
                 return
@@ -90,8 +112,12 @@ def _images(
                 yield time_s, frame.image
 
 
-def _packets(container: InputContainer, from_s: float) -> Generator[tuple[float, Packet[VideoStream]], None, None]:
-    """Times and packets of the first video track from the key frame before `from_s` on, to the first without a time."""
+def _packets(
+    container: InputContainer, from_s: float
+) -> Generator[tuple[float, Packet[VideoStream]], None, None]:
+    """Times and packets of the first video track from the key frame before `from_s` on, to the
+    first without a time.
+    """
     stream = container.streams.video[0]
     base_s = float(stream.time_base or 1)
     if from_s > _MAX_GROUP_S:
@@ -119,7 +145,9 @@ def _key_interval_s(path: Path, from_s: float) -> float:
 def _pairs(
     path: Path, from_s: float, until_s: float, spacing_s: float, n_left: int
 ) -> Generator[tuple[float, Image], None, None]:
-    """Times and grey images of pairs, `spacing_s` or more apart: a key frame, and the first frame `_STEP_S` later."""
+    """Times and grey images of pairs, `spacing_s` or more apart: a key frame, and the first frame
+    `_STEP_S` later.
+    """
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         decoder, base_s = stream.codec_context, float(stream.time_base or 1)
@@ -138,17 +166,35 @@ def _pairs(
                     frames = [frame for one in (*group, None) for frame in decoder.decode(one)]
                     decoder.flush_buffers()
                     n_left, group = n_left - len(frames), []
-                    times_s = [np.nan if frame.pts is None else frame.pts * base_s for frame in frames]
-                    key = next((i for i, time_s in enumerate(times_s) if abs(time_s - key_s) <= TIME_EPSILON_S), None)
-                    later = next((i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None)
+                    times_s = [
+                        np.nan if frame.pts is None else frame.pts * base_s for frame in frames
+                    ]
+                    key = next(
+                        (
+                            i
+                            for i, time_s in enumerate(times_s)
+                            if abs(time_s - key_s) <= TIME_EPSILON_S
+                        ),
+                        None,
+                    )
+                    later = next(
+                        (i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None
+                    )
                     if key is not None and later is not None:
                         for i in (key, later):
-                            yield times_s[i], np.asarray(frames[i].to_ndarray(format="gray"), np.uint8)
+                            yield (
+                                times_s[i],
+                                np.asarray(frames[i].to_ndarray(format="gray"), np.uint8),
+                            )
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
-    """The contradiction of images and speed at all offsets up to `MAX_OFFSET_S`, as the end of a sentence, if any."""
-    claims = np.array([_extremes_mps(ego, time_s) for time_s in motion.time_s.tolist()]).reshape(-1, 2)
+    """The contradiction of images and speed at all offsets up to `MAX_OFFSET_S`, as the end of a
+    sentence, if any.
+    """
+    claims = np.array([_extremes_mps(ego, time_s) for time_s in motion.time_s.tolist()]).reshape(
+        -1, 2
+    )
     known = np.isfinite(claims[:, 0])
     still = motion.is_still & known
     if still.sum() >= _MIN_STILL:
@@ -157,13 +203,19 @@ def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
             claimed_kmh = 3.6 * float(np.median(claims[still, 0][is_false]))
             return f"it states {claimed_kmh:.0f} km/h while the camera is at rest"
     moving = (motion.expansion_hz > _MOVING_HZ) & ~motion.is_still & known
-    if moving.sum() >= _MIN_STILL and (claims[moving, 1] < _STANDING_MPS).mean() > _MAX_CONTRADICTED:
+    if (
+        moving.sum() >= _MIN_STILL
+        and (claims[moving, 1] < _STANDING_MPS).mean() > _MAX_CONTRADICTED
+    ):
         return "it states that the car is at rest while the camera moves"
     return None
 
 
 def _extremes_mps(ego: EgoSpeed, time_s: float) -> tuple[float, float]:
     """Smallest and largest speed within the largest offset of a time; NaN = unknown."""
-    speeds = [abs(ego.at(time_s + offset_s)) for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, 13).tolist()]
+    speeds = [
+        abs(ego.at(time_s + offset_s))
+        for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, 13).tolist()
+    ]
     known = [speed for speed in speeds if np.isfinite(speed)]
     return (min(known), max(known)) if known else (np.nan, np.nan)

@@ -1,4 +1,6 @@
-"""Speed and course from positions, for files that state no speed, and the unit of stated speeds by comparison."""
+"""Speed and course from positions, for files that state no speed, and the unit of stated speeds by
+comparison.
+"""
 
 import math
 from typing import NamedTuple
@@ -9,11 +11,15 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the Earth in metres (IUGG)
-MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}  # a knot is 1852 m per hour
-# Time between positions for a speed: at 1 Hz, noise is 0.3 m/s; in 5 s, the chord of a curve of 10 deg/s is 3 % short.
+# a knot is 1852 m per hour
+MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+# Time between positions for a speed: at 1 Hz, noise is 0.3 m/s; in 5 s, the chord of a curve of 10
+# deg/s is 3 % short.
 _MIN_STEP_S, _MAX_STEP_S = 0.9, 5.0
-_POSITION_SPEED_SIGMA_MPS = 0.5  # standard deviation of such speeds; assumed, with the rounding of times to 0.01 s
-_ROUNDED_SIGMA_MPS = 1.0  # of the part that comes from rounded positions, for which the time between them is chosen
+# standard deviation of such speeds; assumed, with the rounding of times to 0.01 s
+_POSITION_SPEED_SIGMA_MPS = 0.5
+# of the part that comes from rounded positions, for which the time between them is chosen
+_ROUNDED_SIGMA_MPS = 1.0
 MOVING_MPS = 3.0  # speed above which a sample is moving: the noise of positions is small against it
 
 
@@ -24,7 +30,9 @@ def has_position(latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArr
 
 
 def steps_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N - 1, ...) northward and eastward distance from each position to the next, on a sphere, for short steps."""
+    """(N - 1, ...) northward and eastward distance from each position to the next, on a sphere, for
+    short steps.
+    """
     lat_rad, lon_rad = np.radians(latitude_deg), np.radians(longitude_deg)
     east_rad = np.remainder(np.diff(lon_rad, axis=0) + np.pi, 2 * np.pi) - np.pi
     middle_rad = (lat_rad[1:] + lat_rad[:-1]) / 2
@@ -41,7 +49,9 @@ def thinned(time_s: FloatArray, min_step_s: float = _MIN_STEP_S) -> list[int]:
 
 
 def rounding_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> float:
-    """Unit in the last place of positions, m, from decimals of degrees or of minutes; 0 = finer than a centimetre."""
+    """Unit in the last place of positions, m, from decimals of degrees or of minutes; 0 = finer
+    than a centimetre.
+    """
     values = np.concatenate([latitude_deg, longitude_deg])
     for decimals in range(8):
         for parts in (10.0**decimals, 6 * 10.0**decimals):
@@ -61,9 +71,9 @@ def speed_from_positions(
 ) -> TelemetryTrack | None:
     """Telemetry with the speed and course between two positions, at the middle of the step.
 
-    `time_s` (N,) are times by the clock `clock`, `utc_s` (N,) dates and times in seconds since 1970, NaN = unknown.
-    Rounded positions are compared over longer steps, and the standard deviation contains the remaining error of their
-    rounding. None = fewer than two positions.
+    `time_s` (N,) are times by the clock `clock`, `utc_s` (N,) dates and times in seconds since
+    1970, NaN = unknown. Rounded positions are compared over longer steps, and the standard
+    deviation contains the remaining error of their rounding. None = fewer than two positions.
     """
     is_known = has_position(latitude_deg, longitude_deg) & np.isfinite(time_s)
     known = np.flatnonzero(is_known & (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 360))
@@ -85,22 +95,27 @@ def speed_from_positions(
     return TelemetryTrack(
         time_s=(t[start] + t[end]) / 2,
         speed_mps=np.hypot(north_m, east_m) / step_s,
-        course_rad=np.where(np.hypot(north_m, east_m) > 0, np.arctan2(east_m, north_m) % (2 * np.pi), np.nan),
+        course_rad=np.where(
+            np.hypot(north_m, east_m) > 0, np.arctan2(east_m, north_m) % (2 * np.pi), np.nan
+        ),
         latitude_deg=latitude_deg[ends].mean(axis=0),
         longitude_deg=longitude_deg[ends[0]],
         utc_s=utc_s[ends].mean(axis=0),
         source=source,
         clock=clock,
-        speed_sigma_mps=math.hypot(_POSITION_SPEED_SIGMA_MPS, pair_sigma_m / float(np.median(step_s))),
+        speed_sigma_mps=math.hypot(
+            _POSITION_SPEED_SIGMA_MPS, pair_sigma_m / float(np.median(step_s))
+        ),
         has_own_speed=False,
     )
 
 
 def _is_new(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
-    """(N,) whether a position in the order of time is not merely repeated until the next fix, as in tables at 10 Hz.
+    """(N,) whether a position in the order of time is not merely repeated until the next fix, as in
+    tables at 10 Hz.
 
-    Fixes come as often as positions change in the median. A position that is held for longer than two of these times
-    belongs to a car at rest.
+    Fixes come as often as positions change in the median. A position that is held for longer than
+    two of these times belongs to a car at rest.
     """
     changes = np.concatenate([[True], (np.diff(latitude_deg) != 0) | (np.diff(longitude_deg) != 0)])
     if changes.sum() < 3:
@@ -119,8 +134,12 @@ class SpeedRatio(NamedTuple):
     n_moving: int  # number of samples
 
 
-def speed_ratio(positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int) -> SpeedRatio:
-    """Comparison of speeds from positions with (N,) stated speeds, with at least `n_min` samples."""
+def speed_ratio(
+    positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int
+) -> SpeedRatio:
+    """Comparison of speeds from positions with (N,) stated speeds, with at least `n_min`
+    samples.
+    """
     known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))
     if positions is None or not len(known):
         return SpeedRatio(math.nan, math.nan, 0)
@@ -136,7 +155,8 @@ def speed_ratio(positions: TelemetryTrack | None, time_s: FloatArray, stated: Fl
 
 
 def unit_of_ratio(ratio: float, tolerance: float, stated: str = "m/s") -> str | None:
-    """The unit of speeds that are taken as `stated` and are `ratio` times too small; None = no unit fits.
+    """The unit of speeds that are taken as `stated` and are `ratio` times too small; None = no unit
+    fits.
 
     The ratio may differ by the fraction `tolerance`. Units differ by 13 %.
     """

@@ -1,4 +1,6 @@
-"""Sample: one record of a receiver with its date, coordinates and unit of speed, and the track of a list of samples."""
+"""Sample: one record of a receiver with its date, coordinates and unit of speed, and the track of a
+list of samples.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,24 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
+from track_range.recording.telemetry.positions import (
+    MPS_PER_UNIT,
+    speed_from_positions,
+    speed_ratio,
+    unit_of_ratio,
+)
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
-MAX_SAMPLES = 500_000  # largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
+# largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
+MAX_SAMPLES = 500_000
 Unit = Literal["known", "assumed", "unknown"]  # how the unit of a format's speed is documented
-_UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5  # difference to speeds from positions, and moving samples, that confirm a unit
-_PACE_TOLERANCE = 0.1  # largest relative difference between the pace of a track and that of the receiver's clock
+# difference to speeds from positions, and moving samples, that confirm a unit
+_UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5
+# largest relative difference between the pace of a track and that of the receiver's clock
+_PACE_TOLERANCE = 0.1
 _MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry
-_COURSE_AGREEMENT = 0.3  # largest difference to the stated speed at which the course from positions is used
+# largest difference to the stated speed at which the course from positions is used
+_COURSE_AGREEMENT = 0.3
 
 _UNITS = (  # notations, in the order in which they are looked for
     ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),
@@ -33,8 +44,10 @@ _UNITS = (  # notations, in the order in which they are looked for
 class Sample(NamedTuple):
     """One record of a receiver; NaN = not stated, or no fix."""
 
-    time_s: float = math.nan  # seconds from the first frame, or since 1970 where the file has no other time
-    utc_s: float = math.nan  # receiver's date and time, seconds since 1970; local where the format states local time
+    # seconds from the first frame, or since 1970 where the file has no other time
+    time_s: float = math.nan
+    # receiver's date and time, seconds since 1970; local where the format states local time
+    utc_s: float = math.nan
     speed_mps: float = math.nan  # horizontal speed
     course_deg: float = math.nan  # clockwise from north
     latitude_deg: float = math.nan
@@ -45,8 +58,12 @@ class Sample(NamedTuple):
         return self._replace(time_s=time_s)
 
 
-def plain_track(samples: Sequence[Sample] | FloatArray, source: str, clock: Clock, **given: Any) -> TelemetryTrack:
-    """Telemetry of samples, or of (N, 6) rows of their fields, as they are; `given`: other attributes of the track."""
+def plain_track(
+    samples: Sequence[Sample] | FloatArray, source: str, clock: Clock, **given: Any
+) -> TelemetryTrack:
+    """Telemetry of samples, or of (N, 6) rows of their fields, as they are; `given`: other
+    attributes of the track.
+    """
     rows = np.array(samples, np.float64).reshape(-1, 6)
     names = ("time_s", "utc_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg")
     columns: dict[str, Any] = dict(zip(names, rows.T.copy(), strict=True))
@@ -64,10 +81,12 @@ def track(
     notes: tuple[str, ...] = (),
     **given: Any,
 ) -> TelemetryTrack | None:
-    """Telemetry of samples; None = no sample has a time, or no two have the positions that are needed.
+    """Telemetry of samples; None = no sample has a time, or no two have the positions that are
+    needed.
 
-    Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN. Without a stated speed,
-    `speed_mps` is derived from the positions; `unit`: see `in_known_unit`; `given`: other attributes of the track.
+    Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN.
+    Without a stated speed, `speed_mps` is derived from the positions; `unit`: see `in_known_unit`;
+    `given`: other attributes of the track.
     """
     samples, unit_notes = in_known_unit(samples, unit)
     notes = (*notes, *unit_notes)
@@ -80,7 +99,9 @@ def track(
     is_wild = (np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)
     latitude_deg[is_wild] = longitude_deg[is_wild] = np.nan
     if not has_own_speed:
-        derived = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=source, clock=clock)
+        derived = speed_from_positions(
+            time_s, latitude_deg, longitude_deg, utc_s, source=source, clock=clock
+        )
         return replace(derived, notes=notes) if derived else None
     speed_mps[speed_mps < 0] = np.nan
     if not np.isfinite(course_deg).any():
@@ -90,7 +111,9 @@ def track(
 
 
 def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
-    """Samples of a track without video, scaled to the receiver's clock if the paces differ by more than 10 %."""
+    """Samples of a track without video, scaled to the receiver's clock if the paces differ by more
+    than 10 %.
+    """
     known = [sample for sample in samples if math.isfinite(sample.utc_s)]
     if len(known) < 2 or known[-1].time_s <= known[0].time_s:
         return list(samples)
@@ -102,7 +125,9 @@ def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def has_plausible_positions(samples: Sequence[Sample]) -> bool:
-    """Whether positions are on the Earth and nine tenths of the speeds between them are possible for a vehicle."""
+    """Whether positions are on the Earth and nine tenths of the speeds between them are possible
+    for a vehicle.
+    """
     rows = np.array(samples, np.float64).reshape(-1, 6)[:, [0, 4, 5]]
     time_s, latitude_deg, longitude_deg = rows[np.isfinite(rows).all(axis=1)].T
     if ((np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)).any():
@@ -112,10 +137,14 @@ def has_plausible_positions(samples: Sequence[Sample]) -> bool:
 
 
 def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], tuple[str, ...]]:
-    """Samples, read as km/h, in the unit that positions confirm, and notes; NaN speeds if it stays unknown."""
+    """Samples, read as km/h, in the unit that positions confirm, and notes; NaN speeds if it stays
+    unknown.
+    """
     if unit == "known":
         return list(samples), ()
-    time_s, _, speed_mps, _, latitude_deg, longitude_deg = np.array(samples, np.float64).reshape(-1, 6).T
+    time_s, _, speed_mps, _, latitude_deg, longitude_deg = (
+        np.array(samples, np.float64).reshape(-1, 6).T
+    )
     moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
     ratio = speed_ratio(moved, time_s, speed_mps, _MIN_MOVING).median
     confirmed = None if math.isnan(ratio) else unit_of_ratio(ratio, _UNIT_TOLERANCE, "km/h")
@@ -125,26 +154,41 @@ def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], 
     if unit == "assumed":
         return list(samples), ("The unit of the speed is not documented; km/h is assumed.",)
     without = [sample._replace(speed_mps=math.nan) for sample in samples]
-    return without, ("The unit of the speed is unknown, and the positions are encrypted; the speed is not used.",)
+    return without, (
+        "The unit of the speed is unknown, and the positions are encrypted; the speed is not used.",
+    )
 
 
 def _course_from_positions(
     time_s: FloatArray, speed_mps: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
 ) -> FloatArray:
-    """(N,) course in degrees from the positions where they agree with the stated speed; NaN elsewhere."""
+    """(N,) course in degrees from the positions where they agree with the stated speed; NaN
+    elsewhere.
+    """
     course_deg = np.full(len(time_s), np.nan)
     moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
-    if moved is None or (np.diff(moved.time_s) <= 0).any() or not np.isfinite(moved.course_rad).any():
+    if (
+        moved is None
+        or (np.diff(moved.time_s) <= 0).any()
+        or not np.isfinite(moved.course_rad).any()
+    ):
         return course_deg
     is_known = np.isfinite(moved.course_rad)
-    east, north = (np.interp(time_s, moved.time_s[is_known], f(moved.course_rad[is_known])) for f in (np.sin, np.cos))
+    east, north = (
+        np.interp(time_s, moved.time_s[is_known], f(moved.course_rad[is_known]))
+        for f in (np.sin, np.cos)
+    )
     speed_of_positions = np.interp(time_s, moved.time_s, moved.speed_mps)
-    agrees = (speed_mps > 1) & (np.abs(speed_of_positions - speed_mps) < np.maximum(1, _COURSE_AGREEMENT * speed_mps))
+    agrees = (speed_mps > 1) & (
+        np.abs(speed_of_positions - speed_mps) < np.maximum(1, _COURSE_AGREEMENT * speed_mps)
+    )
     course_deg[agrees] = np.degrees(np.arctan2(east, north))[agrees]
     return course_deg
 
 
-def date_s(year: float, month: float, day: float, hour: float, minute: float, second: float) -> float:
+def date_s(
+    year: float, month: float, day: float, hour: float, minute: float, second: float
+) -> float:
     """Seconds since 1970 of a date and time; NaN = invalid. Years below 100 count from 2000."""
     try:
         date = int(year) + 2000 if year < 100 else int(year), int(month), int(day)
@@ -155,7 +199,9 @@ def date_s(year: float, month: float, day: float, hour: float, minute: float, se
 
 
 def degrees(ddmm: float, hemisphere: str = "") -> float:
-    """Decimal degrees of a coordinate in degrees and minutes (DDMM.MMMM), negative in the south and west."""
+    """Decimal degrees of a coordinate in degrees and minutes (DDMM.MMMM), negative in the south and
+    west.
+    """
     if not math.isfinite(ddmm):
         return math.nan
     whole = math.trunc(ddmm / 100)

@@ -23,7 +23,12 @@ from track_range.recording.recording import Recording
 from track_range.recording.telemetry.checks import with_unit
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
-from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, SPEED_TABLE_SUFFIXES, SUFFIXES, TABLE_NAME
+from track_range.recording.telemetry.sidecars.reading import (
+    OXTS_NAME,
+    SPEED_TABLE_SUFFIXES,
+    SUFFIXES,
+    TABLE_NAME,
+)
 from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
@@ -31,7 +36,8 @@ from track_range.recording.telemetry.video_clock import check_covered
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
 _MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run
-_TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})  # of a CSV with times of the video
+# of a CSV with times of the video
+_TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,16 +48,22 @@ class SpeedSource:
     notes: tuple[str, ...] = ()  # messages for the user
     origin: str = ""  # sentence on a source that was found; "" = it was given, or there is none
     files: tuple[Path, ...] = ()  # the files that were read, besides the videos
-    offset: TimeOffset | None = None  # that of the telemetry, estimated from the images; None = not estimated
-    track: TelemetryTrack | None = None  # telemetry on the clock of the recording; None = the speed has another source
+    # that of the telemetry, estimated from the images; None = not estimated
+    offset: TimeOffset | None = None
+    # telemetry on the clock of the recording; None = the speed has another source
+    track: TelemetryTrack | None = None
 
     def note(self, last_s: float) -> str:
-        """Origin, and part of the video with a known speed; `last_s`: time of the last frame; "" = no note."""
+        """Origin, and part of the video with a known speed; `last_s`: time of the last frame; "" =
+        no note.
+        """
         part = None if self.ego is None else self.ego.note(last_s, self.origin and "The speed")
         return " ".join(filter(None, (self.origin, part)))
 
     def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
-        """Section `ego_speed` of summary.json from (N,) speeds and the odometry, if any; None = unknown speed."""
+        """Section `ego_speed` of summary.json from (N,) speeds and the odometry, if any; None =
+        unknown speed.
+        """
         if self.ego is None and odometry is None:
             return None
         known = ego_mps[np.isfinite(ego_mps)]
@@ -73,10 +85,11 @@ def open_speed(
     duration_s: float | None = None,
     folder_fps: float = 10.0,
 ) -> SpeedSource:
-    """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or folder.
+    """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or
+    folder.
 
-    The motion of the images is measured in the part of the run from `start_s` after the first frame on. Raises
-    EgoSpeedError or TelemetryError if the number or the named file cannot be used.
+    The motion of the images is measured in the part of the run from `start_s` after the first frame
+    on. Raises EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
     if setting == OFF:
         return SpeedSource()
@@ -90,7 +103,9 @@ def open_speed(
             return _NO_MOTION
         span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
         video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)
-        series = motion_of(video, recording.camera, start_s=start_s - part_s, folder_fps=folder_fps, span_s=span_s)
+        series = motion_of(
+            video, recording.camera, start_s=start_s - part_s, folder_fps=folder_fps, span_s=span_s
+        )
         return replace(series, time_s=series.time_s + part_s)
 
     if setting != AUTO:
@@ -101,8 +116,12 @@ def open_speed(
     return source if source.ego is not None else _automatic(parts, motion, source.notes)
 
 
-def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple[Path, float] | None:
-    """The file that covers most of the part from `start_s` on, and its start; None = no file covers it."""
+def _file_at(
+    parts: Sequence[VideoPart], start_s: float, span_s: float
+) -> tuple[Path, float] | None:
+    """The file that covers most of the part from `start_s` on, and its start; None = no file covers
+    it.
+    """
     for part in parts if len(parts) > 1 else ():
         if part.start_s <= start_s and start_s + span_s / 2 <= part.start_s + part.duration_s:
             return part.path, part.start_s
@@ -110,11 +129,16 @@ def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple
 
 
 _NO_MOTION = MotionSeries(
-    time_s=np.empty(0), yaw_rad_s=np.empty(0), expansion_hz=np.empty(0), is_still=np.empty(0, np.bool_)
+    time_s=np.empty(0),
+    yaw_rad_s=np.empty(0),
+    expansion_hz=np.empty(0),
+    is_still=np.empty(0, np.bool_),
 )
 
 
-def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]) -> SpeedSource:
+def _named(
+    setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]
+) -> SpeedSource:
     path = Path(setting)
     if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
         ego, notes = _checked(open_ego_speed(setting), parts)
@@ -126,7 +150,9 @@ def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], Motion
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file is a CSV with times of the video, or a CSV without telemetry, whose error names these columns."""
+    """Whether a file is a CSV with times of the video, or a CSV without telemetry, whose error
+    names these columns.
+    """
     if path.suffix.lower() in SUFFIXES and path.suffix.lower() not in SPEED_TABLE_SUFFIXES:
         return False
     is_csv = path.suffix.lower() in (".csv", ".tsv")
@@ -134,7 +160,9 @@ def _is_table(path: Path) -> bool:
         cells = re.split("[,;\t]", first_line(path, EgoSpeedError, "CSV"))
     except EgoSpeedError:
         return is_csv or not path.suffix
-    is_named = any(columns <= {cell.strip().lower() for cell in cells} for columns in _TABLE_COLUMNS)
+    is_named = any(
+        columns <= {cell.strip().lower() for cell in cells} for columns in _TABLE_COLUMNS
+    )
     if not is_csv:
         return is_named
     table = read_csv_table(path, EgoSpeedError, "columns of times and speeds")
@@ -142,10 +170,13 @@ def _is_table(path: Path) -> bool:
 
 
 def _table_beside(part: VideoPart) -> SpeedSource:
-    """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording, or in a folder of images."""
+    """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording, or in a
+    folder of images.
+    """
     video, notes = part.path, list[str]()
     folders = [video, video.parent] if video.is_dir() else [video.parent]
-    if video.is_dir() and video.name == "data":  # KITTI's raw recordings: image_02/data, and oxts beside image_02
+    # KITTI's raw recordings: image_02/data, and oxts beside image_02
+    if video.is_dir() and video.name == "data":
         folders.append(video.parent.parent)
     for path in (folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME)):
         if path.exists():
@@ -154,13 +185,17 @@ def _table_beside(part: VideoPart) -> SpeedSource:
             except (EgoSpeedError, TelemetryError) as error:
                 notes.append(f"Telemetry is not used: {error}")
                 continue
-            origin = f"The ego speed comes from {path.name} beside the video; --ego-speed off ignores this file."
+            origin = (
+                f"The ego speed comes from {path.name} beside the video; --ego-speed off ignores "
+                "this file."
+            )
             return SpeedSource(ego=ego, notes=(*notes, *checked), origin=origin, files=(path,))
     return SpeedSource(notes=tuple(notes))
 
 
 def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple[str, ...]]:
-    """A speed in the unit that its positions show, and notes; raises TelemetryError if they contradict it.
+    """A speed in the unit that its positions show, and notes; raises TelemetryError if they
+    contradict it.
 
     It also raises TelemetryError if the samples cover less than a tenth of the video.
     """
@@ -187,7 +222,9 @@ def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple
     return replace(ego, speed_mps=speed_mps, speed_sigma_mps=track.speed_sigma_mps), notes
 
 
-def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]) -> SpeedSource:
+def _automatic(
+    parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]
+) -> SpeedSource:
     """Ego speed from the telemetry inside or beside the video files; notes on unusable files."""
     measured: MotionSeries | None = None
     for telemetry in candidates(parts):
@@ -202,14 +239,19 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
                 offset_s, sigma_s = source.offset.offset_s, source.offset.sigma_s
                 late = "late" if offset_s >= 0 else "early"
                 shift = f", {abs(offset_s):.2f} +- {sigma_s:.2f} s {late} and corrected"
-            origin = f"The ego speed comes from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
+            origin = (
+                f"The ego speed comes from {telemetry.track.source}{shift}; --ego-speed off "
+                "ignores this source."
+            )
             return replace(source, notes=notes, origin=origin)
         notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)
 
 
 def _with_images(telemetry: FoundTelemetry, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
-    """Ego speed with the time offset that the images show, and the contradiction that they show, if any."""
+    """Ego speed with the time offset that the images show, and the contradiction that they show, if
+    any.
+    """
     track = telemetry.track
     if track is None:
         return SpeedSource(notes=telemetry.notes), None
@@ -218,6 +260,10 @@ def _with_images(telemetry: FoundTelemetry, motion: MotionSeries) -> tuple[Speed
     sigma_s = telemetry.sigma_s
     if offset is not None and offset.is_certain:
         sigma_s, track = offset.sigma_s, replace(track, time_s=track.time_s - offset.offset_s)
-    ego = EgoSpeed(track.time_s[known], track.speed_mps[known], track.source, track.speed_sigma_mps, sigma_s)
-    source = SpeedSource(ego=ego, notes=telemetry.notes, files=telemetry.files, offset=offset, track=track)
+    ego = EgoSpeed(
+        track.time_s[known], track.speed_mps[known], track.source, track.speed_sigma_mps, sigma_s
+    )
+    source = SpeedSource(
+        ego=ego, notes=telemetry.notes, files=telemetry.files, offset=offset, track=track
+    )
     return source, contradiction(motion, ego)

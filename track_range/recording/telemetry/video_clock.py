@@ -22,42 +22,69 @@ ZONES_H = (  # differences between local times and UTC in use, hours
     *(-9.5, -3.5, -2.5, 3.5, 4.5, 5.5, 5.75, 6.5, 8.75, 9.5, 10.5, 12.75, 13.75),
 )
 
-_VIDEO_SIGMA_S = 0.5  # standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
-_CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks that state whole seconds, s
-_MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.world.ego_speed`
+# standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
+_VIDEO_SIGMA_S = 0.5
+# standard deviation of the difference between two clocks that state whole seconds, s
+_CLOCK_SIGMA_S = 1.0
+# longest interval between samples that covers a video, as in `ranging.world.ego_speed`
+_MAX_GAP_S = 3.0
 _MIN_NAMED = 0.1  # smallest fraction of a video that telemetry which the user names must cover
 _MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
-_START_S = 5.0  # largest difference in s between the starts of a video and of telemetry that was recorded with it
-_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05  # largest difference of equal lengths, and fraction of the length
+# largest difference in s between the starts of a video and of telemetry that was recorded with it
+_START_S = 5.0
+# largest difference of equal lengths, and fraction of the length
+_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05
 
 
 def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTrack, float]:
-    """A track in the order of time with the times of a video, and the standard deviation of its offset in s.
+    """A track in the order of time with the times of a video, and the standard deviation of its
+    offset in s.
 
-    `start_s` of the video file is not used. A TelemetryError means that the times do not fit the video, or cannot be
-    matched.
+    `start_s` of the video file is not used. A TelemetryError means that the times do not fit the
+    video, or cannot be matched.
     """
     if track.clock == "video":
         return track, _VIDEO_SIGMA_S
     if part.utc is None:
         length_s = float(track.time_s[-1] - track.time_s[0])
         tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
-        if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
+        if (
+            not part.duration_s
+            or not math.isfinite(length_s)
+            or abs(length_s - part.duration_s) > tolerance_s
+        ):
             raise TelemetryError(
-                "the video states no date and time that could be matched with its times; give the time of the first "
-                "frame with --start-utc."
+                "the video states no date and time that could be matched with its times; give the "
+                "time of the first frame with --start-utc."
             )
-        note = "the video states no date and time; it is as long as the telemetry, so both are taken to start together."
-        shifted = replace(track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note))
+        note = (
+            "the video states no date and time; it is as long as the telemetry, so both are taken "
+            "to start together."
+        )
+        shifted = replace(
+            track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note)
+        )
         return shifted, _CLOCK_SIGMA_S
     if track.time_s[-1] < 2 * DAY_S:  # times of the day, without a date
         days = round((part.utc.start_s - float(track.time_s[0])) / DAY_S)
         track = replace(track, time_s=track.time_s + days * DAY_S)
     starts_s = [part.utc.start_s]
-    is_local, uncertainty_s = track.clock == "local" or part.utc.is_local, part.utc.uncertainty_s or 0.0
-    if not part.utc.is_local and part.duration_s > 0 and uncertainty_s > max(2.0, 0.5 * part.duration_s):
-        starts_s.append(part.utc.start_s - part.duration_s)  # some recorders state the end without saying so
-    fits = [(0.0, start_s) for start_s in starts_s if covered(track.time_s - start_s, part.duration_s) > 0]
+    is_local, uncertainty_s = (
+        track.clock == "local" or part.utc.is_local,
+        part.utc.uncertainty_s or 0.0,
+    )
+    if (
+        not part.utc.is_local
+        and part.duration_s > 0
+        and uncertainty_s > max(2.0, 0.5 * part.duration_s)
+    ):
+        # some recorders state the end without saying so
+        starts_s.append(part.utc.start_s - part.duration_s)
+    fits = [
+        (0.0, start_s)
+        for start_s in starts_s
+        if covered(track.time_s - start_s, part.duration_s) > 0
+    ]
     if is_local or not (fits or part.utc.is_stated):
         fits = [
             (zone_s, start_s)
@@ -66,30 +93,42 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
             if covered(track.time_s + zone_s - start_s, part.duration_s) >= _MIN_COVERED
         ]
     if not fits:
-        zones = [3600.0 * h for h in ZONES_H if covered(track.time_s + 3600.0 * h - starts_s[0], part.duration_s) > 0]
+        zones = [
+            3600.0 * h
+            for h in ZONES_H
+            if covered(track.time_s + 3600.0 * h - starts_s[0], part.duration_s) > 0
+        ]
         advice = (
             ": another day, or another drive."
             if not zones
-            else (f"; if the time of the video is local, give --start-utc as {_text(starts_s[0] - zones[0])}.")
+            else (
+                "; if the time of the video is local, give --start-utc as "
+                f"{_text(starts_s[0] - zones[0])}."
+            )
         )
         raise TelemetryError(
-            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, do not overlap the "
-            f"video, which starts {_text(part.utc.start_s)}{advice}"
+            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, do "
+            f"not overlap the video, which starts {_text(part.utc.start_s)}{advice}"
         )
     together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
     if len(together or fits) > 1:
         raise TelemetryError(
-            "the start of the video is not known well enough to match the times; give the time of the first frame "
-            "with --start-utc."
+            "the start of the video is not known well enough to match the times; give the time of "
+            "the first frame with --start-utc."
         )
     zone_s, start_s = (together or fits)[0]
-    note = f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h are added."
+    note = (
+        f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h are added."
+    )
     notes = (*track.notes, note) if zone_s and not is_local else track.notes
-    return replace(track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes), _CLOCK_SIGMA_S
+    return replace(
+        track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes
+    ), _CLOCK_SIGMA_S
 
 
 def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:
-    """Raise TelemetryError, which names the source, if samples that the user names do not belong to the video.
+    """Raise TelemetryError, which names the source, if samples that the user names do not belong to
+    the video.
 
     They must cover a tenth of its length, 0 = unknown; (N,) times in s from its first frame.
     """
@@ -97,17 +136,22 @@ def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:
     fraction = max(overlap_s, 0.0) / length_s if length_s else 1.0
     if fraction < _MIN_NAMED:
         raise TelemetryError(
-            f"{source}: expected the times of the video, 0 to {length_s:.1f} s, found {time_s[0]:.1f} to "
-            f"{time_s[-1]:.1f} s, which cover {fraction:.0%} of the video; give the file of this drive, or --start-utc."
+            f"{source}: expected the times of the video, 0 to {length_s:.1f} s, found "
+            f"{time_s[0]:.1f} to {time_s[-1]:.1f} s, which cover {fraction:.0%} of the video; give "
+            "the file of this drive, or --start-utc."
         )
 
 
 def covered(time_s: FloatArray, duration_s: float) -> float:
-    """Fraction of a video of this length that (N,) samples in the order of time cover, s from its first frame."""
+    """Fraction of a video of this length that (N,) samples in the order of time cover, s from its
+    first frame.
+    """
     end_s = max(duration_s, 1.0)
     inner = np.concatenate([[0.0], time_s[(time_s > 0) & (time_s < end_s)], [end_s]])
     before = bool((time_s <= 0).any()) and -float(time_s[time_s <= 0].max()) <= _MAX_GAP_S
-    after = bool((time_s >= end_s).any()) and float(time_s[time_s >= end_s].min()) - end_s <= _MAX_GAP_S
+    after = (
+        bool((time_s >= end_s).any()) and float(time_s[time_s >= end_s].min()) - end_s <= _MAX_GAP_S
+    )
     gaps_s = np.diff(inner)
     is_covered = gaps_s <= _MAX_GAP_S
     if len(inner) == 2:

@@ -1,4 +1,6 @@
-"""Event: something that happened on a drive; the settings of its detection, and the name of its clip."""
+"""Event: something that happened on a drive; the settings of its detection, and the name of its
+clip.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +10,16 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 EventKind = Literal[
-    "forward_collision", "close_following", "hard_approach", "cut_in", "pedestrian_on_path", "near_miss"
+    "forward_collision",
+    "close_following",
+    "hard_approach",
+    "cut_in",
+    "pedestrian_on_path",
+    "near_miss",
 ]
 
-EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)  # kinds of events, in the order of the documentation
+# kinds of events, in the order of the documentation
+EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 WARNING_KINDS: tuple[EventKind, ...] = ("forward_collision", "cut_in", "pedestrian_on_path")
 """Kinds of events that can contain a collision warning."""
@@ -23,7 +31,9 @@ _CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.AS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or none."""
+    """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or
+    none.
+    """
 
     kind: EventKind  # one of `EVENT_KINDS`
     start_s: float  # time at which it started
@@ -41,7 +51,8 @@ class Event:
     probability: float  # largest probability of contact, 0..1
     reason: str  # what happened in one sentence
     headway_s: float  # smallest headway, gap / ego speed
-    scale_in_doubt: int = 0  # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
+    # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
+    scale_in_doubt: int = 0
     gap_m: float = math.nan  # smallest distance from the front of the ego vehicle
     drac_mps2: float = math.nan  # largest required deceleration
     mdrac_mps2: float = math.nan  # the same after the reaction time
@@ -55,9 +66,18 @@ class Event:
     peak_probability: float = math.nan
 
 
-EVENT_COLUMNS = (  # of events.csv, in order; `class` is `Event.class_name`, the others are its attributes
+# of events.csv, in order; `class` is `Event.class_name`, the others are its attributes
+EVENT_COLUMNS = (
     *("kind", "start_s", "peak_s", "end_s", "warning_s", "frame", "track_id", "class"),
-    *("min_distance_m", "min_distance_sigma_m", "min_ttc_s", "closing_mps", "ego_mps", "probability", "reason"),
+    *(
+        "min_distance_m",
+        "min_distance_sigma_m",
+        "min_ttc_s",
+        "closing_mps",
+        "ego_mps",
+        "probability",
+        "reason",
+    ),
     "headway_s",
     "scale_in_doubt",
     *("gap_m", "drac_mps2", "mdrac_mps2", "tet_s", "tit_s2", "pet_s"),
@@ -69,24 +89,29 @@ EVENT_COLUMNS = (  # of events.csv, in order; `class` is `Event.class_name`, the
 class EventSettings:
     """Thresholds of the events; definitions, not fitted."""
 
-    max_gap_s: float = 1.0  # longest interruption of an event; tracks of one object with a shorter gap are merged
+    # longest interruption of an event; tracks of one object with a shorter gap are merged
+    max_gap_s: float = 1.0
     close_headway_s: float = 1.0  # headway below which following is close
     min_following_s: float = 1.0  # shortest duration of close following
-    min_ego_mps: float = 5.0  # smallest ego speed of close following and cut-ins; below, traffic is dense
+    # smallest ego speed of close following and cut-ins; below, traffic is dense
+    min_ego_mps: float = 5.0
     cut_in_headway_s: float = 1.0  # headway below which a vehicle that enters the ego path cuts in
     cut_in_s: float = 4.0  # time after which a vehicle that has entered the path no longer cuts in
-    hard_approach_mps2: float = 4.0  # deceleration needed to avoid a contact above which an approach is hard
-    min_critical_s: float = 0.2  # shortest hard approach or near miss; shorter ones are errors of single frames
+    # deceleration needed to avoid a contact above which an approach is hard
+    hard_approach_mps2: float = 4.0
+    # shortest hard approach or near miss; shorter ones are errors of single frames
+    min_critical_s: float = 0.2
     near_miss_ttc_s: float = 1.0  # time to collision below which an avoided contact is a near miss
     near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
-    near_miss_gap_m: float = 0.5  # smallest gap that is left after a near miss; a smaller one may be a contact
+    # smallest gap that is left after a near miss; a smaller one may be a contact
+    near_miss_gap_m: float = 0.5
 
 
 def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
     """Sort key of events, the most severe first.
 
-    Events with a collision warning come first; then the larger probability of contact, the shorter time to
-    collision, the smaller distance, and the earlier peak. Unknown values come last.
+    Events with a collision warning come first; then the larger probability of contact, the shorter
+    time to collision, the smaller distance, and the earlier peak. Unknown values come last.
     """
     return (
         math.isnan(event.warning_s),
@@ -98,7 +123,9 @@ def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
 
 
 def clip_name(number: int, kind: str, track_id: int) -> str:
-    """File name of the clip of the event in row `number` of events.csv, counted from 1: "02-cut_in-17.mp4"."""
+    """File name of the clip of the event in row `number` of events.csv, counted from 1:
+    "02-cut_in-17.mp4".
+    """
     return f"{number:02}-{kind}-{track_id}.mp4"
 
 

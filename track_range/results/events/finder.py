@@ -1,9 +1,10 @@
 """EventFinder: finds the events of a drive, frame by frame.
 
-An event of a kind lasts while its condition (`Conditions`) holds for a track, with interruptions of up to
-`EventSettings.max_gap_s`. A new track that continues an event at the same place, after the tracker lost the first one,
-belongs to the same event. One alarm is one event: `pedestrian_on_path` for a person, `cut_in` for a vehicle that has
-just cut in, else `forward_collision`; a hard approach during an alarm is part of it.
+An event of a kind lasts while its condition (`Conditions`) holds for a track, with interruptions of
+up to `EventSettings.max_gap_s`. A new track that continues an event at the same place, after the
+tracker lost the first one, belongs to the same event. One alarm is one event: `pedestrian_on_path`
+for a person, `cut_in` for a vehicle that has just cut in, else `forward_collision`; a hard approach
+during an alarm is part of it.
 """
 
 from __future__ import annotations
@@ -29,22 +30,27 @@ from track_range.ranging.warning.safety import (
 from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 
-_NEAR_M, _NEAR_FRACTION = 2.0, 0.15  # largest difference of two tracks of one object: m, plus a fraction
+# largest difference of two tracks of one object: m, plus a fraction
+_NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
 _SITUATION = ("distance_m", "sigma_m", "closing_mps", "probability", "apart_m")
 _MEASURES = ("gap_m", "ttc_front_s", "headway_s", "drac_mps2", "mdrac_mps2")
 _SMALLEST = ("gap_m", "ttc_front_s", "headway_s")
 _LARGEST = ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
 _PATH_S = 30.0  # time for which positions of tracks are kept, s
-_MARGIN_M = 0.3  # distance from the edge of the ego path at which an object is clearly in it or beside it, m
+# distance from the edge of the ego path at which an object is clearly in it or beside it, m
+_MARGIN_M = 0.3
 _PERSON = ROAD_CLASSES.index("person")
-_IS_VEHICLE = np.array([name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES])
+_IS_VEHICLE = np.array(
+    [name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES]
+)
 
 _MIN_ALONG_MPS = 2.0  # of a vehicle that moves in the direction of the ego vehicle
 _MAX_CUT_IN_M = 40.0  # farther away, the lateral position is too uncertain
 _MIN_CLOSING_MPS = 2.0  # of a hard approach; below, a touch at walking speed
 _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
-_MAX_BRAKING_MPS2 = 15.0  # of a hard approach, more than tyres allow; above, it was a contact, or wrong
+# of a hard approach, more than tyres allow; above, it was a contact, or wrong
+_MAX_BRAKING_MPS2 = 15.0
 
 
 Place = tuple[float, float, float]  # time in s, x and y in m in the frame `map`
@@ -58,7 +64,8 @@ class Situation:
     sigma_m: FloatArray
     closing_mps: FloatArray
     offset_m: FloatArray  # lateral, from the ego path
-    apart_m: FloatArray  # between the edges of object and ego path, negative = the object is in the path
+    # between the edges of object and ego path, negative = the object is in the path
+    apart_m: FloatArray
     probability: FloatArray  # of contact
     safety: SafetyMeasures
 
@@ -86,11 +93,16 @@ class Situation:
             warnings=warnings,
         )
         apart = apart_m(offset_m, class_id)
-        return cls(distance_m, sigma_m, result.closing_mps, offset_m, apart, warnings.probability, safety)
+        return cls(
+            distance_m, sigma_m, result.closing_mps, offset_m, apart, warnings.probability, safety
+        )
 
     def values(self, row: int, names: Iterable[str]) -> dict[str, float]:
         """Values of a track, of the situation and of its `SafetyMeasures`, by name."""
-        return {name: float(getattr(self.safety if name in _MEASURES else self, name)[row]) for name in names}
+        return {
+            name: float(getattr(self.safety if name in _MEASURES else self, name)[row])
+            for name in names
+        }
 
 
 class Conditions:
@@ -98,7 +110,8 @@ class Conditions:
 
     def __init__(self, settings: EventSettings) -> None:
         self._settings = settings
-        self._tracks = TrackState(np.full(3, np.nan))  # last time beside the path, time of entry, last time seen
+        # last time beside the path, time of entry, last time seen
+        self._tracks = TrackState(np.full(3, np.nan))
 
     def update(self, result: FrameResult, now: Situation) -> Mapping[EventKind, BoolArray]:
         """(N,) whether each track meets the condition of a kind, by kind."""
@@ -109,27 +122,41 @@ class Conditions:
         beside_s = np.where(apart_m > _MARGIN_M, time_s, beside_s)
         is_in_path = apart_m < -_MARGIN_M
         is_vehicle = _IS_VEHICLE[classes]
-        is_along = is_vehicle & (ego_mps - now.closing_mps > _MIN_ALONG_MPS)  # False without ego speed
-        came = is_along & (time_s - beside_s <= settings.cut_in_s) & (now.distance_m < _MAX_CUT_IN_M)
+        # False without ego speed
+        is_along = is_vehicle & (ego_mps - now.closing_mps > _MIN_ALONG_MPS)
+        came = (
+            is_along & (time_s - beside_s <= settings.cut_in_s) & (now.distance_m < _MAX_CUT_IN_M)
+        )
         enters = came & is_in_path & ~(beside_s <= entered_s)
         entered_s = np.where(enters, time_s, entered_s)
         is_recent = time_s - self._tracks.known[2] <= settings.cut_in_s
         state = np.stack([beside_s, entered_s, np.full(len(beside_s), time_s)])
         self._tracks.put(result.tracks.track_id, state, keep_known=is_recent)
 
-        active = np.zeros(len(classes), np.bool_) if result.warnings is None else result.warnings.active
+        active = (
+            np.zeros(len(classes), np.bool_) if result.warnings is None else result.warnings.active
+        )
         has_cut_in = came & (time_s - entered_s <= settings.cut_in_s)
         cuts_in = active & (came & (apart_m > -_MARGIN_M) | has_cut_in)
         is_fast = ego_mps >= settings.min_ego_mps
-        is_close = is_along & is_in_path & is_fast & (now.safety.headway_s < settings.close_headway_s)
+        is_close = (
+            is_along & is_in_path & is_fast & (now.safety.headway_s < settings.close_headway_s)
+        )
         own_mps = np.nan_to_num(ego_mps) - now.closing_mps
-        is_critical = (now.probability >= settings.near_miss_probability) & (np.abs(own_mps) < _MAX_SPEED_MPS)
+        is_critical = (now.probability >= settings.near_miss_probability) & (
+            np.abs(own_mps) < _MAX_SPEED_MPS
+        )
         is_oncoming = own_mps < (-_MIN_ALONG_MPS if math.isfinite(ego_mps) else -math.inf)
         return {
             "forward_collision": active & (classes != _PERSON) & ~cuts_in,
             "pedestrian_on_path": active & (classes == _PERSON),
             "cut_in": cuts_in
-            | (has_cut_in & is_in_path & is_fast & (now.safety.headway_s < settings.cut_in_headway_s)),
+            | (
+                has_cut_in
+                & is_in_path
+                & is_fast
+                & (now.safety.headway_s < settings.cut_in_headway_s)
+            ),
             "close_following": is_close,
             "hard_approach": is_vehicle
             & is_in_path
@@ -156,10 +183,12 @@ class _Open:
     offset_m: float = math.nan
     warning_s: float = math.nan
     criticality: float = -math.inf
-    extremes: dict[str, float] = field(default_factory=dict)  # least distances and times, largest speeds
+    # least distances and times, largest speeds
+    extremes: dict[str, float] = field(default_factory=dict)
     first: dict[str, float] = field(default_factory=dict)  # values of the first frame
     peak: dict[str, float] = field(default_factory=dict)  # values of the most critical frame
-    last_seen: dict[str, float] = field(default_factory=dict)  # where the object of a near miss was last seen
+    # where the object of a near miss was last seen
+    last_seen: dict[str, float] = field(default_factory=dict)
     tet_s: float = 0.0
     tit_s2: float = 0.0
     paths: list[list[Place]] = field(default_factory=list)  # of its tracks
@@ -180,7 +209,9 @@ class EventFinder:
         self._paths: dict[int, list[Place]] = {}  # of the tracks
 
     def update(self, result: FrameResult) -> tuple[Event, ...]:
-        """Events that ended before this frame and have not been returned yet, in the order of their ends."""
+        """Events that ended before this frame and have not been returned yet, in the order of their
+        ends.
+        """
         ended = self._close(result.time_s)
         now = Situation.of(result)
         self._follow_paths(result)
@@ -193,12 +224,16 @@ class EventFinder:
         return ended
 
     def finish(self) -> tuple[Event, ...]:
-        """All events of the drive in the order of their starts, including events in progress; ends the drive."""
+        """All events of the drive in the order of their starts, including events in progress; ends
+        the drive.
+        """
         self._close(math.inf)
         return self.so_far()
 
     def so_far(self) -> tuple[Event, ...]:
-        """Events that have ended, and events in progress that count, in the order of their starts."""
+        """Events that have ended, and events in progress that count, in the order of their
+        starts.
+        """
         in_progress = (_event(event) for event in self._open if self._counts(event))
         ended = (self._with_pet(event, paths) for event, paths in self._ended)
         return tuple(sorted((*ended, *in_progress), key=lambda event: event.start_s))
@@ -215,7 +250,9 @@ class EventFinder:
         if pose is None or motion is None or math.isnan(pose.x_m):
             return
         self._ego.append((time_s, pose.x_m, pose.y_m))
-        self._paths = {i: path for i, path in self._paths.items() if time_s - path[-1][0] <= _PATH_S}
+        self._paths = {
+            i: path for i, path in self._paths.items() if time_s - path[-1][0] <= _PATH_S
+        }
         columns = (result.tracks.track_id, motion.world_x_m, motion.world_y_m)
         for track_id, x_m, y_m in zip(*(column.tolist() for column in columns), strict=True):
             if math.isfinite(x_m):
@@ -226,7 +263,9 @@ class EventFinder:
         half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(event.class_name)])
         ego = np.array(self._ego).reshape(-1, 3)
         near = ego[(ego[:, 0] >= event.start_s - _PATH_S) & (ego[:, 0] <= event.end_s + _PATH_S)]
-        times_s = [post_encroachment_s(near, np.array(path), half_width_m=half_width_m) for path in paths]
+        times_s = [
+            post_encroachment_s(near, np.array(path), half_width_m=half_width_m) for path in paths
+        ]
         pet_s = float(np.fmin.reduce(times_s, initial=math.nan))
         return event if math.isnan(pet_s) else replace(event, pet_s=pet_s)
 
@@ -235,14 +274,18 @@ class EventFinder:
         over = [event for event in self._open if time_s - event.last_s > self.settings.max_gap_s]
         if not over:
             return ()
-        self._open = [event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s]
+        self._open = [
+            event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s
+        ]
         self._alarms += [event for event in over if math.isfinite(event.warning_s)]
         counted = [(_event(event), event.paths) for event in over if self._counts(event)]
         self._ended += counted
         return tuple(event for event, _ in counted)
 
     def _counts(self, event: _Open) -> bool:
-        """Whether an event that is over counts: it was long enough, and is not part of an alarm or a contact."""
+        """Whether an event that is over counts: it was long enough, and is not part of an alarm or
+        a contact.
+        """
         settings, duration_s = self.settings, event.last_s - event.start_s
         if event.kind == "close_following":
             return duration_s >= settings.min_following_s
@@ -251,15 +294,19 @@ class EventFinder:
         if duration_s < settings.min_critical_s - 1e-9:
             return False
         if event.kind == "hard_approach":
-            alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
+            alarms = (
+                *self._alarms,
+                *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)),
+            )
             return all(
                 event.track_ids.isdisjoint(alarm.track_ids)
                 or event.start_s > alarm.last_s
                 or alarm.start_s > event.last_s
                 for alarm in alarms
             )
-        # A near miss was without contact, from where its object was last seen until the event was over, if the object
-        # was beside the ego path, or if the gap that was left, closed at the last known speed, is large enough.
+        # A near miss was without contact, from where its object was last seen until the event was
+        # over, if the object was beside the ego path, or if the gap that was left, closed at the
+        # last known speed, is large enough.
         seen = event.last_seen
         unseen_s = event.last_s + settings.max_gap_s - seen["time_s"]
         speeds_mps = (seen["closing_mps"], event.extremes["closing_mps"])
@@ -281,7 +328,12 @@ class EventFinder:
             dt = time_s - event.last_s  # 0 in the first frame
             event.tet_s += dt
             event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_front_s"])
-        event.last_s, event.track_id, event.distance_m, event.offset_m = time_s, track_id, distance_m, offset_m
+        event.last_s, event.track_id, event.distance_m, event.offset_m = (
+            time_s,
+            track_id,
+            distance_m,
+            offset_m,
+        )
         if track_id not in event.track_ids:
             event.track_ids.add(track_id)
             event.paths += [self._paths[track_id]] if track_id in self._paths else []
@@ -302,14 +354,31 @@ class EventFinder:
         else:
             criticality = -1e3 - float(np.nan_to_num(values["gap_m"]))
         if not event.peak or criticality > event.criticality:
-            event.criticality, event.peak_track_id, event.peak_class = criticality, track_id, class_id
+            event.criticality, event.peak_track_id, event.peak_class = (
+                criticality,
+                track_id,
+                class_id,
+            )
             in_doubt = float(result.scale_doubt is not None)
-            event.peak = {**values, "time_s": time_s, "frame": result.index, "scale_in_doubt": in_doubt}
+            event.peak = {
+                **values,
+                "time_s": time_s,
+                "frame": result.index,
+                "scale_in_doubt": in_doubt,
+            }
 
     def _same(
-        self, kind: EventKind, track_id: int, result: FrameResult, distance_m: float, offset_m: float, group: int
+        self,
+        kind: EventKind,
+        track_id: int,
+        result: FrameResult,
+        distance_m: float,
+        offset_m: float,
+        group: int,
     ) -> _Open | None:
-        """The event in progress of this kind and object, or of an earlier track of the object that has ended."""
+        """The event in progress of this kind and object, or of an earlier track of the object that
+        has ended.
+        """
         same_kind = [event for event in self._open if event.kind == kind]
         same = next((event for event in same_kind if track_id in event.track_ids), None)
         if same is not None or not same_kind:
@@ -318,8 +387,11 @@ class EventFinder:
         for event in same_kind:
             elapsed_s = result.time_s - event.last_s
             moved_m = elapsed_s * np.nan_to_num(event.extremes["closing_mps"])
-            is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_FRACTION * distance_m
-            is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M  # unknown offsets may be the same
+            is_near = (
+                abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_FRACTION * distance_m
+            )
+            # unknown offsets may be the same
+            is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M
             if event.group == group and event.track_id not in present and is_near:
                 return event
         return None
@@ -329,7 +401,10 @@ def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
     """Store the position of the object of a near miss."""
     is_seen = np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.safety.gap_m)
     for row in np.flatnonzero(is_seen).tolist():
-        event.last_seen = {"time_s": result.time_s, **now.values(row, ("gap_m", "closing_mps", "apart_m"))}
+        event.last_seen = {
+            "time_s": result.time_s,
+            **now.values(row, ("gap_m", "closing_mps", "apart_m")),
+        }
 
 
 def _event(event: _Open) -> Event:
@@ -355,7 +430,10 @@ def _event(event: _Open) -> Event:
         **{name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")},
         tet_s=event.tet_s,
         tit_s2=event.tit_s2,
-        **{f"peak_{name}": peak[name] for name in ("distance_m", "closing_mps", "headway_s", "probability")},
+        **{
+            f"peak_{name}": peak[name]
+            for name in ("distance_m", "closing_mps", "headway_s", "probability")
+        },
         peak_ttc_s=peak["ttc_front_s"],
     )
 
@@ -365,24 +443,37 @@ def _reason(event: _Open) -> str:
     name = class_name[:1].upper() + class_name[1:]
     if event.kind in ("forward_collision", "pedestrian_on_path"):
         where = (
-            "ahead" if event.kind == "forward_collision" else "on the path" if first["apart_m"] < 0 else "near the path"
+            "ahead"
+            if event.kind == "forward_collision"
+            else "on the path"
+            if first["apart_m"] < 0
+            else "near the path"
         )
         when = (
-            f": contact in {first['ttc_front_s']:.1f} s without braking" if math.isfinite(first["ttc_front_s"]) else ""
+            f": contact in {first['ttc_front_s']:.1f} s without braking"
+            if math.isfinite(first["ttc_front_s"])
+            else ""
         )
         return f"{name} {where} at {first['distance_m']:.0f} m{_closing(first)}{when}."
     if event.kind == "cut_in":
-        headway = f", at a headway of {peak['headway_s']:.1f} s" if math.isfinite(peak["headway_s"]) else ""
+        headway = (
+            f", at a headway of {peak['headway_s']:.1f} s"
+            if math.isfinite(peak["headway_s"])
+            else ""
+        )
         return f"{name} cut in {peak['distance_m']:.0f} m ahead{headway}{_closing(peak)}."
     if event.kind == "close_following":
         return (
-            f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} at {3.6 * peak['ego_mps']:.0f} km/h for "
-            f"{event.last_s - event.start_s:.0f} s."
+            f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} at "
+            f"{3.6 * peak['ego_mps']:.0f} km/h for {event.last_s - event.start_s:.0f} s."
         )
     if event.kind == "hard_approach":
         needed = f"needed braking at {peak['drac_mps2']:.1f} m/s²"
         return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: {needed}."
-    return f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_front_s']:.1f} s away and did not happen."
+    return (
+        f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_front_s']:.1f} s away and "
+        "did not happen."
+    )
 
 
 def _closing(values: dict[str, float]) -> str:
@@ -390,7 +481,9 @@ def _closing(values: dict[str, float]) -> str:
     return f", closing at {closing_mps:.1f} m/s" if closing_mps > 0.5 else ""  # False for NaN
 
 
-def events_of(results: Iterable[FrameResult], settings: EventSettings | None = None) -> tuple[Event, ...]:
+def events_of(
+    results: Iterable[FrameResult], settings: EventSettings | None = None
+) -> tuple[Event, ...]:
     """All events of a drive from its frames in order."""
     finder = EventFinder(settings)
     for result in results:

@@ -1,18 +1,21 @@
-"""mot.txt, kitti.txt and recorded_boxes.csv: the boxes of a run as text, and as `BoxTable` for label formats.
+"""mot.txt, kitti.txt and recorded_boxes.csv: the boxes of a run as text, and as `BoxTable` for
+label formats.
 
-mot.txt is in MOTChallenge's format, frames and pixels counted from 1. The lines of kitti.txt are KITTI's tracking
-results, frames and pixels counted from 0:
+mot.txt is in MOTChallenge's format, frames and pixels counted from 1. The lines of kitti.txt are
+KITTI's tracking results, frames and pixels counted from 0:
 
     frame id TYPE -1 -1 -10 x1 y1 x2 y2 -1 -1 -1 X Y Z -10 score
 
-TYPE is Car, Truck, Pedestrian or Cyclist, or the name of a class that KITTI's evaluation skips (Bus, Traffic_light).
-Truncation, occlusion, angles and sizes are unknown. Predicted boxes are written like observed ones: the format cannot
-distinguish them. X Y Z, -1000 = unknown, is the bottom centre of the object, the point that KITTI describes: the ray
-through the middle of the lower edge of the box, at the fused distance,
+TYPE is Car, Truck, Pedestrian or Cyclist, or the name of a class that KITTI's evaluation skips
+(Bus, Traffic_light). Truncation, occlusion, angles and sizes are unknown. Predicted boxes are
+written like observed ones: the format cannot distinguish them. X Y Z, -1000 = unknown, is the
+bottom centre of the object, the point that KITTI describes: the ray through the middle of the lower
+edge of the box, at the fused distance,
 
     Z = fused_m    X = (u - cx) / fx Z    Y = (v - cy) / fy Z    u = (x1 + x2) / 2    v = y2
 
-in the left camera's frame (x right, y down, z forward). Z belongs to the visible surface, not to the body's middle.
+in the left camera's frame (x right, y down, z forward). Z belongs to the visible surface, not to
+the body's middle.
 """
 
 from __future__ import annotations
@@ -74,12 +77,13 @@ class KittiWriter(RowWriter):
 
 
 class RecordedBoxesWriter(RowWriter):
-    """Writer of recorded_boxes.csv: the tracks in the recorded video and in the camera's frame, for wide lenses.
+    """Writer of recorded_boxes.csv: the tracks in the recorded video and in the camera's frame, for
+    wide lenses.
 
-    All other files are about the undistorted, rectified images. Boxes are in pixels of the recorded video: each edge is
-    moved like its midpoint. The azimuth of the box centre, positive = to the right, and the ranged point, from the
-    fused distance, are in the frame of the camera (x right, y down, z along its axis), also in a run with --yaw-deg. An
-    empty cell = unknown.
+    All other files are about the undistorted, rectified images. Boxes are in pixels of the recorded
+    video: each edge is moved like its midpoint. The azimuth of the box centre, positive = to the
+    right, and the ranged point, from the fused distance, are in the frame of the camera (x right, y
+    down, z along its axis), also in a run with --yaw-deg. An empty cell = unknown.
     """
 
     files = (RECORDED_BOXES_FILE,)
@@ -94,7 +98,9 @@ class RecordedBoxesWriter(RowWriter):
         view = view_from_camera(float(info.settings.get("yaw_deg", 0.0)))
         rays = info.camera.rays((tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2) @ view
         azimuth_deg = np.degrees(np.arctan2(rays[:, 0], rays[:, 2]))
-        numbers = np.column_stack([info.recorded_boxes(tracks.xyxy_px), azimuth_deg, result.xyz_m @ view])
+        numbers = np.column_stack(
+            [info.recorded_boxes(tracks.xyxy_px), azimuth_deg, result.xyz_m @ view]
+        )
         start, lines = f"{result.index},{result.time_s:.6f}", []
         for track_id, class_id, row in zip(
             tracks.track_id.tolist(), tracks.class_id.tolist(), numbers.tolist(), strict=True
@@ -104,7 +110,9 @@ class RecordedBoxesWriter(RowWriter):
         return "".join(lines)
 
 
-def table_of_rows(columns: Columns, camera: PinholeCamera | None, video: VideoFacts = NO_FACTS) -> BoxTable:
+def table_of_rows(
+    columns: Columns, camera: PinholeCamera | None, video: VideoFacts = NO_FACTS
+) -> BoxTable:
     """All boxes of a run from its rows; locations are unknown without a camera."""
     boxes, distance_m = boxes_px(columns), columns["fused_m"]
     return BoxTable.of(
@@ -121,8 +129,12 @@ def table_of_rows(columns: Columns, camera: PinholeCamera | None, video: VideoFa
     )
 
 
-def _bottom_centres_m(xyxy_px: FloatArray, distance_m: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N, 3) bottom centre of objects with boxes (N, 4) at distances (N,), in the camera's frame; NaN = unknown."""
+def _bottom_centres_m(
+    xyxy_px: FloatArray, distance_m: FloatArray, camera: PinholeCamera
+) -> FloatArray:
+    """(N, 3) bottom centre of objects with boxes (N, 4) at distances (N,), in the camera's frame;
+    NaN = unknown.
+    """
     u = (xyxy_px[:, 0] + xyxy_px[:, 2]) / 2
     x, y = (u - camera.cx_px) / camera.fx_px, (xyxy_px[:, 3] - camera.cy_px) / camera.fy_px
     return np.stack([x, y, np.ones_like(x)], axis=1) * distance_m[:, None]

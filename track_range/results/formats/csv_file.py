@@ -12,7 +12,13 @@ import numpy as np
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, TEXT_COLUMNS, Columns, result_columns
+from track_range.results.columns import (
+    MAX_CLASS,
+    MAX_COLUMNS,
+    TEXT_COLUMNS,
+    Columns,
+    result_columns,
+)
 from track_range.results.formats.row_file import RowWriter, csv_text
 
 TABLE_FILE = "tracks.csv"
@@ -39,10 +45,12 @@ class CsvWriter(RowWriter):
 
 
 def read_tracks_csv(path: Path) -> Columns:
-    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, other columns as float64 with NaN for an empty cell.
+    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, other columns as float64 with NaN for an
+    empty cell.
 
-    Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
-    OutputError if the file cannot be read, is not a tracks.csv, or has rows, but none of the header's length.
+    Rows with a different number of cells than the header, such as the last one of a killed run, are
+    skipped. OutputError if the file cannot be read, is not a tracks.csv, or has rows, but none of
+    the header's length.
     """
     import pyarrow as pa
     from pyarrow import ArrowException, csv as arrow_csv
@@ -66,7 +74,9 @@ def read_tracks_csv(path: Path) -> Columns:
             read_options=arrow_csv.ReadOptions(use_threads=False),
             parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
             convert_options=arrow_csv.ConvertOptions(
-                column_types={name: "string" if name in TEXT_COLUMNS else "float64" for name in header},
+                column_types={
+                    name: "string" if name in TEXT_COLUMNS else "float64" for name in header
+                },
                 null_values=[""],
             ),
         )
@@ -75,7 +85,9 @@ def read_tracks_csv(path: Path) -> Columns:
             if max((len(text or "") for text in columns[name].to_pylist()), default=0) > MAX_CLASS:
                 raise ValueError(f"a {name} name of more than {MAX_CLASS} characters")
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
-            raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
+            raise ValueError(
+                f"{len(n_cells)} rows, none with the {len(header)} cells of the header"
+            )
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
         problem = str(error) or "no header"
         invalid = _INVALID_NUMBER.search(problem)
@@ -83,8 +95,8 @@ def read_tracks_csv(path: Path) -> Columns:
             column, line, value = invalid.groups()
             problem = f"{quoted(value)} in the column {header[int(column)]} in line {line}"
         raise OutputError(
-            f"{path}: expected the tracks.csv of a run, found {shortened(problem, _MAX_PROBLEM)}; repeat the run or "
-            "restore the file."
+            f"{path}: expected the tracks.csv of a run, found {shortened(problem, _MAX_PROBLEM)}; "
+            "repeat the run or restore the file."
         ) from error
     return {
         name: np.asarray([text or "" for text in values.to_pylist()], np.str_)

@@ -1,9 +1,10 @@
-"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks, without a road.
+"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks,
+without a road.
 
-Positions are in the frame `map`. The reference point of the ego vehicle is the camera, the reference point of an object
-is the middle of a box of nominal size behind its visible side; parked objects stay at the median of their positions.
-Objects are added when they are first seen, and deleted when they were last seen. Times are seconds from the first known
-pose.
+Positions are in the frame `map`. The reference point of the ego vehicle is the camera, the
+reference point of an object is the middle of a box of nominal size behind its visible side; parked
+objects stay at the median of their positions. Objects are added when they are first seen, and
+deleted when they were last seen. Times are seconds from the first known pose.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ from track_range.results.writers import RunInfo
 
 SCENARIO_FILE = "run.xosc"
 _EGO = "ego"
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # of recordings without UTC, so that the same run gives the same file
-_KINDS: Mapping[str, tuple[str, float]] = {  # category and nominal height in m; others are not written
+# of recordings without UTC, so that the same run gives the same file
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+# category and nominal height in m; others are not written
+_KINDS: Mapping[str, tuple[str, float]] = {
     "person": ("pedestrian", 1.75),
     "bicycle": ("bicycle", 1.7),
     "car": ("car", 1.5),
@@ -49,13 +52,18 @@ def _node(tag: str, *children: ElementTree.Element, **attributes: Any) -> Elemen
 
 
 def _position(x_m: float, y_m: float, heading_rad: float) -> ElementTree.Element:
-    return _node("Position", _node("WorldPosition", x=f"{x_m:.3f}", y=f"{y_m:.3f}", z=0, h=f"{heading_rad:.4f}"))
+    return _node(
+        "Position",
+        _node("WorldPosition", x=f"{x_m:.3f}", y=f"{y_m:.3f}", z=0, h=f"{heading_rad:.4f}"),
+    )
 
 
 def _at(name: str, time_s: float) -> ElementTree.Element:
     """Trigger at a time of the simulation."""
     value = _node("SimulationTimeCondition", rule="greaterOrEqual", value=f"{time_s:.3f}")
-    condition = _node("Condition", _node("ByValueCondition", value), name=name, delay=0, conditionEdge="none")
+    condition = _node(
+        "Condition", _node("ByValueCondition", value), name=name, delay=0, conditionEdge="none"
+    )
     return _node("StartTrigger", _node("ConditionGroup", condition))
 
 
@@ -95,7 +103,11 @@ class OpenScenarioWriter:
         date = _EPOCH if utc_s is None else datetime.fromtimestamp(utc_s + start_s, UTC)
         ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
         path = np.array(self._ego).reshape(-1, 4) - [start_s, 0, 0, 0]
-        objects = [(_EGO, "car", ego_m, WarningSettings().front_m - ego_m[0] / 2, path)] if len(path) else []
+        objects = (
+            [(_EGO, "car", ego_m, WarningSettings().front_m - ego_m[0] / 2, path)]
+            if len(path)
+            else []
+        )
         rows = np.concatenate([np.zeros((0, 8)), *self._tracks]) - [start_s, *[0] * 7]
         for track_id in dict.fromkeys(rows[:, 6].tolist()):
             track = rows[rows[:, 6] == track_id]
@@ -103,10 +115,16 @@ class OpenScenarioWriter:
             name = ROAD_CLASSES[class_id]
             category, height_m = _KINDS[name]
             size_m = (LENGTH_M[name], 2 * float(HALF_WIDTH_M[class_id]), height_m)
-            objects.append((f"{name}-{track_id:.0f}", category, size_m, 0.0, _placed(track, size_m)))
+            objects.append(
+                (f"{name}-{track_id:.0f}", category, size_m, 0.0, _placed(track, size_m))
+            )
         init = [_private(name, table[0]) for name, *_, table in objects if table[0, 0] <= 0]
         groups = [_maneuvers(name, table) for name, *_, table in objects]
-        story = [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")] if groups else []
+        story = (
+            [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")]
+            if groups
+            else []
+        )
         return _node(
             "OpenSCENARIO",
             _node(
@@ -115,21 +133,30 @@ class OpenScenarioWriter:
                 revMinor=2,
                 date=date.strftime("%Y-%m-%dT%H:%M:%S"),
                 author="track-range",
-                description="Trajectories measured with track-range; x forward, y left of the first camera pose, m",
+                description="Trajectories measured with track-range; x forward, y left of the "
+                "first camera pose, m",
             ),
             _node("ParameterDeclarations"),
             _node("CatalogLocations"),
             _node("RoadNetwork"),
             _node("Entities", *(_entity(*given[:-1]) for given in objects)),
-            _node("Storyboard", _node("Init", _node("Actions", *init)), *story, _node("StopTrigger")),
+            _node(
+                "Storyboard", _node("Init", _node("Actions", *init)), *story, _node("StopTrigger")
+            ),
         )
 
 
 def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
-    """(N, 8) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID and class of tracks in a frame."""
+    """(N, 8) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID and class of
+    tracks in a frame.
+    """
     tracks, n = result.tracks, len(result.tracks)
     motion = result.motion or ObjectMotion.unknown(n)
-    x_m, y_m, is_parked = motion.world_x_m, motion.world_y_m, motion.state == MOTION_STATES.index("parked")
+    x_m, y_m, is_parked = (
+        motion.world_x_m,
+        motion.world_y_m,
+        motion.state == MOTION_STATES.index("parked"),
+    )
     place = (np.full(n, result.time_s), x_m, y_m, np.radians(motion.heading_deg))
     bearing_rad = np.arctan2(y_m - pose.y_m, x_m - pose.x_m)
     rows = np.column_stack([*place, bearing_rad, is_parked, tracks.track_id, tracks.class_id])
@@ -153,7 +180,9 @@ def _placed(rows: FloatArray, size_m: tuple[float, float, float]) -> FloatArray:
     return np.stack([time_s, x_m, y_m, heading_rad], axis=1)
 
 
-def _entity(name: str, category: str, size_m: tuple[float, float, float], centre_x_m: float) -> ElementTree.Element:
+def _entity(
+    name: str, category: str, size_m: tuple[float, float, float], centre_x_m: float
+) -> ElementTree.Element:
     length, width, height = size_m
     box = _node(
         "BoundingBox",
@@ -162,10 +191,21 @@ def _entity(name: str, category: str, size_m: tuple[float, float, float], centre
     )
     common = {"name": category}
     if category == "pedestrian":
-        body = _node("Pedestrian", box, _node("Properties"), mass=75, model="", pedestrianCategory=category, **common)
+        body = _node(
+            "Pedestrian",
+            box,
+            _node("Properties"),
+            mass=75,
+            model="",
+            pedestrianCategory=category,
+            **common,
+        )
     else:
         axle = {"maxSteering": 0.5, "wheelDiameter": 0.6, "trackWidth": width, "positionZ": 0.3}
-        axles = (_node("FrontAxle", positionX=f"{0.6 * length:.2f}", **axle), _node("RearAxle", positionX=0, **axle))
+        axles = (
+            _node("FrontAxle", positionX=f"{0.6 * length:.2f}", **axle),
+            _node("RearAxle", positionX=0, **axle),
+        )
         performance = _node("Performance", maxSpeed=70, maxAcceleration=10, maxDeceleration=10)
         parts = (box, performance, _node("Axles", *axles), _node("Properties"))
         body = _node("Vehicle", *parts, vehicleCategory=category, **common)
@@ -178,12 +218,21 @@ def _private(name: str, row: FloatArray) -> ElementTree.Element:
 
 
 def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
-    """The actions of an object: it appears, follows its trajectory, and disappears if the ego vehicle remains."""
+    """The actions of an object: it appears, follows its trajectory, and disappears if the ego
+    vehicle remains.
+    """
     first_s, last_s = float(table[0, 0]), float(table[-1, 0])
     if len(table) == 1:  # a trajectory has two vertices
         table = np.concatenate([table, table + np.eye(1, 4) * 0.001])
-    vertices = [_node("Vertex", _position(*row[1:4]), time=f"{row[0]:.3f}") for row in table.tolist()]
-    trajectory = _node("Trajectory", _node("Shape", _node("Polyline", *vertices)), name=f"{name} path", closed="false")
+    vertices = [
+        _node("Vertex", _position(*row[1:4]), time=f"{row[0]:.3f}") for row in table.tolist()
+    ]
+    trajectory = _node(
+        "Trajectory",
+        _node("Shape", _node("Polyline", *vertices)),
+        name=f"{name} path",
+        closed="false",
+    )
     timing = _node("Timing", domainAbsoluteRelative="absolute", scale=1, offset=0)
     follow = _node(
         "FollowTrajectoryAction",
@@ -195,14 +244,23 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
     if name != _EGO:
         if first_s > 0:
             added = _node("AddEntityAction", _position(*table[0, 1:4].tolist()))
-            actions.insert(0, ("appears", first_s, _node("GlobalAction", _node("EntityAction", added, entityRef=name))))
+            actions.insert(
+                0,
+                (
+                    "appears",
+                    first_s,
+                    _node("GlobalAction", _node("EntityAction", added, entityRef=name)),
+                ),
+            )
         gone = _node("EntityAction", _node("DeleteEntityAction"), entityRef=name)
         actions.append(("disappears", last_s, _node("GlobalAction", gone)))
     events = []
     for what, time_s, action in actions:
         label = f"{name} {what}"
         parts = _node("Action", action, name=label), _at(label, time_s)
-        events.append(_node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label))
+        events.append(
+            _node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label)
+        )
     actors = _node("Actors", _node("EntityRef", entityRef=name), selectTriggeringEntities="false")
     maneuver = _node("Maneuver", *events, name=name)
     return _node("ManeuverGroup", actors, maneuver, maximumExecutionCount=1, name=name)

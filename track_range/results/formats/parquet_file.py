@@ -1,7 +1,9 @@
-"""tracks.parquet: the columns of tracks.csv in full precision, with units and provenance; null = not measured.
+"""tracks.parquet: the columns of tracks.csv in full precision, with units and provenance; null =
+not measured.
 
-During the run the rows are in tracks.arrows, an Arrow IPC stream with one record batch per frame, which is converted
-and removed at the end. After a kill, tracks.arrows contains all finished frames, and is read instead.
+During the run the rows are in tracks.arrows, an Arrow IPC stream with one record batch per frame,
+which is converted and removed at the end. After a kill, tracks.arrows contains all finished frames,
+and is read instead.
 """
 
 from __future__ import annotations
@@ -63,7 +65,9 @@ class ParquetWriter:
         self._file.write(self._message(rows) if len(result.tracks) else b"")
 
     def _message(self, frames: list[FrameValues]) -> bytes:
-        """Rows of frames as a message of an Arrow IPC stream; before the first message, the schema."""
+        """Rows of frames as a message of an Arrow IPC stream; before the first message, the
+        schema.
+        """
         self._stream.write_batch(record_batch(frames, self._columns, self._schema))
         content = self._messages.getvalue()
         self._messages.seek(0)  # alignment is relative to the start of a message
@@ -83,18 +87,24 @@ class ParquetWriter:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write rows in full precision and metadata as tracks.parquet; equal rows give equal bytes. Raises OutputError."""
+    """Write rows in full precision and metadata as tracks.parquet; equal rows give equal bytes.
+    Raises OutputError.
+    """
     with writable(path, OutputError), atomic_path(path, is_flushed=False) as partial:
         _write_batches(partial, table.schema, table.to_batches())
 
 
 def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:
-    """Write Parquet with groups of about `_ROWS_PER_GROUP` rows, one of which is in memory at a time."""
+    """Write Parquet with groups of about `_ROWS_PER_GROUP` rows, one of which is in memory at a
+    time.
+    """
     import pyarrow as pa
     from pyarrow import parquet
 
     # other numbers hardly repeat
-    coded = [name for name in ("frame", "time_s", "track_id", *TEXT_COLUMNS) if name in schema.names]
+    coded = [
+        name for name in ("frame", "time_s", "track_id", *TEXT_COLUMNS) if name in schema.names
+    ]
     with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
         group: list[pa.RecordBatch] = []
         n_rows = 0
@@ -137,10 +147,11 @@ def _complete_batches(
 
 
 def read_tracks_parquet(path: Path) -> Columns:
-    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, other columns as float64 with NaN for null.
+    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, other columns as float64 with NaN for
+    null.
 
-    Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or was written by a
-    newer version.
+    Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or
+    was written by a newer version.
     """
     from pyarrow import parquet
 
@@ -149,8 +160,8 @@ def read_tracks_parquet(path: Path) -> Columns:
         n_bytes = 8 * len(names) * file.metadata.num_rows
         if n_bytes > MAX_TABLE_BYTES:
             raise OutputError(
-                f"{path}: expected at most {MAX_TABLE_BYTES / 1e9:.0f} GB of rows, found {n_bytes / 1e9:.3g} GB; "
-                "read it with pyarrow or DuckDB."
+                f"{path}: expected at most {MAX_TABLE_BYTES / 1e9:.0f} GB of rows, found "
+                f"{n_bytes / 1e9:.3g} GB; read it with pyarrow or DuckDB."
             )
         table = file.read(columns=names, use_threads=False)
         table.validate(full=True)
@@ -158,7 +169,9 @@ def read_tracks_parquet(path: Path) -> Columns:
 
 
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
-    """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame; errors as for Parquet."""
+    """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame; errors
+    as for Parquet.
+    """
     import pyarrow as pa
 
     errors: list[Exception] = []
@@ -177,13 +190,15 @@ def _errors_of(path: Path) -> Iterator[None]:
         yield
     except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
         raise OutputError(
-            f"{path}: expected the {path.name} of a run, found a damaged file ({shortened(str(error))}); repeat the "
-            "run or restore the file."
+            f"{path}: expected the {path.name} of a run, found a damaged file "
+            f"({shortened(str(error))}); repeat the run or restore the file."
         ) from error
 
 
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
-    """Names of the readable columns; OutputError for a newer version, ValueError for too many or equal names."""
+    """Names of the readable columns; OutputError for a newer version, ValueError for too many or
+    equal names.
+    """
     from pyarrow import types
 
     check_schema_version(path, schema.metadata, OutputError)
@@ -211,7 +226,12 @@ def _columns(table: pa.Table) -> Columns:
             continue
         for chunk in values.chunks:  # each name of a dictionary once
             names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
-            if names.nbytes > MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS:
+            if (
+                names.nbytes > MAX_CLASS * (len(names) + 1)
+                and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS
+            ):
                 raise ValueError("class name too long")
-        columns[name] = np.asarray(["" if value is None else str(value) for value in values.to_pylist()], np.str_)
+        columns[name] = np.asarray(
+            ["" if value is None else str(value) for value in values.to_pylist()], np.str_
+        )
     return columns

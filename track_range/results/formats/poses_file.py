@@ -1,6 +1,8 @@
-"""poses.csv: pose and speed of the camera in the frame `map` in each frame where they are known, with sigmas.
+"""poses.csv: pose and speed of the camera in the frame `map` in each frame where they are known,
+with sigmas.
 
-x along the optical axis of the first frame with a known speed, y to the left, headings counterclockwise.
+x along the optical axis of the first frame with a known speed, y to the left, headings
+counterclockwise.
 """
 
 from __future__ import annotations
@@ -21,7 +23,16 @@ from track_range.results.formats.row_file import RowWriter, csv_text
 
 POSES_FILE = "poses.csv"
 POSE_COLUMNS = (
-    *("frame", "time_s", "x_m", "y_m", "heading_deg", "x_sigma_m", "y_sigma_m", "heading_sigma_deg"),
+    *(
+        "frame",
+        "time_s",
+        "x_m",
+        "y_m",
+        "heading_deg",
+        "x_sigma_m",
+        "y_sigma_m",
+        "heading_sigma_deg",
+    ),
     *("speed_mps", "speed_sigma_mps"),
 )
 
@@ -64,7 +75,9 @@ class Poses:
         if row == len(self.frame) or self.frame[row] != frame:
             return None
         variances = (self.sigmas[row] * [1.0, 1.0, math.pi / 180]) ** 2
-        x_m, y_m, heading_deg = (float(values[row]) for values in (self.x_m, self.y_m, self.heading_deg))
+        x_m, y_m, heading_deg = (
+            float(values[row]) for values in (self.x_m, self.y_m, self.heading_deg)
+        )
         return EgoPose(x_m, y_m, math.radians(heading_deg), np.diag(variances))
 
 
@@ -76,7 +89,9 @@ def read_poses(folder: Path) -> Poses | None:
     with suppress(OutputError):
         table = read_csv_table(path, OutputError, "the poses.csv of a run")
         table.require(POSE_COLUMNS[:8])
-        frame, time_s, x_m, y_m, heading_deg, *sigmas = (table.finite(name) for name in POSE_COLUMNS[:8])
+        frame, time_s, x_m, y_m, heading_deg, *sigmas = (
+            table.finite(name) for name in POSE_COLUMNS[:8]
+        )
         if len(frame) and (np.diff(frame) > 0).all():
             return Poses(frame, time_s, x_m, y_m, heading_deg, np.stack(sigmas, axis=1))
     return None

@@ -7,11 +7,13 @@
     map/vehicle, map/tracks      poses and positions in the world (x forward, y left, z up); paths in map/paths
     distance/track_ID, closing_speed/track_ID, log
 
-Timelines: `frame`, and `time` (UTC where the recording knows it, else seconds from the first frame).
+Timelines: `frame`, and `time` (UTC where the recording knows it, else seconds from the first
+frame).
 
-The file is written at the end of the run, since rerun-sdk hangs when it writes to a full disk, and since its stream in
-memory cannot be written in parts (each has an index that is valid for this part only). Until then the content is in
-memory, about 1.5 kB per frame with 10 tracks. A killed run leaves no file; `track-range view` makes it from the rows.
+The file is written at the end of the run, since rerun-sdk hangs when it writes to a full disk, and
+since its stream in memory cannot be written in parts (each has an index that is valid for this part
+only). Until then the content is in memory, about 1.5 kB per frame with 10 tracks. A killed run
+leaves no file; `track-range view` makes it from the rows.
 """
 
 from __future__ import annotations
@@ -27,12 +29,22 @@ from track_range.foundation.files import atomic_files
 from track_range.pipeline.colours import track_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.results.formats.scene import TrackObject, check_extra, map_from_vehicle, track_objects
+from track_range.results.formats.scene import (
+    TrackObject,
+    check_extra,
+    map_from_vehicle,
+    track_objects,
+)
 from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"
 APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it
-_VIDEO, _BOXES, _TRACKS, _TOP_VIEW = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
+_VIDEO, _BOXES, _TRACKS, _TOP_VIEW = (
+    "camera/image/video",
+    "camera/image/boxes",
+    "world/tracks",
+    "birds_eye/tracks",
+)
 _MAP, _VEHICLE, _MAP_TRACKS, _PATHS = "map", "map/vehicle", "map/tracks", "map/paths"
 _DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
 _MAX_VIDEO_BYTES = 1_000_000_000  # largest video that is embedded; the viewer holds it in memory
@@ -57,8 +69,12 @@ class RerunWriter:
         self._recording = rr.RecordingStream(APPLICATION)
         self._stream = rr.binary_stream(self._recording)
         self._recording.send_blueprint(_blueprint(has_video=info.overlay is not None))
-        metadata = {key.rpartition(".")[2]: value for key, value in info.provenance.metadata().items()}
-        self._recording.send_property("provenance", rr.AnyValues(drop_untyped_nones=True, **metadata))
+        metadata = {
+            key.rpartition(".")[2]: value for key, value in info.provenance.metadata().items()
+        }
+        self._recording.send_property(
+            "provenance", rr.AnyValues(drop_untyped_nones=True, **metadata)
+        )
         pinhole = rr.Pinhole(
             resolution=[info.camera.width_px, info.camera.height_px],
             focal_length=[info.camera.fx_px, info.camera.fy_px],
@@ -71,7 +87,9 @@ class RerunWriter:
         self._path: list[tuple[float, float, float]] = []
         self._paths: dict[int, list[tuple[float, float, float]]] = {}  # by track
         self._recording.log("world/camera", pinhole, static=True)
-        self._recording.log("birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True)
+        self._recording.log(
+            "birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True
+        )
         self._held: FrameResult | None = None
         self._frames: list[int] = []
         self._times_s: list[float] = []
@@ -93,7 +111,9 @@ class RerunWriter:
         try:
             self._release()
             notes = (summary or {}).get("notes") or ()
-            self._log_notes((*self._first_notes, *(note for note in notes if note not in self._info.notes)))
+            self._log_notes(
+                (*self._first_notes, *(note for note in notes if note not in self._info.notes))
+            )
             self._log_video()
             self._log_paths()
             atomic_files.write_bytes(self._file, self._stream.read() or b"")
@@ -106,7 +126,9 @@ class RerunWriter:
         result, self._held = self._held, None
         time_s = result.time_s
         if self._info.start_utc_s is not None:
-            time_s = result.utc_s if math.isfinite(result.utc_s) else self._info.start_utc_s + time_s
+            time_s = (
+                result.utc_s if math.isfinite(result.utc_s) else self._info.start_utc_s + time_s
+            )
         self._last_s = max(self._last_s, time_s)
         self._frames.append(result.index)
         self._times_s.append(self._last_s)
@@ -128,13 +150,19 @@ class RerunWriter:
             return
         at_m, xyzw = map_from_vehicle(pose)
         self._path.append(at_m)
-        self._recording.log(_VEHICLE, rr.Transform3D(translation=at_m, quaternion=rr.Quaternion(xyzw=xyzw)))
-        self._recording.log(_VEHICLE, rr.Arrows3D(vectors=[[4.0, 0.0, 0.0]], radii=0.3, labels=["camera"]))
+        self._recording.log(
+            _VEHICLE, rr.Transform3D(translation=at_m, quaternion=rr.Quaternion(xyzw=xyzw))
+        )
+        self._recording.log(
+            _VEHICLE, rr.Arrows3D(vectors=[[4.0, 0.0, 0.0]], radii=0.3, labels=["camera"])
+        )
         placed = [shown for shown in objects if math.isfinite(shown.world_x_m)]
         points = [(shown.world_x_m, shown.world_y_m, 0.0) for shown in placed]
         colours = [_rgba(shown) for shown in placed]
         labels = [shown.label for shown in placed]
-        self._recording.log(_MAP_TRACKS, rr.Points3D(points, radii=0.6, colors=colours, labels=labels))
+        self._recording.log(
+            _MAP_TRACKS, rr.Points3D(points, radii=0.6, colors=colours, labels=labels)
+        )
         for shown, point in zip(placed, points, strict=True):
             self._paths.setdefault(shown.track_id, []).append(point)
 
@@ -144,7 +172,9 @@ class RerunWriter:
 
         if not self._path:
             return
-        self._recording.log(f"{_PATHS}/vehicle", rr.LineStrips3D([self._path], radii=0.2), static=True)
+        self._recording.log(
+            f"{_PATHS}/vehicle", rr.LineStrips3D([self._path], radii=0.2), static=True
+        )
         colours = [track_colour(track_id)[::-1] for track_id in self._paths]
         strips = rr.LineStrips3D(list(self._paths.values()), radii=0.05, colors=colours)
         self._recording.log(f"{_PATHS}/tracks", strips, static=True)
@@ -175,7 +205,9 @@ class RerunWriter:
             paths = {f"{plot}/track_{shown.track_id}": value for plot, value in values.items()}
             if shown.track_id not in self._named:
                 self._named.add(shown.track_id)
-                line = rr.SeriesLines(colors=[shown.rgb], names=[f"{shown.class_name} {shown.track_id}"])
+                line = rr.SeriesLines(
+                    colors=[shown.rgb], names=[f"{shown.class_name} {shown.track_id}"]
+                )
                 for path in paths:
                     self._recording.log(path, line, static=True)
             for path, value in paths.items():
@@ -196,7 +228,12 @@ class RerunWriter:
         if path is None or not path.is_file() or not self._frames:
             return
         if path.stat().st_size > _MAX_VIDEO_BYTES:
-            self._log_notes([f"{path.name} is not embedded, since it has more than {_MAX_VIDEO_BYTES / 1e9:.0f} GB."])
+            self._log_notes(
+                [
+                    f"{path.name} is not embedded, since it has more than "
+                    f"{_MAX_VIDEO_BYTES / 1e9:.0f} GB."
+                ]
+            )
             return
         video = rr.AssetVideo(path=path)
         try:
@@ -206,7 +243,11 @@ class RerunWriter:
         n = min(len(shown_ns), len(self._frames))
         times_s = np.array(self._times_s[:n])
         is_utc = self._info.start_utc_s is not None
-        by_time = rr.TimeColumn("time", timestamp=times_s) if is_utc else rr.TimeColumn("time", duration=times_s)
+        by_time = (
+            rr.TimeColumn("time", timestamp=times_s)
+            if is_utc
+            else rr.TimeColumn("time", duration=times_s)
+        )
         self._recording.log(_VIDEO, video, static=True)
         self._recording.send_columns(
             _VIDEO,

@@ -1,4 +1,6 @@
-"""RowFile, RowWriter: files of a run in progress with whole frames only, also after a failed write or a kill."""
+"""RowFile, RowWriter: files of a run in progress with whole frames only, also after a failed write
+or a kill.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ from track_range.results.writers import RunInfo
 class RowFile:
     """UTF-8 text file to which the content of each frame is appended with one system call.
 
-    If writing fails, such as on a full disk, the file is cut back to the last whole frame. An existing file is
-    replaced; `header` is the content before the first frame. OSError: the file cannot be created.
+    If writing fails, such as on a full disk, the file is cut back to the last whole frame. An
+    existing file is replaced; `header` is the content before the first frame. OSError: the file
+    cannot be created.
     """
 
     def __init__(self, path: Path, header: str | bytes = b"") -> None:
@@ -32,12 +35,15 @@ class RowFile:
         self._previous_end = self._end
 
     def write(self, rows: str | bytes) -> None:
-        """Add whole lines of a frame, perhaps none; OSError if they cannot be written: the file is then unchanged."""
+        """Add whole lines of a frame, perhaps none; OSError if they cannot be written: the file is
+        then unchanged.
+        """
         content = memoryview(rows.encode("utf-8") if isinstance(rows, str) else rows)
         end = self._end + len(content)
         try:
             while content:
-                n_written = self._file.write(content)  # less than all is written shortly before the disk is full
+                # less than all is written shortly before the disk is full
+                n_written = self._file.write(content)
                 content = content[n_written:]
         except BaseException:
             self._cut(self._end)
@@ -45,7 +51,9 @@ class RowFile:
         self._previous_end, self._end = self._end, end
 
     def discard_last(self) -> None:
-        """Remove the content of the last frame, since another file lacks it; a second call does nothing."""
+        """Remove the content of the last frame, since another file lacks it; a second call does
+        nothing.
+        """
         self._cut(self._previous_end)
         self._end = self._previous_end
 
@@ -60,7 +68,9 @@ class RowFile:
 
 
 class RowWriter:
-    """Base of the writers of one text file (see `RowFile`), which implement `rows` and, for a header, `header`."""
+    """Base of the writers of one text file (see `RowFile`), which implement `rows` and, for a
+    header, `header`.
+    """
 
     files: tuple[str, ...]
 

@@ -1,4 +1,6 @@
-"""Common parts of formats with 3-D scenes: tracks with boxes in the image and in metres, and optional packages."""
+"""Common parts of formats with 3-D scenes: tracks with boxes in the image and in metres, and
+optional packages.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,11 @@ from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
-"""Coordinate frames: camera (x right, y down, z forward), vehicle at the same place (x forward, y left, z up), and the
-world of `EgoPose`, in which the vehicle moves."""
+"""Coordinate frames: camera (x right, y down, z forward), vehicle at the same place (x forward, y
+left, z up), and the world of `EgoPose`, in which the vehicle moves."""
 
-VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)  # quaternion that rotates vectors from camera to vehicle
+# quaternion that rotates vectors from camera to vehicle
+VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
 LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
@@ -79,7 +82,9 @@ class TrackObject:
 
 
 def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackObject]:
-    """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no rotation."""
+    """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no
+    rotation.
+    """
     tracks, n = result.tracks, len(result.tracks)
     fused = result.ranges.get("fused")
     unknown = np.full(n, np.nan)
@@ -93,7 +98,14 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
     motion = result.motion or ObjectMotion.unknown(n)
     in_world = (getattr(motion, name) for name in FIGURES[5:])
-    figures = (distance_m, sigma_m, result.closing_mps, result.closing_sigma_mps, result.ttc_s, *in_world)
+    figures = (
+        distance_m,
+        sigma_m,
+        result.closing_mps,
+        result.closing_sigma_mps,
+        result.ttc_s,
+        *in_world,
+    )
     numbers = np.column_stack([tracks.score, *figures]).tolist()
     size_m = np.column_stack([width_m, height_m, length_m])
     for i, (score, *known) in enumerate(numbers):
@@ -112,8 +124,12 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
         )
 
 
-def map_from_vehicle(pose: EgoPose | None) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Translation in m and unit quaternion x, y, z, w of the vehicle in the frame `map`; at its origin if unknown."""
+def map_from_vehicle(
+    pose: EgoPose | None,
+) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+    """Translation in m and unit quaternion x, y, z, w of the vehicle in the frame `map`; at its
+    origin if unknown.
+    """
     if pose is None or not math.isfinite(pose.x_m):
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
     half_rad = pose.heading_rad / 2
@@ -125,18 +141,24 @@ class ExtraError(UserError):
 
 
 def check_extra(format_name: str, extra: str, *packages: str) -> None:
-    """Import packages of a format, which `extra` installs, without their telemetry; ExtraError if one is missing."""
+    """Import packages of a format, which `extra` installs, without their telemetry; ExtraError if
+    one is missing.
+    """
     disable_telemetry()
     for package in packages:
         top_level = package.partition(".")[0]
         try:
             import_module(package)
         except ImportError as error:
-            is_missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == top_level
+            is_missing = (
+                isinstance(error, ModuleNotFoundError)
+                and (error.name or "").partition(".")[0] == top_level
+            )
             raise ExtraError(
                 f"the format {format_name} requires the package {top_level}: install it with "
                 f"pip install 'track-range[{extra}]'."
                 if is_missing
-                else f"the format {format_name}: the package {top_level} cannot be imported ({shortened(str(error))}); "
-                f"reinstall it with pip install --force-reinstall 'track-range[{extra}]'."
+                else f"the format {format_name}: the package {top_level} cannot be imported "
+                f"({shortened(str(error))}); reinstall it with pip install --force-reinstall "
+                f"'track-range[{extra}]'."
             ) from error

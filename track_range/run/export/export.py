@@ -41,7 +41,12 @@ from track_range.run.export.source import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
-MARKS: Mapping[str, bytes] = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF", "openscenario": b"<?xml"}
+MARKS: Mapping[str, bytes] = {
+    "parquet": b"PAR1",
+    "mcap": b"\x89MCAP",
+    "rrd": b"RRF",
+    "openscenario": b"<?xml",
+}
 """First bytes of the files that only result writers write, from the rows of a run."""
 
 _Write = Callable[[BoxTable, Path], Written]
@@ -52,7 +57,10 @@ _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder tha
 
 def export_formats() -> tuple[str, ...]:
     """Names of the formats that are written: label formats, then formats of the rows of a run."""
-    return (*(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None), *MARKS)
+    return (
+        *(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None),
+        *MARKS,
+    )
 
 
 class ExportSettings(Options):
@@ -72,16 +80,22 @@ class ExportSettings(Options):
     images: Annotated[
         bool,
         option(
-            "With yolo, additional output of the video's frames as JPEG images, for training; images of a run are "
-            "rectified like its boxes."
+            "With yolo, additional output of the video's frames as JPEG images, for training; "
+            "images of a run are rectified like its boxes."
         ),
     ] = False
     video: Annotated[
         Path | None,
-        option("Video or image folder of a label file, for the image size and for --images.", metavar="VIDEO|DIR"),
+        option(
+            "Video or image folder of a label file, for the image size and for --images.",
+            metavar="VIDEO|DIR",
+        ),
     ] = None
     first_frame: Annotated[
-        int, option("Number of the video's first frame in a label file.", metavar="N", ge=0, le=1_000_000)
+        int,
+        option(
+            "Number of the video's first frame in a label file.", metavar="N", ge=0, le=1_000_000
+        ),
     ] = 0
 
 
@@ -97,8 +111,9 @@ class Exported:
 def export(settings: ExportSettings) -> Exported:
     """Write a finished run or a label file in another format.
 
-    A file or folder is replaced only if it has the format that is written. OutputError, LabelFileError, VideoError: an
-    input cannot be used, or the output cannot be written; UsageError: options that contradict each other.
+    A file or folder is replaced only if it has the format that is written. OutputError,
+    LabelFileError, VideoError: an input cannot be used, or the output cannot be written;
+    UsageError: options that contradict each other.
     """
     run, camera = open_run(settings.source) if is_run(settings.source) else (None, None)
     _check(settings, run)
@@ -106,22 +121,38 @@ def export(settings: ExportSettings) -> Exported:
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, run, camera)
     if run is None:
-        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found a label file.")
+        raise UsageError(
+            f"--to {settings.to}: expected the result folder of a run, found a label file."
+        )
     return _export_rows(settings, run, camera)
 
 
 def _check(settings: ExportSettings, run: RunFolder | None) -> None:
-    """Check the options, and that the output is neither an input nor in the folder of a run in progress."""
+    """Check the options, and that the output is neither an input nor in the folder of a run in
+    progress.
+    """
     if settings.to not in LABEL_FORMATS and settings.to not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
     if run is not None and (settings.video is not None or settings.first_frame):
-        raise UsageError("--video and --first-frame: expected labels, found a run, which states its video and frames.")
+        raise UsageError(
+            "--video and --first-frame: expected labels, found a run, which states "
+            "its video and frames."
+        )
     if settings.images and run is not None and run.settings.get("anonymize"):
-        raise UsageError("--images: this run was anonymized, but these images would not be anonymized.")
-    if settings.images and run is not None and run.summary.get("frames_dropped", run.settings.get("realtime")):
-        raise UsageError("--images: expected a run of all frames, found one that dropped frames, which lack labels.")
+        raise UsageError(
+            "--images: this run was anonymized, but these images would not be anonymized."
+        )
+    if (
+        settings.images
+        and run is not None
+        and run.summary.get("frames_dropped", run.settings.get("realtime"))
+    ):
+        raise UsageError(
+            "--images: expected a run of all frames, found one that dropped frames, "
+            "which lack labels."
+        )
     if settings.images and run is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
     out = settings.out
@@ -129,7 +160,9 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     if os.path.realpath(out) in {os.path.realpath(path) for path in inputs}:
         raise OutputError(f"{out}: this input would be overwritten; choose another --out.")
     if is_locked(out.parent):
-        raise OutputError(f"{out}: a run is writing to this folder; wait for its end, or choose another folder.")
+        raise OutputError(
+            f"{out}: a run is writing to this folder; wait for its end, or choose another folder."
+        )
 
 
 def _export_labels(
@@ -140,7 +173,9 @@ def _export_labels(
     camera: PinholeCamera | None,
 ) -> Exported:
     if run is None:
-        table = boxes_of_labels(settings.source, video=settings.video, first_frame=settings.first_frame)
+        table = boxes_of_labels(
+            settings.source, video=settings.video, first_frame=settings.first_frame
+        )
         notes: tuple[str, ...] = table.notes
     else:
         table, notes = boxes_of_run(run, camera), run.missing
@@ -164,15 +199,19 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
     """Write the frames of the video, and remove the labels of frames that it does not have."""
     images, numbers = folder / "images", []
     images.mkdir()
-    for index, image in frames_of_run(settings.source) if settings.video is None else frames_of_video(settings.video):
+    for index, image in (
+        frames_of_run(settings.source)
+        if settings.video is None
+        else frames_of_video(settings.video)
+    ):
         _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         (images / image_name(table.video, index)).write_bytes(encoded.tobytes())
         numbers.append(index)
     if len(table) and not np.isin(table.frame, numbers).all():
         last = max(numbers, default=-1)
         raise OutputError(
-            f"{settings.source}: expected boxes in the {len(numbers)} frames of the video, 0 to {last}, found a box in "
-            f"frame {table.frame[~np.isin(table.frame, numbers)][0]}."
+            f"{settings.source}: expected boxes in the {len(numbers)} frames of the video, 0 to "
+            f"{last}, found a box in frame {table.frame[~np.isin(table.frame, numbers)][0]}."
         )
     for file in (folder / "labels").iterdir():
         if not (images / file.with_suffix(".jpg").name).exists():
@@ -180,14 +219,21 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
     return len(numbers)
 
 
-def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera | None) -> Exported:
+def _export_rows(
+    settings: ExportSettings, run: RunFolder, camera: PinholeCamera | None
+) -> Exported:
     if camera is None:
-        raise OutputError(f"{run.folder}: expected settings.yaml with the camera of the run, found none.")
+        raise OutputError(
+            f"{run.folder}: expected settings.yaml with the camera of the run, found none."
+        )
     columns = run.columns
     is_written = map_to_road_classes([str(name) for name in columns["class"]]) >= 0
     notes = run.missing
     if n_unknown := int(np.count_nonzero(~is_written)):
-        notes = (*notes, f"{n_unknown} rows have a class that is not a road class, and are not written.")
+        notes = (
+            *notes,
+            f"{n_unknown} rows have a class that is not a road class, and are not written.",
+        )
     if settings.observed_only:
         is_written &= columns["observed"] != 0
     columns = {name: values[is_written] for name, values in columns.items()}
@@ -204,7 +250,10 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
         provenance=run.provenance,
         overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )
-    with _output(settings.out), tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary:
+    with (
+        _output(settings.out),
+        tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary,
+    ):
         folder = Path(temporary)
         writer.open(info, folder)
         try:
@@ -219,7 +268,9 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
 
 
 def _move(file: Path, out: Path) -> None:
-    """Move a finished file to `out`; devices and symbolic links are written to, not replaced (see `atomic_path`)."""
+    """Move a finished file to `out`; devices and symbolic links are written to, not replaced (see
+    `atomic_path`).
+    """
     with atomic_path(out) as partial:
         if partial == out:
             write_bytes(out, file.read_bytes())
@@ -236,7 +287,9 @@ def _start_utc_s(columns: Columns) -> float | None:
 
 @contextmanager
 def _output(out: Path) -> Iterator[None]:
-    """Context in which `out` is written, in a folder that is created; OutputError if it cannot be written."""
+    """Context in which `out` is written, in a folder that is created; OutputError if it cannot be
+    written.
+    """
     make_folder(out.parent)
     with writable(out, OutputError):
         yield
@@ -244,9 +297,14 @@ def _output(out: Path) -> Iterator[None]:
 
 @contextmanager
 def _replaced_folder(out: Path) -> Iterator[Path]:
-    """A new path next to `out`, which replaces `out`, a new folder or the folder of an export, at the end."""
+    """A new path next to `out`, which replaces `out`, a new folder or the folder of an export, at
+    the end.
+    """
     check_replaceable(out, "yolo")
-    with _output(out), tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary:
+    with (
+        _output(out),
+        tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary,
+    ):
         folder = Path(temporary) / "new"
         yield folder
         if out.is_dir():
@@ -256,10 +314,15 @@ def _replaced_folder(out: Path) -> Iterator[Path]:
 
 def check_replaceable(out: Path, name: str) -> None:
     """Check that an output does not exist, or has the format that replaces it; else OutputError."""
-    if os.path.lexists(out) and not (_is_written_folder(out) if name == "yolo" else _has_format(out, name)):
+    if os.path.lexists(out) and not (
+        _is_written_folder(out) if name == "yolo" else _has_format(out, name)
+    ):
         expected = f"a new file, or a file in the format {name} to replace, found another format"
         if name == "yolo":
-            expected = "a new or empty folder, or a folder that contains only an earlier export, found something else"
+            expected = (
+                "a new or empty folder, or a folder that contains only an earlier export, found "
+                "something else"
+            )
         raise OutputError(f"{out}: expected {expected}; choose another --out.")
 
 

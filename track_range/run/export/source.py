@@ -20,7 +20,13 @@ from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.recording.live.address import live_address
 from track_range.recording.open_video import open_video
-from track_range.results.folder import DetectedCamera, RunFolder, every_of, read_run_folder, rows_file
+from track_range.results.folder import (
+    DetectedCamera,
+    RunFolder,
+    every_of,
+    read_run_folder,
+    rows_file,
+)
 from track_range.results.formats.box_files import table_of_rows
 from track_range.run.build import open_input
 from track_range.run.settings_files import settings_from
@@ -40,7 +46,9 @@ def run_files(folder: Path) -> list[Path]:
 
 
 def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
-    """The results of a run and its left camera, None = unknown; OutputError if the folder does not contain a run."""
+    """The results of a run and its left camera, None = unknown; OutputError if the folder does not
+    contain a run.
+    """
     run = read_run_folder(folder, is_rounded=False, has_events=False)
     file = folder / "settings.yaml"
     if os.path.isfile(file):
@@ -68,10 +76,14 @@ def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
 
 
 def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
-    """Numbers of the processed frames; for a killed run that may have dropped frames, the frames with rows."""
+    """Numbers of the processed frames; for a killed run that may have dropped frames, the frames
+    with rows.
+    """
     with_rows: list[int] = np.unique(run.columns["frame"]).astype(np.int64).tolist()
     n_frames, every = int(run.summary.get("frames") or 0), every_of(run.settings)
-    spans = [range(first, last + 1, every) for first, last in run.summary.get("processed_frames") or ()]
+    spans = [
+        range(first, last + 1, every) for first, last in run.summary.get("processed_frames") or ()
+    ]
     if spans and sum(map(len, spans)) == n_frames:
         return sorted({*with_rows, *(frame for span in spans for frame in span)})
     if run.summary.get("frames_dropped", is_live or run.settings.get("realtime")):
@@ -79,7 +91,9 @@ def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
     # the numbers of the frames of a live run start at the number of the first processed one
     first = min(with_rows, default=0) if is_live or run.settings.get("start_s") else 0
     n_frames = max(max(with_rows, default=-1) + 1, first + (n_frames - 1) * every + 1)
-    return range(first, n_frames, 1 if any((frame - first) % every for frame in with_rows) else every)
+    return range(
+        first, n_frames, 1 if any((frame - first) % every for frame in with_rows) else every
+    )
 
 
 def _video_of(settings: Mapping[str, Any]) -> str:
@@ -94,44 +108,60 @@ def _video_of(settings: Mapping[str, Any]) -> str:
 def facts_of_video(video: Path) -> VideoFacts:
     """Properties of a video or folder of images; VideoError if it cannot be read."""
     with closing(open_video(video)) as reader:
-        return VideoFacts(video.stem, reader.n_total, 0, (reader.width_px, reader.height_px), reader.fps)
+        return VideoFacts(
+            video.stem, reader.n_total, 0, (reader.width_px, reader.height_px), reader.fps
+        )
 
 
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
-    """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first frame in the file.
+    """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first
+    frame in the file.
 
-    LabelFileError: the file cannot be read, or has boxes before the first frame; VideoError: the video cannot be read.
+    LabelFileError: the file cannot be read, or has boxes before the first frame; VideoError: the
+    video cannot be read.
     """
     facts = NO_FACTS if video is None else facts_of_video(video)
     table = label_format_of(path).read(path, replace(facts, first_frame=first_frame))
     if first_frame:
         if len(table) and table.frame[0] < first_frame:
             raise LabelFileError(
-                f"{path}: expected frame numbers from {first_frame} (--first-frame), found {table.frame[0]}."
+                f"{path}: expected frame numbers from {first_frame} (--first-frame), found "
+                f"{table.frame[0]}."
             )
         n_frames = table.video.n_frames
         shifted = replace(
             table.video,
-            n_frames=n_frames if n_frames is None or facts.n_frames is not None else max(n_frames - first_frame, 1),
+            n_frames=n_frames
+            if n_frames is None or facts.n_frames is not None
+            else max(n_frames - first_frame, 1),
             first_frame=max(table.video.first_frame - first_frame, 0),
         )
         table = replace(table, frame=table.frame - first_frame, video=shifted)
     last = int(table.frame.max(initial=-1))
     if facts.n_frames is not None and last >= facts.n_frames:
-        note = f"{path.name} has boxes up to frame {last}, but the last frame of the video is {facts.n_frames - 1}."
+        note = (
+            f"{path.name} has boxes up to frame {last}, but the last frame of the video is "
+            f"{facts.n_frames - 1}."
+        )
         table = replace(table, notes=(*table.notes, note))
     return table
 
 
 def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:
-    """Number and rectified left image of each frame of a run. May raise ConfigError, VideoError or RigError."""
-    with closing(open_input(settings_from({"align": "off"}, folder / "settings.yaml"))) as recording:
+    """Number and rectified left image of each frame of a run. May raise ConfigError, VideoError or
+    RigError.
+    """
+    with closing(
+        open_input(settings_from({"align": "off"}, folder / "settings.yaml"))
+    ) as recording:
         for frame in recording.frames:
             yield frame.index, frame.left
 
 
 def frames_of_video(video: Path) -> Iterator[tuple[int, Image]]:
-    """Number and image of each frame of a video or folder of images; VideoError if it cannot be read."""
+    """Number and image of each frame of a video or folder of images; VideoError if it cannot be
+    read.
+    """
     with closing(open_video(video)) as reader:
         for frame in reader:
             yield frame.index, frame.image

@@ -1,4 +1,6 @@
-"""Options of a run for its boxes and their identities: detector, recorded detections, and tracker."""
+"""Options of a run for its boxes and their identities: detector, recorded detections, and
+tracker.
+"""
 
 from __future__ import annotations
 
@@ -17,44 +19,47 @@ _shared_option = partial(option, is_shared=True)
 
 # Fields that several commands have.
 
-MASK_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg")  # of a mask image for --ignore; other values are polygons
+# of a mask image for --ignore; other values are polygons
+MASK_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg")
 
 LETTERBOX_HELP = (
-    "Placement and padding grey of images in the network input: centred-114, centred-128, top-left-114, stretch"
+    "Placement and padding grey of images in the network input: centred-114, centred-128, "
+    "top-left-114, stretch"
 )
 
 NamesField = Annotated[
     str | None,
     option(
-        "Class names of the network in its order: a,b,c or a file with one name per line (default: the names in the "
-        "model file, else COCO's or VOC's).",
+        "Class names of the network in its order: a,b,c or a file with one name per line (default: "
+        "the names in the model file, else COCO's or VOC's).",
         is_file=True,
     ),
 ]
 AnchorsField = Annotated[
     str | None,
     option(
-        "Anchors of a network with raw YOLO heads, one group per output (default: as in the model file, else "
-        "YOLOv4-tiny's).",
+        "Anchors of a network with raw YOLO heads, one group per output (default: as in the model "
+        "file, else YOLOv4-tiny's).",
         metavar="'W,H ... / W,H ...'",
     ),
 ]
 LetterboxField = Annotated[
-    str | None, option(f"{LETTERBOX_HELP} (default: as usual for the network family).", metavar="NAME")
+    str | None,
+    option(f"{LETTERBOX_HELP} (default: as usual for the network family).", metavar="NAME"),
 ]
 LayoutField = Annotated[
     str | None,
     option(
-        "Name of the layout of the network's outputs, such as yolov8; see docs/how-to/detectors.md (default: "
-        "recognised from the shapes and values of the outputs).",
+        "Name of the layout of the network's outputs, such as yolov8; see docs/how-to/detectors.md "
+        "(default: recognised from the shapes and values of the outputs).",
         metavar="NAME",
     ),
 ]
 SizeField = Annotated[
     int | None,
     option(
-        "Longer side of the network input in pixels, for a network of variable input size (default: as in the model "
-        "file, else 640).",
+        "Longer side of the network input in pixels, for a network of variable input size "
+        "(default: as in the model file, else 640).",
         flag="--size",
         metavar="PX",
         ge=32,
@@ -64,18 +69,24 @@ SizeField = Annotated[
 ThreadsField = Annotated[
     int,
     option(
-        "Number of CPU threads for the network; 0 = one per core that the process may use.", metavar="N", ge=0, le=256
+        "Number of CPU threads for the network; 0 = one per core that the process may use.",
+        metavar="N",
+        ge=0,
+        le=256,
     ),
 ]
 DeviceField = Annotated[
     Device,
-    option("Device that runs the networks; auto = an NVIDIA GPU if onnxruntime can use one, else the CPU."),
+    option(
+        "Device that runs the networks; auto = an NVIDIA GPU if onnxruntime can use one, else "
+        "the CPU."
+    ),
 ]
 TrackerField = Annotated[
     str,
     option(
-        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package or (only "
-        "on the command line) of a module in the current folder.",
+        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed "
+        "package or (only on the command line) of a module in the current folder.",
         metavar="NAME|MODULE:CLASS",
         is_shared=True,
     ),
@@ -83,15 +94,17 @@ TrackerField = Annotated[
 ReidField = Annotated[
     Path | None,
     option(
-        "Re-identification network (ONNX) that describes the appearance of objects (default: a built-in colour "
-        "descriptor).",
+        "Re-identification network (ONNX) that describes the appearance of objects (default: a "
+        "built-in colour descriptor).",
         is_shared=True,
     ),
 ]
 
 
 def check_tracker(name: str, reid: Path | None) -> None:
-    """UsageError if there is no such tracker, or if it does not compare appearance with a re-identification network."""
+    """UsageError if there is no such tracker, or if it does not compare appearance with a
+    re-identification network.
+    """
     from track_range.tracking.registry import TrackerError, find_tracker
 
     try:
@@ -100,7 +113,8 @@ def check_tracker(name: str, reid: Path | None) -> None:
         raise UsageError(f"--tracker: {error}") from error
     if reid is not None and not tracker.uses_reid:
         raise UsageError(
-            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker deepsort."
+            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker "
+            "deepsort."
         )
 
 
@@ -112,7 +126,8 @@ class DetectionOptions(Options):
     detector: Annotated[
         str | None,
         _shared_option(
-            "YOLO network: an ONNX file, or a name from `track-range models list` (default: road, which is packaged).",
+            "YOLO network: an ONNX file, or a name from `track-range models list` (default: road, "
+            "which is packaged).",
             metavar="FILE|NAME",
             is_file=True,
         ),
@@ -120,8 +135,8 @@ class DetectionOptions(Options):
     classes: Annotated[
         tuple[str, ...],
         _shared_option(
-            "Road classes to track: person, bicycle, car, motorcycle, bus, truck, traffic light, traffic sign "
-            "(default: all).",
+            "Road classes to track: person, bicycle, car, motorcycle, bus, truck, traffic light, "
+            "traffic sign (default: all).",
             metavar="A,B,...",
         ),
     ] = ()
@@ -137,14 +152,16 @@ class DetectionOptions(Options):
         option(
             f"Recorded boxes instead of a detector, in a file or folder of {READ_TITLES}.",
             is_per_clip=True,
-            instead="recorded detections belong to a clip; give them in the column detections of a manifest",
+            instead="recorded detections belong to a clip; give them in the column detections of a "
+            "manifest",
         ),
     ] = None
     ignore: Annotated[
         str | None,
         option(
-            "Regions of the image whose boxes are dropped, such as the bonnet and overlay text: polygons in pixels of "
-            "the video, or a mask image of its size, white in the regions; a box is dropped if most of it is inside.",
+            "Regions of the image whose boxes are dropped, such as the bonnet and overlay text: "
+            "polygons in pixels of the video, or a mask image of its size, white in the regions; a "
+            "box is dropped if most of it is inside.",
             metavar="'x,y x,y x,y / ...'|MASK.png",
             is_file=True,
         ),
@@ -160,7 +177,11 @@ class DetectionOptions(Options):
     @model_validator(mode="before")
     @classmethod
     def _packaged_detector(cls, values: Any) -> Any:
-        if isinstance(values, dict) and values.get("detector") is None and values.get("detections") is None:
+        if (
+            isinstance(values, dict)
+            and values.get("detector") is None
+            and values.get("detections") is None
+        ):
             from track_range.detection.models.lookup import DEFAULT_MODEL  # imports onnxruntime
 
             return {**values, "detector": DEFAULT_MODEL}

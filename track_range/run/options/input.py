@@ -1,4 +1,6 @@
-"""Options of a run for its input: the videos, their calibration, and known facts about the recording."""
+"""Options of a run for its input: the videos, their calibration, and known facts about the
+recording.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,11 @@ class InputOptions(Options):
     stereo: Annotated[
         tuple[VideoName, VideoName] | None,
         option(
-            "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...); "
-            "for recordings in several files, folders of videos, patterns such as 'DIR/*_L.mp4', or the option "
-            "repeated for each pair of files. Or one recording with the images of both cameras, as ZED, OAK and other "
-            "stereo cameras record (--stereo-layout).",
+            "Left and right video: files, folders of numbered images, camera numbers (0 1) or "
+            "streams (rtsp://...); for recordings in several files, folders of videos, patterns "
+            "such as 'DIR/*_L.mp4', or the option repeated for each pair of files. Or one "
+            "recording with the images of both cameras, as ZED, OAK and other stereo cameras "
+            "record (--stereo-layout).",
             metavar="LEFT RIGHT|BOTH",
             is_repeated=True,
             is_shared=True,
@@ -41,19 +44,20 @@ class InputOptions(Options):
     stereo_layout: Annotated[
         LayoutOption | None,
         _clip_option(
-            "With one recording of both cameras, where their images are: beside each other with the left camera's on "
-            "the left (side-by-side) or right (right-left), below each other with the left camera's at the top "
-            "(top-bottom) or bottom (bottom-top), or in two video tracks of a file (tracks). By default (auto), the "
-            "layout follows from the file, its name or the images; images squeezed to half their width or height are "
-            "recognised by the size in --rig.",
+            "With one recording of both cameras, where their images are: beside each other with "
+            "the left camera's on the left (side-by-side) or right (right-left), below each other "
+            "with the left camera's at the top (top-bottom) or bottom (bottom-top), or in two "
+            "video tracks of a file (tracks). By default (auto), the layout follows from the file, "
+            "its name or the images; images squeezed to half their width or height are recognised "
+            "by the size in --rig.",
         ),
     ] = None
     mono: Annotated[
         VideoName | None,
         option(
-            "Video of a single camera: a file, a folder of numbered images, a camera number or a stream; for a "
-            "recording in several files, a folder of videos, a pattern such as 'DIR/*_F.mp4', or the option repeated "
-            "for each file.",
+            "Video of a single camera: a file, a folder of numbered images, a camera number or a "
+            "stream; for a recording in several files, a folder of videos, a pattern such as "
+            "'DIR/*_F.mp4', or the option repeated for each file.",
             metavar="VIDEO",
             is_repeated=True,
             is_shared=True,
@@ -63,7 +67,8 @@ class InputOptions(Options):
     track: Annotated[
         int | None,
         _clip_option(
-            "With --mono, video track of a file with several tracks, counted from 0 (default: the largest track).",
+            "With --mono, video track of a file with several tracks, counted from 0 (default: the "
+            "largest track).",
             metavar="N",
             ge=0,
             le=99,
@@ -72,25 +77,26 @@ class InputOptions(Options):
     topics: Annotated[
         tuple[str, ...],
         _clip_option(
-            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG, or one with the "
-            "images of both cameras (--stereo-layout); without --rig, the calibration is read from the corresponding "
-            "topics camera_info.",
+            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo "
+            "BAG, or one with the images of both cameras (--stereo-layout); without --rig, the "
+            "calibration is read from the corresponding topics camera_info.",
             metavar="LEFT,RIGHT",
         ),
     ] = ()
     rig: Annotated[
         Path | None,
         _clip_option(
-            "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's (OAK) JSON, "
-            "RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, KITTI's and others, or a folder of "
-            "such files (default: rig.yaml or calib.txt in the folder of the left video; without such a file, "
-            "distances are uncalibrated)."
+            "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's "
+            "(OAK) JSON, RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, "
+            "KITTI's and others, or a folder of such files (default: rig.yaml or calib.txt in the "
+            "folder of the left video; without such a file, distances are uncalibrated)."
         ),
     ] = None
     focal_px: Annotated[
         float | None,
         _clip_option(
-            "Focal length in pixels of a camera without a calibration file; the principal point is the image centre.",
+            "Focal length in pixels of a camera without a calibration file; the principal point is "
+            "the image centre.",
             metavar="PX",
             gt=0,
         ),
@@ -98,8 +104,8 @@ class InputOptions(Options):
     fov_deg: Annotated[
         float | None,
         option(
-            "Horizontal field of view in degrees to which the images of a wide lens are undistorted (default: the "
-            "field of view of the lens, at most 120).",
+            "Horizontal field of view in degrees to which the images of a wide lens are "
+            "undistorted (default: the field of view of the lens, at most 120).",
             metavar="DEG",
             ge=20,
             le=120,
@@ -108,8 +114,8 @@ class InputOptions(Options):
     yaw_deg: Annotated[
         float,
         option(
-            "With --mono, direction in degrees to the right of the camera's axis to which the images of a wide lens "
-            "are undistorted.",
+            "With --mono, direction in degrees to the right of the camera's axis to which the "
+            "images of a wide lens are undistorted.",
             metavar="DEG",
             ge=-120,
             le=120,
@@ -117,12 +123,20 @@ class InputOptions(Options):
     ] = 0.0
     start_s: Annotated[
         float,
-        _clip_option("Time in the video, in seconds, at which the run starts.", flag="--start", metavar="S", ge=0),
+        _clip_option(
+            "Time in the video, in seconds, at which the run starts.",
+            flag="--start",
+            metavar="S",
+            ge=0,
+        ),
     ] = 0.0
     duration_s: Annotated[
         float | None,
         _clip_option(
-            "Length of the run in seconds (default: to the end of the video).", flag="--duration", metavar="S", gt=0
+            "Length of the run in seconds (default: to the end of the video).",
+            flag="--duration",
+            metavar="S",
+            gt=0,
         ),
     ] = None
     every: Annotated[
@@ -138,37 +152,43 @@ class InputOptions(Options):
     realtime: Annotated[
         bool,
         option(
-            "Reading of a file at the pace of a camera: no frame is read before its time, and frames are dropped if "
-            "the machine is too slow.",
+            "Reading of a file at the pace of a camera: no frame is read before its time, and "
+            "frames are dropped if the machine is too slow.",
             instead="clips of a fleet are recordings, which are processed as fast as possible",
         ),
     ] = False
     folder_fps: Annotated[
         float,
-        _clip_option("Frame rate of folders of images, which have no timestamps.", metavar="FPS", ge=0.01, le=1000),
+        _clip_option(
+            "Frame rate of folders of images, which have no timestamps.",
+            metavar="FPS",
+            ge=0.01,
+            le=1000,
+        ),
     ] = 10.0
     bayer: Annotated[
         Bayer | None,
         _clip_option(
-            "Bayer filter of raw images in a folder (.pgm, .png, .tiff), given by the colours of the first two pixels "
-            "in the first two rows: rggb, bggr, gbrg or grbg."
+            "Bayer filter of raw images in a folder (.pgm, .png, .tiff), given by the colours of "
+            "the first two pixels in the first two rows: rggb, bggr, gbrg or grbg."
         ),
     ] = None
     start_utc: Annotated[
         str | None,
         _clip_option(
-            "Date and time (UTC) of the video's first frame, for the column utc (default: from the video's header, "
-            "its name or its timestamps, if they state a date).",
+            "Date and time (UTC) of the video's first frame, for the column utc (default: from the "
+            "video's header, its name or its timestamps, if they state a date).",
             metavar="2026-01-31T14:25:30Z",
-            instead="the start of a recording belongs to a clip; give it in the column start_utc of a manifest",
+            instead="the start of a recording belongs to a clip; give it in the column start_utc "
+            "of a manifest",
         ),
     ] = None
     ego_speed: Annotated[
         str,
         _clip_option(
-            "Speed of the camera, for the absolute speeds of objects: from GPS records in the video or in a file "
-            "beside it, else from the images (auto), unknown (off), a constant in km/h, a file (CSV, GPX, NMEA, SRT, "
-            "...), or KITTI's oxts folder.",
+            "Speed of the camera, for the absolute speeds of objects: from GPS records in the "
+            "video or in a file beside it, else from the images (auto), unknown (off), a constant "
+            "in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts folder.",
             words=("auto", "off"),
             metavar="KMH|FILE|DIR",
             is_file=True,
@@ -177,9 +197,9 @@ class InputOptions(Options):
     truth: Annotated[
         Path | None,
         _clip_option(
-            "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the columns "
-            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps (other columns "
-            f"are ignored); or labels with track ids: {GENERAL_TITLES}.",
+            "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the "
+            "columns frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, "
+            f"closing_mps (other columns are ignored); or labels with track ids: {GENERAL_TITLES}.",
             instead="ground truth belongs to a clip; give it in the column truth of a manifest",
         ),
     ] = None
@@ -187,12 +207,16 @@ class InputOptions(Options):
     @field_validator("stereo", mode="before")
     @classmethod
     def _pair_of_names(cls, pair: Any) -> Any:
-        """Convert names to paths, several files, or addresses of cameras and streams; a single name is for both."""
+        """Convert names to paths, several files, or addresses of cameras and streams; a single name
+        is for both.
+        """
         if isinstance(pair, str | Path):
             pair = (pair,)
         if isinstance(pair, list | tuple) and len(pair) == 1:
             pair = (pair[0], pair[0])
-        return tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
+        return (
+            tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
+        )
 
     @field_validator("mono", mode="before")
     @classmethod
@@ -218,7 +242,9 @@ class InputOptions(Options):
 
     @property
     def has_both_in_one(self) -> bool:
-        """Whether one recording has the images of both cameras, if it is not a bag with two topics."""
+        """Whether one recording has the images of both cameras, if it is not a bag with two
+        topics.
+        """
         return self.stereo is not None and self.stereo[0] == self.stereo[1] and len(self.topics) < 2
 
     @property
@@ -230,13 +256,19 @@ class InputOptions(Options):
     def left(self) -> VideoName:
         """The left or only video; it gives the output folder its name."""
         if not self.videos:
-            raise ConfigError("expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO.")
+            raise ConfigError(
+                "expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO."
+            )
         return self.videos[0]
 
 
 def _source_name(value: Any) -> Any:
-    """A recording or live source from text or a list of texts; other values are left to the validation."""
-    is_list = isinstance(value, list | tuple) and all(isinstance(part, str | Path) for part in value)
+    """A recording or live source from text or a list of texts; other values are left to the
+    validation.
+    """
+    is_list = isinstance(value, list | tuple) and all(
+        isinstance(part, str | Path) for part in value
+    )
     return video_name(value) if isinstance(value, str) or is_list else value
 
 

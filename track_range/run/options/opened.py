@@ -36,15 +36,21 @@ class DetectorOptions:
 
     @classmethod
     def of(cls, settings: object) -> Self:
-        """Options from the attributes of the same names that `settings` has; defaults for missing attributes."""
+        """Options from the attributes of the same names that `settings` has; defaults for missing
+        attributes.
+        """
         names = (field.name for field in fields(cls))
         return cls(**{name: getattr(settings, name) for name in names if hasattr(settings, name)})
 
 
-def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float | None = None) -> YoloDetector:
-    """The detector in `path`; a `lowest_score` replaces all thresholds, for evaluations over all confidences.
+def open_detector(
+    path: Path, options: DetectorOptions, *, lowest_score: float | None = None
+) -> YoloDetector:
+    """The detector in `path`; a `lowest_score` replaces all thresholds, for evaluations over all
+    confidences.
 
-    ModelError: the model cannot be used; ClassNameError: a class is unknown; ConfigError: invalid names or thresholds.
+    ModelError: the model cannot be used; ClassNameError: a class is unknown; ConfigError: invalid
+    names or thresholds.
     """
     min_score, by_class = thresholds(options.min_score, otherwise=YoloSettings().min_score)
     settings = YoloSettings(
@@ -54,14 +60,19 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
         size_px=options.size_px,
     )
     model_options = ModelOptions(
-        names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox, layout=options.layout
+        names=class_names(options.names),
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        layout=options.layout,
     )
     runtime = Runtime(device=options.device, n_threads=options.threads)
     return YoloDetector(path, settings, options=model_options, runtime=runtime)
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or empty files."""
+    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or
+    empty files.
+    """
     if option is None:
         return None
     path = Path(option)
@@ -71,14 +82,20 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
         text = read_text(path, ConfigError, "a text file with one class name per line (--names)")
         source, names = option, tuple(line.strip() for line in text.split("\n") if line.strip())
     if not all(names) or not names or max(map(len, names)) > _MAX_NAME:
-        raise ConfigError(f"--names {source}: expected class names, a,b,c or a file with one name per line.")
+        raise ConfigError(
+            f"--names {source}: expected class names, a,b,c or a file with one name per line."
+        )
     return names
 
 
-def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Minimum confidence of boxes, and (class id, minimum confidence) of classes with separate thresholds.
+def thresholds(
+    option: str | None, *, otherwise: float
+) -> tuple[float, tuple[tuple[int, float], ...]]:
+    """Minimum confidence of boxes, and (class id, minimum confidence) of classes with separate
+    thresholds.
 
-    UsageError: a threshold is not from 0 to 1, or there are two without a class; ClassNameError: a class is unknown.
+    UsageError: a threshold is not from 0 to 1, or there are two without a class; ClassNameError: a
+    class is unknown.
     """
     min_score, by_class = None, []
     for part in option.split(",") if option else ():
@@ -95,19 +112,23 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
             min_score = score
         else:
             raise UsageError(
-                f"--min-score {shortened(option or '')}: expected one number for all classes, then class=number, "
-                "separated by commas."
+                f"--min-score {shortened(option or '')}: expected one number for all classes, then "
+                "class=number, separated by commas."
             )
     return (otherwise if min_score is None else min_score), tuple(by_class)
 
 
 def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
-    """Options for trackers, with the re-identification network loaded if there is one; else ModelError."""
+    """Options for trackers, with the re-identification network loaded if there is one; else
+    ModelError.
+    """
     return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
 
 
 class OpenedDetectors:
-    """The last opened detector, which the next run with the same file and options uses again; one run at a time."""
+    """The last opened detector, which the next run with the same file and options uses again; one
+    run at a time.
+    """
 
     def __init__(self) -> None:
         self._key: tuple[object, ...] | None = None
@@ -115,7 +136,12 @@ class OpenedDetectors:
 
     def __call__(self, path: Path, options: DetectorOptions) -> YoloDetector:
         """The detector of a file and options; errors as for `open_detector`."""
-        key = (path, options, _state(path), None if options.names is None else _state(Path(options.names)))
+        key = (
+            path,
+            options,
+            _state(path),
+            None if options.names is None else _state(Path(options.names)),
+        )
         if self._detector is None or key != self._key:
             self._detector = self._key = None  # two networks at a time would need twice the memory
             self._detector = open_detector(path, options)

@@ -1,7 +1,8 @@
 """Canvas: an image with a depth buffer, on which textured faces are drawn with exact perspective.
 
-`pieces.py` computes where each piece of a face is in the image; the canvas warps its texture there and keeps the pixels
-that no nearer surface hides. Pixel operations use OpenCV, which releases the GIL for other threads.
+`pieces.py` computes where each piece of a face is in the image; the canvas warps its texture there
+and keeps the pixels that no nearer surface hides. Pixel operations use OpenCV, which releases the
+GIL for other threads.
 """
 
 from collections.abc import Iterator
@@ -16,24 +17,34 @@ from track_range.simulation.render.pieces import NEAR_M, Projected, projected, v
 from track_range.stereo.geometry.camera import PinholeCamera
 
 OPAQUE_ALPHA = 112  # lowest alpha of an opaque sample, below half: no gaps between pieces of a face
-_OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)  # in a BGRA sample read as one uint32, alpha is the highest byte
-SHADE_SLACK = 1.03  # largest ratio of the depths of a shadow and its surface: curved roads are drawn as flat pieces
+# in a BGRA sample read as one uint32, alpha is the highest byte
+_OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)
+# largest ratio of the depths of a shadow and its surface: curved roads are drawn as flat pieces
+SHADE_SLACK = 1.03
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 Slices = tuple[slice, slice]
 
 
 class Canvas:
-    """An image with a depth buffer: (H, W, 4) uint8 `bgra`, and `inverse_depth`, (H, W) 1/z in 1/m, 0 = nothing drawn.
+    """An image with a depth buffer: (H, W, 4) uint8 `bgra`, and `inverse_depth`, (H, W) 1/z in 1/m,
+    0 = nothing drawn.
 
-    `labels` belong to the face that each sample shows, (H, W) as `FaceTable.label`; (0, 0) without `has_labels`.
+    `labels` belong to the face that each sample shows, (H, W) as `FaceTable.label`; (0, 0) without
+    `has_labels`.
     """
 
-    def __init__(self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False) -> None:
+    def __init__(
+        self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False
+    ) -> None:
         self.camera = camera
         self.bgra: Image = np.zeros((camera.height_px, camera.width_px, 4), np.uint8)
-        self.inverse_depth: npt.NDArray[np.float32] = np.zeros((camera.height_px, camera.width_px), np.float32)
-        self.labels = np.zeros((camera.height_px, camera.width_px) if has_labels else (0, 0), np.uint16)
+        self.inverse_depth: npt.NDArray[np.float32] = np.zeros(
+            (camera.height_px, camera.width_px), np.float32
+        )
+        self.labels = np.zeros(
+            (camera.height_px, camera.width_px) if has_labels else (0, 0), np.uint16
+        )
         self._store = store
         self._columns, self._rows = np.arange(camera.width_px), np.arange(camera.height_px)
 
@@ -47,7 +58,9 @@ class Canvas:
         self.paint(pieces, table, slice(0, len(pieces.face)))
 
     def may_be_visible(self, corners_m: FloatArray) -> Iterator[bool]:
-        """For each body inside a box with corners (N, 8, 3): whether it may be visible in the image as drawn so far."""
+        """For each body inside a box with corners (N, 8, 3): whether it may be visible in the image
+        as drawn so far.
+        """
         z = corners_m[:, :, 2]
         xyw = corners_m @ self.camera.matrix.T
         corners_px = xyw[:, :, :2] / np.maximum(z, NEAR_M)[:, :, None]
@@ -72,11 +85,16 @@ class Canvas:
         labels = table.label[faces].tolist()
         for k, (left, top, right, bottom) in enumerate(windows):
             window = np.s_[top : bottom + 1, left : right + 1]
-            if not is_shadow[k] and np.minimum.reduce(self.inverse_depth[window], axis=None) >= nearest[k]:
+            if (
+                not is_shadow[k]
+                and np.minimum.reduce(self.inverse_depth[window], axis=None) >= nearest[k]
+            ):
                 continue
             texture = self._store.averaged(numbers[k], tuple(texels[k]), tuple(sizes[k]))
             size_px = (right - left + 1, bottom - top + 1)
-            warped = np.asarray(cv2.warpPerspective(texture, maps[k], size_px, flags=_WARP), np.uint8)
+            warped = np.asarray(
+                cv2.warpPerspective(texture, maps[k], size_px, flags=_WARP), np.uint8
+            )
             if is_shadow[k]:
                 self._shade(window, warped, self._plane(window, planes[k]))
             else:
@@ -96,17 +114,33 @@ class Canvas:
         rows = (self._rows[window[0]] * plane[1] + plane[2]).astype(np.float32)
         return np.asarray(rows[:, None] + (self._columns[window[1]] * plane[0]).astype(np.float32))
 
-    def _cover(self, window: Slices, warped: Image, inverse_depth: npt.NDArray[np.float32], label: int) -> None:
+    def _cover(
+        self, window: Slices, warped: Image, inverse_depth: npt.NDArray[np.float32], label: int
+    ) -> None:
         """Draw the opaque samples that are nearer than samples drawn before."""
         is_nearer = cv2.compare(inverse_depth, self.inverse_depth[window], cv2.CMP_GT)
-        is_drawn = cv2.bitwise_and(is_nearer, (warped.view(np.uint32)[:, :, 0] >= _OPAQUE_BGRA).view(np.uint8))
+        is_drawn = cv2.bitwise_and(
+            is_nearer, (warped.view(np.uint32)[:, :, 0] >= _OPAQUE_BGRA).view(np.uint8)
+        )
         cv2.copyTo(inverse_depth, is_drawn, self.inverse_depth[window])
         cv2.copyTo(warped, is_drawn, self.bgra[window])
         if self.labels.size:
             self.labels[window][is_drawn > 0] = label
 
-    def _shade(self, window: Slices, darkness: Image, inverse_depth: npt.NDArray[np.float32]) -> None:
+    def _shade(
+        self, window: Slices, darkness: Image, inverse_depth: npt.NDArray[np.float32]
+    ) -> None:
         """Darken the surface under a shadow, by the shadow's alpha."""
-        darkness[cv2.compare(self.inverse_depth[window], inverse_depth * np.float32(SHADE_SLACK), cv2.CMP_GT) > 0] = 0
+        darkness[
+            cv2.compare(
+                self.inverse_depth[window], inverse_depth * np.float32(SHADE_SLACK), cv2.CMP_GT
+            )
+            > 0
+        ] = 0
         light = cv2.bitwise_not(darkness)
-        cv2.multiply(self.bgra[window], cv2.merge([light, light, light, light]), self.bgra[window], scale=1 / 255)
+        cv2.multiply(
+            self.bgra[window],
+            cv2.merge([light, light, light, light]),
+            self.bgra[window],
+            scale=1 / 255,
+        )

@@ -1,8 +1,10 @@
-"""Faces as parallel arrays, and textures averaged to the resolution at which they are drawn, with a cache.
+"""Faces as parallel arrays, and textures averaged to the resolution at which they are drawn, with a
+cache.
 
-Sizes are quantized in steps of 2^(1/4), so that there are few: an averaged texture has 1 to 1.19 texels per sample, or
-all of its texels if it has fewer. Area averaging by a fractional factor reads every texel and takes three times as long
-as a warp; therefore textures are halved first, which is fast, and then averaged from the smallest sufficient size.
+Sizes are quantized in steps of 2^(1/4), so that there are few: an averaged texture has 1 to 1.19
+texels per sample, or all of its texels if it has fewer. Area averaging by a fractional factor reads
+every texel and takes three times as long as a warp; therefore textures are halved first, which is
+fast, and then averaged from the smallest sufficient size.
 """
 
 from __future__ import annotations
@@ -17,9 +19,13 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.simulation.world.bodies.faces import Face
 
 STEPS_PER_DOUBLING = 4  # number of sizes per factor of 2
-STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))  # texels
+# texels
+STEPS = np.unique(
+    np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64)
+)
 MAX_BYTES = 128 * 2**20  # default size of the cache; a full cache is emptied
-Window = tuple[int, int, int, int]  # part of a texture: first row, end row, first column, end column
+# part of a texture: first row, end row, first column, end column
+Window = tuple[int, int, int, int]
 
 
 def quantized_up(size: IntArray, texels: IntArray) -> IntArray:
@@ -30,8 +36,8 @@ def quantized_up(size: IntArray, texels: IntArray) -> IntArray:
 class TextureStore:
     """Textures by number, with a cache of averaged versions.
 
-    A texture is (h, w, 4) BGRA, or (h, w) the darkness of a shadow. Threads may share a store: if two of them compute
-    the same version at once, the results are equal.
+    A texture is (h, w, 4) BGRA, or (h, w) the darkness of a shadow. Threads may share a store: if
+    two of them compute the same version at once, the results are equal.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
@@ -47,7 +53,8 @@ class TextureStore:
         return len(self._pictures) - 1
 
     def averaged(self, number: int, window: Window, size: tuple[int, int]) -> Image:
-        """A window of a texture averaged to `size` (rows, columns), with a transparent margin of one texel.
+        """A window of a texture averaged to `size` (rows, columns), with a transparent margin of
+        one texel.
 
         The margin repeats the colours of the edge, so that only alpha fades out.
         """
@@ -56,8 +63,13 @@ class TextureStore:
         if average is None:
             shape = (window[1] - window[0], window[3] - window[2])
             # as often as the sizes can be halved without falling below `size`
-            n_rows, n_columns = ((before // after).bit_length() - 1 for before, after in zip(shape, size, strict=True))
-            average = _with_margin(_down_to(self._halving(number, window, (n_rows, n_columns)), size))
+            n_rows, n_columns = (
+                (before // after).bit_length() - 1
+                for before, after in zip(shape, size, strict=True)
+            )
+            average = _with_margin(
+                _down_to(self._halving(number, window, (n_rows, n_columns)), size)
+            )
             self._averages[key] = average
             self._n_bytes += average.nbytes
             if self._n_bytes > self._max_bytes:
@@ -71,7 +83,9 @@ class TextureStore:
         key = (number, window, halvings)
         halved = self._halved.get(key)
         if halved is None:
-            larger = self._halving(number, window, (max(halvings[0] - 1, 0), max(halvings[1] - 1, 0)))
+            larger = self._halving(
+                number, window, (max(halvings[0] - 1, 0), max(halvings[1] - 1, 0))
+            )
             shape = ((window[1] - window[0]) >> halvings[0], (window[3] - window[2]) >> halvings[1])
             halved = _down_to(larger, shape)
             self._halved[key] = halved
@@ -87,7 +101,9 @@ def _down_to(picture: Image, shape: tuple[int, int]) -> Image:
 
 def _with_margin(picture: Image) -> Image:
     if picture.ndim == 2:
-        return np.asarray(cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0), np.uint8)
+        return np.asarray(
+            cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0), np.uint8
+        )
     padded = cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     padded[[0, -1], :, 3] = 0
     padded[:, [0, -1], 3] = 0
@@ -96,7 +112,9 @@ def _with_margin(picture: Image) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class FaceTable:
-    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull and split them."""
+    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull
+    and split them.
+    """
 
     corner: FloatArray  # (F, 3)
     along: FloatArray  # (F, 3)
@@ -105,14 +123,17 @@ class FaceTable:
     texels: IntArray  # (F, 2) rows and columns of the textures
     two_sided: BoolArray  # (F,) whether the back is visible too
     is_shadow: BoolArray  # (F,) whether the face is a shadow
-    label: IntArray  # (F,) what masks show: an `IdentifyingPart`, or a number of part and road user (`Crowd`)
+    # (F,) what masks show: an `IdentifyingPart`, or a number of part and road user (`Crowd`)
+    label: IntArray
 
     def __len__(self) -> int:
         return len(self.corner)
 
     @classmethod
     def of(cls, faces: Sequence[Face], store: TextureStore) -> FaceTable:
-        """A table of faces; their textures are added to the store, for shadows only the alpha channel."""
+        """A table of faces; their textures are added to the store, for shadows only the alpha
+        channel.
+        """
         pictures = [face.texture[:, :, 3] if face.is_shadow else face.texture for face in faces]
         return cls(
             np.array([face.corner for face in faces], np.float64).reshape(-1, 3),
@@ -148,7 +169,9 @@ def unlabelled_faces(
     two_sided: BoolArray | bool = False,
     is_shadow: bool = False,
 ) -> FaceTable:
-    """Faces with label 0; `vectors_m` are corner, along and down, `texels` are (F, 2), or the same for all."""
+    """Faces with label 0; `vectors_m` are corner, along and down, `texels` are (F, 2), or the same
+    for all.
+    """
     n = len(texture)
     return FaceTable(
         *vectors_m,
@@ -162,4 +185,9 @@ def unlabelled_faces(
 
 def joined_tables(tables: Sequence[FaceTable]) -> FaceTable:
     """The faces of several tables, concatenated."""
-    return FaceTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in FaceTable.__slots__))
+    return FaceTable(
+        *(
+            np.concatenate([getattr(table, name) for table in tables])
+            for name in FaceTable.__slots__
+        )
+    )

@@ -13,19 +13,26 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.scene import RoadUser, Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
-AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)  # ambient light of a town's sky and distant lamps; blue, green, red
+# ambient light of a town's sky and distant lamps; blue, green, red
+AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)
 BEAM = np.array([0.80, 0.92, 1.0], np.float32)  # colour of the headlights; blue, green, red
-REACH_M, FADING = 12.0, 1.3  # headlights have full strength up to here, and fall with this exponent beyond
+# headlights have full strength up to here, and fall with this exponent beyond
+REACH_M, FADING = 12.0, 1.3
 HIDDEN_M = 0.6  # difference in depth above which a nearer surface hides a lamp
 
 RED, WHITE, AMBER = (40.0, 45.0, 255.0), (235.0, 245.0, 255.0), (120.0, 190.0, 255.0)
-LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}  # relative to the vehicle
+# relative to the vehicle
+LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}
 
 
-def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> FloatArray:
-    """(N, 7) the lamps of vehicles and the street lamps: locations in a camera's frame, colours (BGR), radii in m.
+def lamps_of(
+    scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray
+) -> FloatArray:
+    """(N, 7) the lamps of vehicles and the street lamps: locations in a camera's frame, colours
+    (BGR), radii in m.
 
-    `lamp_heads_m` (N, 3) is in world axes, `shift_m` (3,) the position of the left camera in the camera's frame.
+    `lamp_heads_m` (N, 3) is in world axes, `shift_m` (3,) the position of the left camera in the
+    camera's frame.
     """
     pose = scene.pose(time_s)
     rows: list[tuple[float, ...]] = []
@@ -35,10 +42,14 @@ def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: 
             rows += _vehicle_lamps(user, location, rotation)
     for head in (lamp_heads_m - pose.position_m) @ pose.camera_from_world.T:
         rows.append((*head.tolist(), *AMBER, 0.22))
-    return np.asarray(np.array(rows, np.float64).reshape(-1, 7) + np.concatenate([shift_m, np.zeros(4)]))
+    return np.asarray(
+        np.array(rows, np.float64).reshape(-1, 7) + np.concatenate([shift_m, np.zeros(4)])
+    )
 
 
-def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -> list[tuple[float, ...]]:
+def _vehicle_lamps(
+    user: RoadUser, location: FloatArray, rotation: FloatArray
+) -> list[tuple[float, ...]]:
     """Rows of a vehicle's lamps: red lamps if its back is visible, white lamps if its front is."""
     height, width, length = user.size_hwl_m
     shows_front = float(rotation[:, 0] @ location) < 0
@@ -49,14 +60,19 @@ def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -
     return [(*(location + rotation @ lamp).tolist(), *colour, radius_m) for lamp in lamps]
 
 
-def night_image(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: FloatArray) -> Image:
+def night_image(
+    image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: FloatArray
+) -> Image:
     """A daylight image as lit by the ego headlights and lamps; the sky does not change.
 
-    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps come from `lamps_of`.
+    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps come from
+    `lamps_of`.
     """
     near = cv2.pow(np.minimum(inverse_depth * np.float32(REACH_M), np.float32(1)), FADING)
     strength = headlights(camera) * near
-    light = cv2.merge([strength * beam + ambient for beam, ambient in zip(BEAM, AMBIENT, strict=True)])
+    light = cv2.merge(
+        [strength * beam + ambient for beam, ambient in zip(BEAM, AMBIENT, strict=True)]
+    )
     light[inverse_depth <= 0] = 1.0
     night = image * light
     for lamp in lamps[lamps[:, 2] > 1.0]:
@@ -75,7 +91,9 @@ def headlights(camera: PinholeCamera) -> FloatArray:
     return np.asarray(beam, np.float32)
 
 
-def _add_glow(image: FloatArray, inverse_depth: FloatArray, camera: PinholeCamera, lamp: FloatArray) -> None:
+def _add_glow(
+    image: FloatArray, inverse_depth: FloatArray, camera: PinholeCamera, lamp: FloatArray
+) -> None:
     """Add the glow of one lamp (7,) to `image`, unless a nearer surface hides it."""
     location, bgr, radius_m = lamp[:3], lamp[3:6], float(lamp[6])
     xy_px = camera.project(location[None])[0]

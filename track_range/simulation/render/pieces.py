@@ -1,10 +1,12 @@
 r"""Pieces of faces that a camera sees: culling, splitting and projection of a table of faces.
 
-A face is C + s U + t V in the camera's frame. With the texture's texel (i, j) at s = (i + 1/2) / n, its pixel is
+A face is C + s U + t V in the camera's frame. With the texture's texel (i, j) at s = (i + 1/2) / n,
+its pixel is
     (u w, v w, w)^T = K [U V C] (s, t, 1)^T                   a homography, drawn exactly by cv2.warpPerspective
-and on its plane n . P = d, n = U x V, the inverse depth is affine in the pixel, 1/z = n . (x, y, 1)^T / d.
-To avoid aliasing, which would shift a texture relative to its surface, faces that extend far in depth are split into
-pieces of nearly constant depth, and the texture of each piece is averaged to its resolution in the image.
+and on its plane n . P = d, n = U x V, the inverse depth is affine in the pixel, 1/z = n . (x, y,
+1)^T / d. To avoid aliasing, which would shift a texture relative to its surface, faces that extend
+far in depth are split into pieces of nearly constant depth, and the texture of each piece is
+averaged to its resolution in the image.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from track_range.simulation.render.face_table import FaceTable, quantized_up
 from track_range.stereo.geometry.camera import PinholeCamera
 
 NEAR_M = 0.3  # depth of the near plane, m
-DEPTH_RATIO = 1.4  # ratio of the depths of the farthest and the nearest corner above which a face is split in two
+# ratio of the depths of the farthest and the nearest corner above which a face is split in two
+DEPTH_RATIO = 1.4
 CUTS = 6  # largest number of times that a face is split
 
 
@@ -30,7 +33,8 @@ class Pieces:
     corner: FloatArray  # (P, 3), as both edges in metres
     along: FloatArray
     down: FloatArray
-    window: IntArray  # (P, 4) part of the face's texture: first row, end row, first column, end column
+    # (P, 4) part of the face's texture: first row, end row, first column, end column
+    window: IntArray
 
     def __len__(self) -> int:
         return len(self.face)
@@ -48,7 +52,9 @@ class Pieces:
 
     def select(self, rows: IntArray | BoolArray) -> Pieces:
         """The pieces of the given rows."""
-        return Pieces(self.face[rows], self.corner[rows], self.along[rows], self.down[rows], self.window[rows])
+        return Pieces(
+            self.face[rows], self.corner[rows], self.along[rows], self.down[rows], self.window[rows]
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +65,23 @@ class Projected:
     texels: IntArray  # (P, 4) window of the texture: first row, end row, first column, end column
     size: IntArray  # (P, 2) rows and columns to which the window is averaged
     window_px: IntArray  # (P, 4) left, top, right, bottom in the image, inclusive
-    texture_from_px: FloatArray  # (P, 3, 3) homography from `window_px` to the averaged texture with margin
+    # (P, 3, 3) homography from `window_px` to the averaged texture with margin
+    texture_from_px: FloatArray
     inverse_depth: FloatArray  # (P, 3) coefficients of 1/z in (u, v, 1)
     nearest: FloatArray  # (P,) 1/z of the nearest corner
 
 
 def visible_pieces(table: FaceTable, camera: PinholeCamera) -> Pieces:
-    """The faces that may be visible: in front of the camera and facing it, split where they extend far in depth."""
+    """The faces that may be visible: in front of the camera and facing it, split where they extend
+    far in depth.
+    """
     facing = (np.cross(table.along, table.down) * table.corner).sum(axis=1) > 0
     rows = np.flatnonzero(facing | table.two_sided)
     window = np.zeros((len(rows), 4), np.int64)
     window[:, 1::2] = table.texels[rows]
-    pieces = _in_view(Pieces(rows, table.corner[rows], table.along[rows], table.down[rows], window), camera)
+    pieces = _in_view(
+        Pieces(rows, table.corner[rows], table.along[rows], table.down[rows], window), camera
+    )
     for _ in range(CUTS):
         z = pieces.corners[:, :, 2]
         is_deep = z.max(axis=1) > DEPTH_RATIO * np.maximum(z.min(axis=1), NEAR_M)
@@ -91,7 +102,9 @@ def projected(pieces: Pieces, camera: PinholeCamera) -> Projected:
     low = np.maximum(np.floor(corners_px.min(axis=1)), 0).astype(np.int64)
     high = np.minimum(np.ceil(corners_px.max(axis=1)), edge).astype(np.int64)
     size = _texture_size(corners_px, pieces.n_texels)
-    columns = np.stack([pieces.along / size[:, 1:], pieces.down / size[:, :1], pieces.corner], axis=2)
+    columns = np.stack(
+        [pieces.along / size[:, 1:], pieces.down / size[:, :1], pieces.corner], axis=2
+    )
     px_from_texture = matrix @ columns
     px_from_texture[:, :, 2] -= 0.5 * (px_from_texture[:, :, 0] + px_from_texture[:, :, 1])
     px_from_texture[:, :2] -= low[:, :, None] * px_from_texture[:, 2:]
@@ -110,11 +123,15 @@ def projected(pieces: Pieces, camera: PinholeCamera) -> Projected:
 
 
 def _texture_size(corners_px: FloatArray, n_texels: IntArray) -> IntArray:
-    """(P, 2) rows and columns of the averaged textures, from the longer edges between corners (P, 4, 2)."""
+    """(P, 2) rows and columns of the averaged textures, from the longer edges between corners (P,
+    4, 2).
+    """
     edges = np.roll(corners_px, -1, axis=1) - corners_px
     top, right, bottom, left = np.sqrt((edges * edges).sum(axis=2)).T
     covered = np.stack([np.maximum(left, right), np.maximum(top, bottom)], axis=1)
-    return quantized_up(np.minimum(np.maximum(np.ceil(covered), 1), n_texels).astype(np.int64), n_texels)
+    return quantized_up(
+        np.minimum(np.maximum(np.ceil(covered), 1), n_texels).astype(np.int64), n_texels
+    )
 
 
 def _in_view(pieces: Pieces, camera: PinholeCamera) -> Pieces:
@@ -126,7 +143,9 @@ def _in_view(pieces: Pieces, camera: PinholeCamera) -> Pieces:
 
 
 def _halved(pieces: Pieces, is_split: BoolArray) -> Pieces:
-    """The pieces in the same order, with the pieces `is_split` (P,) halved at a texel along the edge that is deeper."""
+    """The pieces in the same order, with the pieces `is_split` (P,) halved at a texel along the
+    edge that is deeper.
+    """
     both = pieces.select(np.repeat(np.arange(len(pieces)), 1 + is_split))
     is_cut = np.repeat(is_split, 1 + is_split)
     is_second = is_cut & (np.cumsum(is_cut) % 2 == 0)

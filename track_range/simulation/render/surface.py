@@ -1,7 +1,7 @@
 r"""Exact intersection of rays with the drawn surface of a body.
 
-A ray l r (r_z = 1, so that l is the depth) meets a face C + s U + t V where  [U V -r] (s t l)^T = -C,  if s and t are
-in [0, 1), the face is seen from outside, and its texture is opaque there.
+A ray l r (r_z = 1, so that l is the depth) meets a face C + s U + t V where  [U V -r] (s t l)^T =
+-C,  if s and t are in [0, 1), the face is seen from outside, and its texture is opaque there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from track_range.simulation.render.canvas import OPAQUE_ALPHA
 from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
-N_GRID = 15  # number of rays per side of the grid that is searched if the ray through the box centre misses the body
+# number of rays per side of the grid that is searched if the ray through the box centre misses the
+# body
+N_GRID = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +35,17 @@ class Surface:
     def of(cls, faces: Sequence[Face]) -> Surface:
         """The surface of the given faces."""
         solid = [face for face in faces if not face.is_shadow]
-        vectors = np.array([(face.corner, face.along, face.down) for face in solid], np.float64).reshape(-1, 3, 3)
+        vectors = np.array(
+            [(face.corner, face.along, face.down) for face in solid], np.float64
+        ).reshape(-1, 3, 3)
         two_sided = np.array([face.two_sided for face in solid], np.bool_)
-        return cls(vectors[:, 0], vectors[:, 1], vectors[:, 2], two_sided, tuple(face.texture for face in solid))
+        return cls(
+            vectors[:, 0],
+            vectors[:, 1],
+            vectors[:, 2],
+            two_sided,
+            tuple(face.texture for face in solid),
+        )
 
     def transformed(self, rotation: FloatArray, location_m: FloatArray) -> Surface:
         """The surface rotated by (3, 3), then translated by (3,)."""
@@ -46,8 +56,8 @@ class Surface:
 def centre_depth_m(surface: Surface, camera: PinholeCamera, xyxy_px: FloatArray) -> float:
     """The z at which the ray through a box centre first meets a body.
 
-    If that ray misses the body, passing between legs or wheels, the nearest ray in the box that meets it is used. The
-    body is in the camera's frame; NaN if no ray meets it.
+    If that ray misses the body, passing between legs or wheels, the nearest ray in the box that
+    meets it is used. The body is in the camera's frame; NaN if no ray meets it.
     """
     middle = (xyxy_px[:2] + xyxy_px[2:]) / 2
     at_centre = first_depths_m(surface, camera.rays(middle[None]))[0]
@@ -82,8 +92,12 @@ def first_depths_m(surface: Surface, rays: FloatArray) -> FloatArray:
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def _fractions(in_plane: FloatArray, along: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N, F) coordinates s and t of points (N, F, 3) in the planes of faces, from the normal equations."""
+def _fractions(
+    in_plane: FloatArray, along: FloatArray, down: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(N, F) coordinates s and t of points (N, F, 3) in the planes of faces, from the normal
+    equations.
+    """
     aa, ad, dd = (along * along).sum(axis=1), (along * down).sum(axis=1), (down * down).sum(axis=1)
     a, d = (in_plane * along).sum(axis=2), (in_plane * down).sum(axis=2)
     determinant = aa * dd - ad * ad

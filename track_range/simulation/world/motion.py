@@ -35,7 +35,9 @@ class LaneChange:
 
 def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:
     """Speed at a time."""
-    return float(np.interp(time_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes]))
+    return float(
+        np.interp(time_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes])
+    )
 
 
 def travelled_m(changes: SpeedChanges, time_s: Time) -> Time:
@@ -47,7 +49,9 @@ def travelled_m(changes: SpeedChanges, time_s: Time) -> Time:
     low_s: float = min(0.0, time_s)
     high_s: float = max(0.0, time_s)
     times_s = np.array([low_s, *(at_s for at_s, _ in changes if low_s < at_s < high_s), high_s])
-    speeds_mps = np.interp(times_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes])
+    speeds_mps = np.interp(
+        times_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes]
+    )
     distance_m = float(((speeds_mps[1:] + speeds_mps[:-1]) / 2 * np.diff(times_s)).sum())
     return distance_m if time_s >= 0 else -distance_m
 
@@ -57,4 +61,6 @@ def _since_first_m(changes: SpeedChanges, times_s: FloatArray) -> FloatArray:
     at_s, mps = np.array(changes, np.float64).T
     total_m = np.concatenate([[0.0], np.cumsum((mps[1:] + mps[:-1]) / 2 * np.diff(at_s))])
     last = np.clip(np.searchsorted(at_s, times_s, side="right") - 1, 0, len(at_s) - 1)
-    return np.asarray(total_m[last] + (mps[last] + np.interp(times_s, at_s, mps)) / 2 * (times_s - at_s[last]))
+    return np.asarray(
+        total_m[last] + (mps[last] + np.interp(times_s, at_s, mps)) / 2 * (times_s - at_s[last])
+    )

@@ -1,10 +1,11 @@
 r"""The shape of the road, and the pose of a camera that drives on it.
 
-World axes: x right, y down, z forward, as for a level camera on the road at time 0. The centre of the ego lane is at
+World axes: x right, y down, z forward, as for a level camera on the road at time 0. The centre of
+the ego lane is at
     x(z) = swing (sin(2 pi z / l + p) - sin p)        y(z) = -hill (sin(2 pi z / m + q) - sin q)
-and the cross-section at every z is parallel to x: the road is a straight road, sheared laterally and vertically, so
-that every stretch is a parallelogram. Positions on the road are (across, z), `across` metres to the right of the ego
-lane's centre.
+and the cross-section at every z is parallel to x: the road is a straight road, sheared laterally
+and vertically, so that every stretch is a parallelogram. Positions on the road are (across, z),
+`across` metres to the right of the ego lane's centre.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,9 @@ WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its spri
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadShape:
-    """A winding, hilly road: amplitude, period and phase of a lateral sine (swing) and of a vertical one (hill)."""
+    """A winding, hilly road: amplitude, period and phase of a lateral sine (swing) and of a
+    vertical one (hill).
+    """
 
     swing_m: float = 0.0
     swing_length_m: float = 320.0
@@ -59,7 +62,9 @@ STRAIGHT = RoadShape()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wobble:
-    """Pitch and roll of the ego car on its springs, with given root mean squares: sums of sines with random phases."""
+    """Pitch and roll of the ego car on its springs, with given root mean squares: sums of sines
+    with random phases.
+    """
 
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
@@ -68,7 +73,9 @@ class Wobble:
     def pitch_roll_rad(self, time_s: float) -> tuple[float, float]:
         """Pitch (positive = camera up) and roll (positive = to the right) at a time."""
         phases = np.random.default_rng([self.seed, 6]).uniform(0, 2 * np.pi, (2, len(WOBBLE_HZ)))
-        waves = np.sin(2 * np.pi * np.array(WOBBLE_HZ) * time_s + phases).sum(axis=1) * np.sqrt(2 / len(WOBBLE_HZ))
+        waves = np.sin(2 * np.pi * np.array(WOBBLE_HZ) * time_s + phases).sum(axis=1) * np.sqrt(
+            2 / len(WOBBLE_HZ)
+        )
         return float(self.pitch_rad * waves[0]), float(self.roll_rad * waves[1])
 
 
@@ -84,14 +91,18 @@ class CameraPose:
     yaw_rad: float  # direction of the road at the camera
 
 
-def pose_on_road(road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad: tuple[float, float]) -> CameraPose:
+def pose_on_road(
+    road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad: tuple[float, float]
+) -> CameraPose:
     """The pose of a camera `height_m` above the ego lane's centre, directed along the road."""
     z = np.array(z_m)
     yaw_rad = float(road.yaw_rad(z))
     slope = slope_rotation(float(road.climb_rad(z)))
     position_m = np.array([road.x_m(z), road.y_m(z), z_m], np.float64) - slope[:, 1] * height_m
     pitch, roll = pitch_roll_rad
-    roll_rotation = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1.0]])
+    roll_rotation = np.array(
+        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1.0]]
+    )
     world_from_camera = slope @ yaw_rotation(yaw_rad) @ slope_rotation(pitch) @ roll_rotation
     return CameraPose(position_m, world_from_camera.T, yaw_rad)
 
@@ -115,8 +126,12 @@ def _rows(*rows: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
 
 
 def _wave(z_m: FloatArray, height_m: float, length_m: float, phase_rad: float) -> FloatArray:
-    return np.asarray(height_m * (np.sin(2 * np.pi * z_m / length_m + phase_rad) - np.sin(phase_rad)))
+    return np.asarray(
+        height_m * (np.sin(2 * np.pi * z_m / length_m + phase_rad) - np.sin(phase_rad))
+    )
 
 
 def _wave_slope(z_m: FloatArray, height_m: float, length_m: float, phase_rad: float) -> FloatArray:
-    return np.asarray(height_m * 2 * np.pi / length_m * np.cos(2 * np.pi * z_m / length_m + phase_rad))
+    return np.asarray(
+        height_m * 2 * np.pi / length_m * np.cos(2 * np.pi * z_m / length_m + phase_rad)
+    )

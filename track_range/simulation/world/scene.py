@@ -1,10 +1,12 @@
 """Scene: a road and its road users, with exact position, size, heading and type at any time.
 
-World axes are the left camera's axes at time 0, shifted to the road: x right, y down, z forward, y = 0 on the asphalt.
-A road user at `start` with heading `rotation_y` (KITTI's: 0 along x, -pi/2 along z) moves in a straight line:
+World axes are the left camera's axes at time 0, shifted to the road: x right, y down, z forward, y
+= 0 on the asphalt. A road user at `start` with heading `rotation_y` (KITTI's: 0 along x, -pi/2
+along z) moves in a straight line:
     x(t) = x0 + speed cos(rotation_y) t        z(t) = z0 - speed sin(rotation_y) t
-unless its speed or lane changes. The camera, `camera_height_m` above the road, moves along z with the ego speed. On a
-winding road (`road_shape.py`), x counts from the centre of the ego lane. The town's road from above:
+unless its speed or lane changes. The camera, `camera_height_m` above the road, moves along z with
+the ego speed. On a winding road (`road_shape.py`), x counts from the centre of the ego lane. The
+town's road from above:
 
     wall | pavement | parked | oncoming | ego lane | right lane | parked | pavement | wall
        -11        -7.6     -5.25      -1.75       1.75        5.25     7.6        11      x in m
@@ -19,7 +21,13 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.simulation.world import road_shape
-from track_range.simulation.world.motion import LaneChange, SpeedChanges, Time, speed_at_mps, travelled_m
+from track_range.simulation.world.motion import (
+    LaneChange,
+    SpeedChanges,
+    Time,
+    speed_at_mps,
+    travelled_m,
+)
 
 AWAY_RAD = -np.pi / 2  # heading along z: seen from behind
 TOWARDS_RAD = np.pi / 2  # heading against z: oncoming
@@ -35,8 +43,9 @@ SIZE_HWL_M = {
     "TrafficSign": (0.75, 0.75, 0.06),
     "TrafficLight": (0.90, 0.32, 0.30),
 }
-"""Mean sizes by type (means of KITTI's labels; a person without the swing of arms and legs; the last four, which KITTI
-lacks, as built: a city bus, a motorcycle with its rider, a sign's plate, a light's housing)."""
+"""Mean sizes by type (means of KITTI's labels; a person without the swing of arms and legs; the
+last four, which KITTI lacks, as built: a city bus, a motorcycle with its rider, a sign's plate, a
+light's housing)."""
 
 STEP_S = 1e-3  # time step for numerical derivatives
 SIZE_SPREAD = 0.08  # largest relative deviation of height, width and length from the mean
@@ -49,10 +58,12 @@ class RoadUser:
     track_id: int  # id from 0 as in KITTI, unique in the scene; it also determines the appearance
     kitti_type: str  # a key of `SIZE_HWL_M`
     size_hwl_m: tuple[float, float, float]  # height, width, length of the 3-D box
-    start_xz_m: tuple[float, float]  # centre of the box on the road at time 0: right of the ego lane's centre, and z
+    # centre of the box on the road at time 0: right of the ego lane's centre, and z
+    start_xz_m: tuple[float, float]
     rotation_y_rad: float  # heading as KITTI's rotation_y, relative to the road's direction
     speed_mps: float = 0.0  # speed along the heading
-    speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `speed_mps`; empty = constant speed
+    # (time, speed) pairs, used instead of `speed_mps`; empty = constant speed
+    speed_changes: SpeedChanges = ()
     lane_change: LaneChange | None = None  # a lateral move; None = none
     raised_m: float = 0.0  # height of the 3-D box above the road
 
@@ -80,11 +91,14 @@ ObstacleKind = Literal["pole", "fence", "bush"]
 class Obstacle:
     """A static object beside the road that is no road user and has no labels."""
 
-    number: int  # number from 0, unique among the obstacles of the scene; it also determines the appearance
+    # number from 0, unique among the obstacles of the scene; it also determines the appearance
+    number: int
     kind: ObstacleKind
     size_hwl_m: tuple[float, float, float]  # height, width, length of its 3-D box
-    at_xz_m: tuple[float, float]  # centre of the box on the road: distance to the right of the ego lane's centre, and z
-    rotation_y_rad: float = 0.0  # direction of its length as KITTI's rotation_y, relative to the road's direction
+    # centre of the box on the road: distance to the right of the ego lane's centre, and z
+    at_xz_m: tuple[float, float]
+    # direction of its length as KITTI's rotation_y, relative to the road's direction
+    rotation_y_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +108,8 @@ class Scene:
     seed: int  # random seed of textures and noise
     road_users: tuple[RoadUser, ...]  # the objects; the rows of all arrays have this order
     ego_speed_mps: float = 10.0  # speed of the camera along the road
-    ego_speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed
+    # (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed
+    ego_speed_changes: SpeedChanges = ()
     camera_height_m: float = 1.65  # height of the left camera above the road
     camera_pitch_rad: float = 0.0  # pitch of the left camera relative to the ego car, positive = up
     road: road_shape.RoadShape = road_shape.STRAIGHT
@@ -131,7 +146,9 @@ class Scene:
         pitch_rad, roll_rad = self.wobble.pitch_roll_rad(time_s)
         pitch_roll_rad = (pitch_rad + self.camera_pitch_rad, roll_rad)
         z_m = self.ego_z_m(time_s)
-        return road_shape.pose_on_road(self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad)
+        return road_shape.pose_on_road(
+            self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad
+        )
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
@@ -149,19 +166,27 @@ class Scene:
         return np.asarray(self._headings_rad(time_s) + self.road.yaw_rad(z) - ego_yaw_rad)
 
     def rotations(self, time_s: float) -> FloatArray:
-        """(N, 3, 3) rotations from the frames of road users to the left camera's, with slope and camera rotation."""
+        """(N, 3, 3) rotations from the frames of road users to the left camera's, with slope and
+        camera rotation.
+        """
         _, z = self._on_road_m(time_s)
         return self._rotations(time_s, z, self._headings_rad(time_s))
 
     def obstacle_poses(self, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """(M, 3) bottom centres of the obstacles and (M, 3, 3) rotations to the left camera's frame at a time."""
-        on_road_m = np.array([obstacle.at_xz_m for obstacle in self.obstacles], np.float64).reshape(-1, 2).T
+        """(M, 3) bottom centres of the obstacles and (M, 3, 3) rotations to the left camera's frame
+        at a time.
+        """
+        on_road_m = (
+            np.array([obstacle.at_xz_m for obstacle in self.obstacles], np.float64).reshape(-1, 2).T
+        )
         headings = np.array([obstacle.rotation_y_rad for obstacle in self.obstacles], np.float64)
         location_m = self._location_m(time_s, on_road_m, np.zeros(len(headings)))
         return location_m, self._rotations(time_s, on_road_m[1], headings)
 
     def _location_m(self, time_s: float, on_road_m: FloatArray, raised_m: FloatArray) -> FloatArray:
-        """(N, 3) positions in the left camera's frame of (2, N) positions across and along the road."""
+        """(N, 3) positions in the left camera's frame of (2, N) positions across and along the
+        road.
+        """
         pose = self.pose(time_s)
         across, z = on_road_m
         world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
@@ -170,7 +195,9 @@ class Scene:
     def _rotations(self, time_s: float, z_m: FloatArray, headings_rad: FloatArray) -> FloatArray:
         level = road_shape.yaw_rotation(headings_rad + self.road.yaw_rad(z_m))
         return np.asarray(
-            self.pose(time_s).camera_from_world @ road_shape.slope_rotation(self.road.climb_rad(z_m)) @ level
+            self.pose(time_s).camera_from_world
+            @ road_shape.slope_rotation(self.road.climb_rad(z_m))
+            @ level
         )
 
     def _headings_rad(self, time_s: float) -> FloatArray:
@@ -178,7 +205,11 @@ class Scene:
 
     def _on_road_m(self, time_s: float) -> FloatArray:
         """(2, N) positions across and along the road."""
-        return np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
+        return (
+            np.array([user.on_road_m(time_s) for user in self.road_users], np.float64)
+            .reshape(-1, 2)
+            .T
+        )
 
 
 TownUser = tuple[str, float, float, float, float]  # KITTI type, x and z at time 0, heading, speed
@@ -203,16 +234,19 @@ PEOPLE: tuple[TownUser, ...] = (
     ("Pedestrian", -8.7, 40.0, AWAY_RAD, 1.5),
 )
 
-ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0  # of the first, at time 0; between them
-PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6  # distance between parking spaces, and fraction of them that are occupied
+# of the first, at time 0; between them
+ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
+# distance between parking spaces, and fraction of them that are occupied
+PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6
 VIEW_M = 110.0  # distance beyond the last camera position up to which scenes contain objects
 
 
 def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
-    """A town road with traffic in both directions, parked cars and people; the seed varies positions and sizes.
+    """A town road with traffic in both directions, parked cars and people; the seed varies
+    positions and sizes.
 
-    Every scene starts with the same vehicles and people (`TRAFFIC`, `PEOPLE`), placed so that there are no collisions
-    for ten seconds; oncoming and parked cars continue for the whole drive.
+    Every scene starts with the same vehicles and people (`TRAFFIC`, `PEOPLE`), placed so that there
+    are no collisions for ten seconds; oncoming and parked cars continue for the whole drive.
     """
     rng = np.random.default_rng([seed, 1])
     until_m = 10.0 * seconds + VIEW_M
@@ -221,7 +255,9 @@ def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
     for track_id, (kitti_type, x_m, z_m, heading_rad, speed_mps) in enumerate(
         [*TRAFFIC, *PEOPLE, *oncoming, *_parked(rng, until_m)]
     ):
-        height, width, length = np.array(SIZE_HWL_M[kitti_type]) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
+        height, width, length = np.array(SIZE_HWL_M[kitti_type]) * (
+            1 + SIZE_SPREAD * rng.uniform(-1, 1, 3)
+        )
         dx_m, dz_m = rng.uniform(-1, 1, 2) * (0.08, 0.5)
         users.append(
             RoadUser(
@@ -230,7 +266,9 @@ def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
                 size_hwl_m=(float(height), float(width), float(length)),
                 start_xz_m=(x_m + float(dx_m), z_m + float(dz_m)),
                 rotation_y_rad=heading_rad,
-                speed_mps=speed_mps * float(rng.uniform(0.98, 1.02)) if kitti_type == "Pedestrian" else speed_mps,
+                speed_mps=speed_mps * float(rng.uniform(0.98, 1.02))
+                if kitti_type == "Pedestrian"
+                else speed_mps,
             )
         )
     return Scene(seed=seed, road_users=tuple(users))
@@ -254,5 +292,7 @@ def _parked(rng: np.random.Generator, until_m: float) -> list[TownUser]:
         positions_m = positions_m[np.abs(positions_m - CROSSING_Z_M) > PARKED_SPACING_M / 2]
         for z_m in positions_m[rng.uniform(size=len(positions_m)) < PARKED_FRACTION]:
             kitti_type = "Van" if rng.uniform() < 0.2 else "Car"
-            users.append((kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0))
+            users.append(
+                (kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0)
+            )
     return users

@@ -1,7 +1,7 @@
 """Kinds of roads: lanes, markings, surfaces and roadside objects.
 
-All x are in metres to the right of the ego lane's centre. All lengths along the road divide `PERIOD_M`, after which
-road and sides repeat.
+All x are in metres to the right of the ego lane's centre. All lengths along the road divide
+`PERIOD_M`, after which road and sides repeat.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ class Surroundings:
     """One kind of road."""
 
     half_width_m: float  # half of the width of the ground
-    lanes: tuple[tuple[int, float, float], ...]  # (number, from, to): 0 = ego lane, 1 = right of it, -1 = left of it
-    bands: tuple[tuple[float, float, Colour], ...]  # (from, to, colour) of the ground that is not asphalt
+    # (number, from, to): 0 = ego lane, 1 = right of it, -1 = left of it
+    lanes: tuple[tuple[int, float, float], ...]
+    # (from, to, colour) of the ground that is not asphalt
+    bands: tuple[tuple[float, float, Colour], ...]
     solid_m: tuple[float, ...]  # centres of the lines
     dashed_m: tuple[float, ...]
     dash_m: tuple[float, float]  # length and period of dashes
@@ -48,7 +50,12 @@ class Surroundings:
         return next((number for number, from_m, to_m in self.lanes if from_m <= x_m < to_m), None)
 
 
-_TOWN_BANDS = ((-11.0, -7.6, PAVEMENT), (-7.65, -7.5, KERB), (7.6, 11.0, PAVEMENT), (7.5, 7.65, KERB))
+_TOWN_BANDS = (
+    (-11.0, -7.6, PAVEMENT),
+    (-7.65, -7.5, KERB),
+    (7.6, 11.0, PAVEMENT),
+    (7.5, 7.65, KERB),
+)
 
 _TOWN = Surroundings(
     half_width_m=11.0,
@@ -90,14 +97,24 @@ SURROUNDINGS = {  # the kinds of roads by name
     ),
     "highway": Surroundings(
         half_width_m=30.0,
-        lanes=((-1, -5.45, -1.8), (0, -1.8, 1.8), (1, 1.8, 5.45), (-3, -13.8, -10.2), (-2, -10.2, -6.9)),
+        lanes=(
+            (-1, -5.45, -1.8),
+            (0, -1.8, 1.8),
+            (1, 1.8, 5.45),
+            (-3, -13.8, -10.2),
+            (-2, -10.2, -6.9),
+        ),
         bands=((-30.0, -17.0, GRASS), (-6.7, -6.1, GRAVEL), (9.2, 30.0, GRASS)),
         solid_m=(-5.45, 5.45, -6.95, -13.85),
         dashed_m=(-1.8, 1.8, -10.3),
         dash_m=(6.0, 16.0),
         side="woods",
         rails_m=(-6.4, 9.0, -16.8),
-        rows=(Row("tree", 17.0, 16.0, 5.0), Row("tree", -23.0, 24.0, 13.0), Row("lamp", 10.0, 48.0, 20.0)),
+        rows=(
+            Row("tree", 17.0, 16.0, 5.0),
+            Row("tree", -23.0, 24.0, 13.0),
+            Row("lamp", 10.0, 48.0, 20.0),
+        ),
         texels_per_m=32,
     ),
 }

@@ -1,10 +1,11 @@
 """Stage of a run that anonymizes the images of its results before they are shown or written.
 
-    pipeline -> results, held back -> regions from earlier and later frames -> blurred image -> overlay, writers
+    pipeline -> results, held back -> regions from earlier and later frames -> blurred image ->
+    overlay, writers
 
-A region does not flicker: boxes that a track lacks are interpolated between the detections before and after, and
-extrapolated to the frames before its first and after its last box. Detections that are not part of a track, including
-low scores, are covered in their frame and its neighbours.
+A region does not flicker: boxes that a track lacks are interpolated between the detections before
+and after, and extrapolated to the frames before its first and after its last box. Detections that
+are not part of a track, including low scores, are covered in their frame and its neighbours.
 """
 
 from __future__ import annotations
@@ -23,12 +24,15 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.views.anonymization.blur import blurred
 from track_range.views.anonymization.regions import Boxes, Regions, regions_of
 
-PAST_S = 0.5  # time for which a track is extrapolated after its last box, and after which boxes are forgotten
-GROWTH_PER_S = 0.6  # growth of the uncertainty of a box with the time to the nearest detection, of its smaller side
+# time for which a track is extrapolated after its last box, and after which boxes are forgotten
+PAST_S = 0.5
+# growth of the uncertainty of a box with the time to the nearest detection, of its smaller side
+GROWTH_PER_S = 0.6
 SPEED_FRACTION = 0.5  # uncertainty of the speed of an extrapolated box, as a fraction of its speed
 SPEED_TIME_S = 0.35  # longest time over which the speed of a box is measured
 NEIGHBOUR_S = 0.15  # longest time by which detections without a track are covered earlier and later
-SAME_IOU, EQUAL_IOU = 0.3, 0.9  # of boxes of one object in neighbouring frames; of boxes with nearly equal regions
+# of boxes of one object in neighbouring frames; of boxes with nearly equal regions
+SAME_IOU, EQUAL_IOU = 0.3, 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,21 +47,29 @@ OFFLINE = LookAhead(time_s=0.5, max_frames=16)  # look-ahead for files
 LIVE = LookAhead(time_s=0.0, max_frames=0)  # look-ahead for cameras and streams: none
 
 
-def anonymized_results(results: Iterable[FrameResult], look_ahead: LookAhead) -> Generator[FrameResult, None, None]:
+def anonymized_results(
+    results: Iterable[FrameResult], look_ahead: LookAhead
+) -> Generator[FrameResult, None, None]:
     """Results in order with `frame.left` anonymized, and without `frame.right` and `candidates`.
 
-    The regions come from the tracks, and from `candidates` where there are any. If `results` raises, results that are
-    held back are returned before the error.
+    The regions come from the tracks, and from `candidates` where there are any. If `results`
+    raises, results that are held back are returned before the error.
     """
     rng = np.random.default_rng()  # seeded by the operating system
     for result, regions in with_regions(results, look_ahead):
         image = blurred(result.frame.left, regions, rng)
         image.flags.writeable = False
-        yield replace(result, frame=replace(result.frame, left=image, recorded=None), candidates=None)
+        yield replace(
+            result, frame=replace(result.frame, left=image, recorded=None), candidates=None
+        )
 
 
-def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Iterator[tuple[FrameResult, Regions]]:
-    """Results in order, without the right images, held back for the look-ahead, with the regions to cover."""
+def with_regions(
+    results: Iterable[FrameResult], look_ahead: LookAhead
+) -> Iterator[tuple[FrameResult, Regions]]:
+    """Results in order, without the right images, held back for the look-ahead, with the regions to
+    cover.
+    """
     held: deque[FrameResult] = deque()
     history = _History()
 
@@ -72,9 +84,13 @@ def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Itera
             history.add(result)
             frame = replace(result.frame, right=None, recorded=None)  # whose memory is not needed
             held.append(replace(result, frame=frame))
-            while held and (len(held) > look_ahead.max_frames or result.time_s - held[0].time_s >= look_ahead.time_s):
+            while held and (
+                len(held) > look_ahead.max_frames
+                or result.time_s - held[0].time_s >= look_ahead.time_s
+            ):
                 yield first_held()
-    except (Exception, KeyboardInterrupt) as raised:  # every error is raised after the results before it
+    # every error is raised after the results before it
+    except (Exception, KeyboardInterrupt) as raised:
         error = raised
     while held:
         yield first_held()
@@ -92,12 +108,15 @@ class _Box(NamedTuple):
 @dataclass(slots=True)
 class _History:
     tracks: dict[int, deque[_Box]] = field(default_factory=dict)  # by track id, in order of time
-    candidates: deque[tuple[float, Detections]] = field(default_factory=deque)  # time, detections without identity
+    # time, detections without identity
+    candidates: deque[tuple[float, Detections]] = field(default_factory=deque)
 
     def add(self, result: FrameResult) -> None:
         tracks, time_s = result.tracks, result.time_s
         for row, track_id in enumerate(tracks.track_id.tolist()):
-            box = _Box(time_s, tracks.xyxy_px[row], int(tracks.class_id[row]), bool(tracks.observed[row]))
+            box = _Box(
+                time_s, tracks.xyxy_px[row], int(tracks.class_id[row]), bool(tracks.observed[row])
+            )
             self.tracks.setdefault(track_id, deque()).append(box)
         if result.candidates is not None:
             self.candidates.append((time_s, result.candidates))
@@ -122,7 +141,9 @@ class _History:
         for after_s, candidates in sorted(near, key=lambda item: item[0]):
             if after_s > NEIGHBOUR_S:
                 break
-            overlap = iou(candidates.xyxy_px, boxes.xyxy_px) >= (SAME_IOU if after_s > 0 else EQUAL_IOU)
+            overlap = iou(candidates.xyxy_px, boxes.xyxy_px) >= (
+                SAME_IOU if after_s > 0 else EQUAL_IOU
+            )
             is_covered = ((candidates.class_id[:, None] == boxes.class_id) & overlap).any(axis=1)
             new = candidates.select(~is_covered)
             margin_px = GROWTH_PER_S * after_s * _sides_px(new.xyxy_px)
@@ -135,14 +156,18 @@ class _History:
 
 
 def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatArray, int, float]]:
-    """Box, class and uncertainty in px of a track in the frame at a time: none, one, or two (one predicted)."""
+    """Box, class and uncertainty in px of a track in the frame at a time: none, one, or two (one
+    predicted).
+    """
     now = next((box for box in boxes if box.time_s == time_s), None)
     if now is not None and now.is_observed:
         yield now.xyxy_px, now.class_id, 0.0
         return
     before = [box for box in boxes if box.time_s < time_s and box.is_observed]
     after = [box for box in boxes if box.time_s > time_s and box.is_observed]
-    nearest_s = min([abs(box.time_s - time_s) for box in (*before[-1:], *after[:1])], default=PAST_S)
+    nearest_s = min(
+        [abs(box.time_s - time_s) for box in (*before[-1:], *after[:1])], default=PAST_S
+    )
 
     def margin_px(xyxy_px: FloatArray) -> float:
         return GROWTH_PER_S * nearest_s * float(_sides_px(xyxy_px[None])[0])
@@ -162,7 +187,9 @@ def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatAr
 
 
 def _speed(boxes: Sequence[_Box]) -> FloatArray:
-    """(4,) speed of the edges in px/s at the last of the given boxes, which are in order of time or reversed."""
+    """(4,) speed of the edges in px/s at the last of the given boxes, which are in order of time or
+    reversed.
+    """
     last = boxes[-1]
     first = next(box for box in boxes if abs(box.time_s - last.time_s) <= SPEED_TIME_S)
     span_s = last.time_s - first.time_s

@@ -1,7 +1,7 @@
 """Regions of an image that contain heads and number plates, from the boxes of road users.
 
-A region is a rectangle. Its position in the box covers heads of upright people and plates of vehicles seen from
-the front or rear, with tolerances for oblique views and inaccurate boxes:
+A region is a rectangle. Its position in the box covers heads of upright people and plates of
+vehicles seen from the front or rear, with tolerances for oblique views and inaccurate boxes:
 
     person                 upper part of the box, over its whole width
     bicycle, motorcycle    upper part, and above the box, where the rider's head is if the box contains only the vehicle
@@ -20,15 +20,21 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 HEAD_FRACTION = 0.22  # head with neck / height of a person; 0.155 of the body, and a margin
-ABOVE_PERSON = 0.15  # head region above a person's box / height: boxes of the packaged detector may begin lower
+# head region above a person's box / height: boxes of the packaged detector may begin lower
+ABOVE_PERSON = 0.15
 STANDING_RATIO = 2.2  # smallest height / width of a box that shows more than the upper body
 RIDER_FRACTION = 0.36  # of a box of a bicycle or motorcycle, from its top: the rider's head region
-ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5  # the rider's head region above the box, of the box's height
+# the rider's head region above the box, of the box's height
+ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5
 PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96  # of the box height from the top
-FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12  # width / height of a car from front or rear; its sides have no plate then
-MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5  # tolerance of the edges of a box: fraction of the smaller side, and pixels
-HEAD_CELL = 0.05  # cell / height of a person: about 3 cells over the height of a head, 2 over its width
-PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08  # cell / height of a vehicle: at most 3 x 1 cells on a plate
+# width / height of a car from front or rear; its sides have no plate then
+FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
+# tolerance of the edges of a box: fraction of the smaller side, and pixels
+MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5
+# cell / height of a person: about 3 cells over the height of a head, 2 over its width
+HEAD_CELL = 0.05
+# cell / height of a vehicle: at most 3 x 1 cells on a plate
+PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08
 MIN_CELL_PX = 8.0  # minimum cell size of the mosaic, px
 
 _PERSON, _BICYCLE, _CAR, _MOTORCYCLE, _BUS, _TRUCK = (
@@ -71,7 +77,9 @@ class Regions:
 
 
 def regions_of(boxes: Boxes) -> Regions:
-    """Head and plate regions of boxes; boxes of other classes and boxes that are not finite have none."""
+    """Head and plate regions of boxes; boxes of other classes and boxes that are not finite have
+    none.
+    """
     boxes = boxes.select(np.flatnonzero(np.isfinite(boxes.xyxy_px).all(axis=1)))
     parts = (_heads(boxes), _heads_of_riders(boxes), _plates(boxes))
     return Regions(

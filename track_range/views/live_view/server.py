@@ -1,4 +1,5 @@
-"""LivePage: HTTP server of a page with the newest picture of a run, as a stream of JPEG images (MJPEG).
+"""LivePage: HTTP server of a page with the newest picture of a run, as a stream of JPEG images
+(MJPEG).
 
 /             the page
 /stream.mjpg  every new picture
@@ -7,9 +8,9 @@
 /boxes        the newest boxes in px with their time, and the name of the video, as JSON; no content where a known
               distance has no use
 
-By default only this machine is served, and only under loopback names, so that other web pages cannot read the pictures
-(DNS rebinding). The number of streams and of connections, the size of a request and the time for it are limited, so
-that no client can delay the run or fill the memory.
+By default only this machine is served, and only under loopback names, so that other web pages
+cannot read the pictures (DNS rebinding). The number of streams and of connections, the size of a
+request and the time for it are limited, so that no client can delay the run or fill the memory.
 """
 
 from __future__ import annotations
@@ -38,12 +39,17 @@ from track_range.foundation.errors import ConfigError
 from track_range.foundation.prefetch import lower_thread_priority
 
 DEFAULT_VIEWERS = 16  # largest number of streams at a time
-_SPARE_CONNECTIONS = 32  # connections served at a time in addition to the streams; each has a thread
-_TIMEOUT_S = 5.0  # for a client to send its request, or to accept a picture; then its connection is closed
-_MAX_REQUEST_BYTES = 1 << 17  # largest size of a request: twice the longest line that `http.server` accepts
-_SEND_BUFFER_BYTES = 1 << 18  # about one picture: a slow viewer must not request pictures that it sees late
+# connections served at a time in addition to the streams; each has a thread
+_SPARE_CONNECTIONS = 32
+# for a client to send its request, or to accept a picture; then its connection is closed
+_TIMEOUT_S = 5.0
+# largest size of a request: twice the longest line that `http.server` accepts
+_MAX_REQUEST_BYTES = 1 << 17
+# about one picture: a slow viewer must not request pictures that it sees late
+_SEND_BUFFER_BYTES = 1 << 18
 _POLL_S = 0.1  # between checks of whether the server is to end
-_DISCONNECT_POLL_S = 1.0  # between checks of whether a viewer who waits for a picture has disconnected
+# between checks of whether a viewer who waits for a picture has disconnected
+_DISCONNECT_POLL_S = 1.0
 
 _HEADERS = {  # of every answer, besides the Content-Security-Policy
     "Cache-Control": "no-store",
@@ -80,10 +86,11 @@ Returns it as JPEG with its number, empty bytes if there is none yet, or None at
 class LivePage(ThreadingHTTPServer):
     """HTTP server of the live page, in a thread; serves until closed.
 
-    Each connection has a thread; connections beyond the limit are closed with status 503. `next_picture` is called from
-    one thread per connection; port 0 = any free port; `n_viewers` is the largest number of streams at a time, the next
-    one is refused with status 503; `boxes` returns the content of /boxes, empty = none. `url`: address of the page on
-    this machine. `url_elsewhere`: probable address on other machines if all interfaces are served; else None.
+    Each connection has a thread; connections beyond the limit are closed with status 503.
+    `next_picture` is called from one thread per connection; port 0 = any free port; `n_viewers` is
+    the largest number of streams at a time, the next one is refused with status 503; `boxes`
+    returns the content of /boxes, empty = none. `url`: address of the page on this machine.
+    `url_elsewhere`: probable address on other machines if all interfaces are served; else None.
 
     Raises PageError: the port is in use, or the address does not belong to this machine.
     """
@@ -111,15 +118,20 @@ class LivePage(ThreadingHTTPServer):
         try:
             super().__init__((host, port), _Handler)
         except OSError as error:
-            advice = "choose a port above 1023" if error.errno == errno.EACCES else "choose another port"
+            advice = (
+                "choose a port above 1023" if error.errno == errno.EACCES else "choose another port"
+            )
             if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
                 advice = "give an address of this machine, such as 0.0.0.0 for all interfaces"
             raise PageError(
-                f"--serve {shown}:{port}: cannot listen on this address ({error.strerror or error}); {advice}."
+                f"--serve {shown}:{port}: cannot listen on this address "
+                f"({error.strerror or error}); {advice}."
             ) from error
         port = self.server_address[1]
         self.url = f"http://{_LOCAL_NAMES.get(host, shown)}:{port}/"
-        self.url_elsewhere = f"http://{socket.gethostname()}:{port}/" if host in _LOCAL_NAMES else None
+        self.url_elsewhere = (
+            f"http://{socket.gethostname()}:{port}/" if host in _LOCAL_NAMES else None
+        )
         self._thread = threading.Thread(target=self._serve, name="live page", daemon=True)
         self._thread.start()
 
@@ -165,7 +177,9 @@ class LivePage(ThreadingHTTPServer):
 
 
 class _RequestReader(io.RawIOBase):
-    """Reads a request of limited size that has to be complete in time: a client could send a byte every few seconds."""
+    """Reads a request of limited size that has to be complete in time: a client could send a byte
+    every few seconds.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection, self._n_bytes_left = connection, _MAX_REQUEST_BYTES
@@ -199,7 +213,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         page, hosts = self.server, self.headers.get_all("Host", [])
-        if page.is_private and not (len(hosts) == 1 and _is_loopback(re.sub(r":\d+$", "", hosts[0]).strip("[]"))):
+        if page.is_private and not (
+            len(hosts) == 1 and _is_loopback(re.sub(r":\d+$", "", hosts[0]).strip("[]"))
+        ):
             self.send_error(HTTPStatus.FORBIDDEN)
             return
         match self.path.partition("?")[0]:
@@ -217,7 +233,9 @@ class _Handler(BaseHTTPRequestHandler):
                 self._send("text/plain; charset=utf-8", b"live")
             case "/boxes":
                 boxes = page.boxes()
-                self._send("application/json", boxes, HTTPStatus.OK if boxes else HTTPStatus.NO_CONTENT)
+                self._send(
+                    "application/json", boxes, HTTPStatus.OK if boxes else HTTPStatus.NO_CONTENT
+                )
             case "/favicon.ico":  # browsers request it and report a missing one
                 self._send("image/x-icon", b"", HTTPStatus.NO_CONTENT)
             case _:
@@ -231,13 +249,20 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Answer with an error status and one sentence, without any text of the request."""
         status = HTTPStatus(code)
-        sentence = f"{status.value} {status.phrase}" if explain is None or message is not None else explain
+        sentence = (
+            f"{status.value} {status.phrase}" if explain is None or message is not None else explain
+        )
         self._send("text/plain; charset=utf-8", sentence.encode(), status)
 
     def _send(self, kind: str, body: bytes | None, status: HTTPStatus = HTTPStatus.OK) -> None:
         """Answer with a body, or with the headers of a body that follows (None)."""
         self.send_response(status)
-        headers = {"Content-Type": kind, "Connection": "close", **_HEADERS, "Content-Security-Policy": _page()[1]}
+        headers = {
+            "Content-Type": kind,
+            "Connection": "close",
+            **_HEADERS,
+            "Content-Security-Policy": _page()[1],
+        }
         if body is not None:
             headers["Content-Length"] = str(len(body))
         for name, value in headers.items():
@@ -249,7 +274,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_stream(self) -> None:
         page = self.server
         if not page.free_streams.acquire(blocking=False):
-            explain = f"All {page.n_viewers} connections are in use; close another view, or raise --viewers."
+            explain = (
+                f"All {page.n_viewers} connections are in use; close another view, or raise "
+                "--viewers."
+            )
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=explain)
             return
         try:
@@ -259,14 +287,18 @@ class _Handler(BaseHTTPRequestHandler):
             number = 0
             while picture := self._next_picture(number):
                 jpeg, number = picture
-                head = f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                head = (
+                    f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                )
                 self.wfile.write(head.encode() + jpeg + b"\r\n")
             self.wfile.write(b"--picture--\r\n")
         finally:
             page.free_streams.release()
 
     def _next_picture(self, number: int) -> tuple[bytes, int] | None:
-        """The next picture and its number; None = the end of the run; ConnectionAbortedError if the client has left."""
+        """The next picture and its number; None = the end of the run; ConnectionAbortedError if the
+        client has left.
+        """
         while (picture := self.server.next_picture(number, _DISCONNECT_POLL_S)) and not picture[0]:
             self.connection.setblocking(False)
             with suppress(BlockingIOError):  # connected, and nothing more received
@@ -279,14 +311,19 @@ class _Handler(BaseHTTPRequestHandler):
 @cache
 def _page() -> tuple[bytes, str]:
     """The page, and the Content-Security-Policy that allows only its own style and script."""
-    page = files("track_range.views.live_view").joinpath("live_page.html").read_text(encoding="utf-8")
+    page = (
+        files("track_range.views.live_view").joinpath("live_page.html").read_text(encoding="utf-8")
+    )
     hashes = {
-        tag: b64encode(sha256("".join(re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)).encode()).digest()).decode()
+        tag: b64encode(
+            sha256("".join(re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)).encode()).digest()
+        ).decode()
         for tag in ("style", "script")
     }
     policy = (
-        f"default-src 'none'; img-src 'self'; connect-src 'self'; style-src 'sha256-{hashes['style']}'; "
-        f"script-src 'sha256-{hashes['script']}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "default-src 'none'; img-src 'self'; connect-src 'self'; style-src "
+        f"'sha256-{hashes['style']}'; script-src 'sha256-{hashes['script']}'; base-uri 'none'; "
+        "form-action 'none'; frame-ancestors 'none'"
     )
     return page.encode(), policy
 

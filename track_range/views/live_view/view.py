@@ -1,4 +1,5 @@
-"""LiveView: the overlay of a run in progress, in a browser; only the newest frame is drawn, and only on request.
+"""LiveView: the overlay of a run in progress, in a browser; only the newest frame is drawn, and
+only on request.
 
 results --> [ newest ] <-- connection threads, which share one drawing of each result      (`offer` does not block)
 """
@@ -28,12 +29,16 @@ _ADDRESS = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
 
 
 class LiveView:
-    """Live page with the newest result of a run; a context manager. PageError if it cannot be served at this address.
+    """Live page with the newest result of a run; a context manager. PageError if it cannot be
+    served at this address.
 
-    `opens_browser`: whether to open a browser, if there is a screen; for the other arguments see `LivePage`.
+    `opens_browser`: whether to open a browser, if there is a screen; for the other arguments see
+    `LivePage`.
     """
 
-    def __init__(self, host: str, port: int, *, opens_browser: bool = False, n_viewers: int = DEFAULT_VIEWERS) -> None:
+    def __init__(
+        self, host: str, port: int, *, opens_browser: bool = False, n_viewers: int = DEFAULT_VIEWERS
+    ) -> None:
         self._opens_browser = opens_browser
         self._picture: Callable[[FrameResult], Image] = lambda result: result.frame.left
         self._newest: FrameResult | None = None
@@ -41,7 +46,9 @@ class LiveView:
         self._changed = threading.Condition()
         self._drawing, self._drawn = threading.Lock(), (b"", 0)
         self._video: str | None = None
-        self.page = LivePage(self.next_picture, port, host=host, n_viewers=n_viewers, boxes=self.boxes)
+        self.page = LivePage(
+            self.next_picture, port, host=host, n_viewers=n_viewers, boxes=self.boxes
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -53,15 +60,21 @@ class LiveView:
         self.page.close()
 
     def begin(self, draw: Callable[[FrameResult], Image], *, video: str | None = None) -> str:
-        """Set `draw`, which draws results, called by one thread at a time; returns a message with the page's address.
+        """Set `draw`, which draws results, called by one thread at a time; returns a message with
+        the page's address.
 
-        `video` is the name of a one-camera recording that known distances can calibrate; None = there is none.
+        `video` is the name of a one-camera recording that known distances can calibrate; None =
+        there is none.
         """
         self._picture, self._video = draw, video
         if self._opens_browser and has_screen() and webbrowser.open(self.page.url):
             return f"Live view in your browser: {self.page.url}"
         elsewhere = self.page.url_elsewhere
-        others = f", or {elsewhere} on other machines (visible to anyone who can reach this port)" if elsewhere else ""
+        others = (
+            f", or {elsewhere} on other machines (visible to anyone who can reach this port)"
+            if elsewhere
+            else ""
+        )
         return f"Live view: open {self.page.url} in a browser{others}."
 
     def offer(self, result: FrameResult) -> None:
@@ -71,7 +84,9 @@ class LiveView:
             self._changed.notify_all()
 
     def next_picture(self, number: int, wait_s: float) -> tuple[bytes, int] | None:
-        """JPEG and number of a result after `number`; b"" = none within `wait_s`; None = the run is over."""
+        """JPEG and number of a result after `number`; b"" = none within `wait_s`; None = the run is
+        over.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._is_over or self._number > number, wait_s)
             if self._number <= number:
@@ -80,31 +95,43 @@ class LiveView:
             with self._changed:
                 newest, newest_number = self._newest, self._number
             if newest is not None and self._drawn[1] < newest_number:
-                _, jpeg = cv2.imencode(".jpg", self._picture(newest), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
+                _, jpeg = cv2.imencode(
+                    ".jpg", self._picture(newest), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY)
+                )
                 self._drawn = (jpeg.tobytes(), newest_number)
             return self._drawn
 
     def boxes(self) -> bytes:
-        """Observed boxes of the newest result as JSON, for the command that calibrates the camera; empty = none.
+        """Observed boxes of the newest result as JSON, for the command that calibrates the camera;
+        empty = none.
 
-        Keys: `video`, its name; `time_s`; `boxes`, a list of objects with `name` and `xyxy`, whole pixels.
+        Keys: `video`, its name; `time_s`; `boxes`, a list of objects with `name` and `xyxy`, whole
+        pixels.
         """
         newest = self._newest
         if newest is None or self._video is None:
             return b""
         tracks = newest.tracks
         boxes = [
-            {"name": ROAD_CLASSES[tracks.class_id[row]], "xyxy": [round(edge) for edge in tracks.xyxy_px[row].tolist()]}
+            {
+                "name": ROAD_CLASSES[tracks.class_id[row]],
+                "xyxy": [round(edge) for edge in tracks.xyxy_px[row].tolist()],
+            }
             for row in np.flatnonzero(tracks.observed)
         ]
-        return json.dumps({"video": self._video, "time_s": round(newest.time_s, 3), "boxes": boxes}).encode()
+        return json.dumps(
+            {"video": self._video, "time_s": round(newest.time_s, 3), "boxes": boxes}
+        ).encode()
 
 
-def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS) -> LiveView | None:
-    """Live view for the options `--show` and `--serve`, with at most `n_viewers` streams; None without both.
+def open_view(
+    *, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS
+) -> LiveView | None:
+    """Live view for the options `--show` and `--serve`, with at most `n_viewers` streams; None
+    without both.
 
-    UsageError if `serve` is not a port or an address with a port; PageError if the page cannot be served at this
-    address.
+    UsageError if `serve` is not a port or an address with a port; PageError if the page cannot be
+    served at this address.
     """
     if not show and serve is None:
         return None
@@ -113,7 +140,9 @@ def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of `--serve [HOST:]PORT`; without a host, the loopback address. UsageError for another text."""
+    """Host and port of `--serve [HOST:]PORT`; without a host, the loopback address. UsageError for
+    another text.
+    """
     match = _ADDRESS.fullmatch(text)
     if match is None or int(match["port"]) > 65535:
         raise UsageError(f"--serve: expected a port such as 8000, or HOST:PORT, got '{text}'.")

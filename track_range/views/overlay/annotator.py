@@ -1,10 +1,10 @@
 """The overlay: a frame with the drawn box, identity and distances of each track.
 
-Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch matcher. Labels
-(`labels.py`) are placed near their boxes, inside the image and without overlap (`LabelPlacer`). A bird's-eye view
-(`birds_eye.py`) is in a corner; the lines of the ego lane are drawn on the road. Labels of near tracks are placed
-first and do not cover nearer road users; without room for a full label only its first line is drawn, and without room
-for that none.
+Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch
+matcher. Labels (`labels.py`) are placed near their boxes, inside the image and without overlap
+(`LabelPlacer`). A bird's-eye view (`birds_eye.py`) is in a corner; the lines of the ego lane are
+drawn on the road. Labels of near tracks are placed first and do not cover nearer road users;
+without room for a full label only its first line is drawn, and without room for that none.
 """
 
 from __future__ import annotations
@@ -28,24 +28,29 @@ from track_range.stereo.matching.sgbm import disparity_picture, inner_halves
 from track_range.views.overlay import labels
 from track_range.views.overlay.birds_eye import BirdsEye
 
-Status = Callable[[], Sequence[str]]  # returns short texts on the state of the run, such as the frame rate
-MOST_LABELS = 100  # maximum number of labels per frame; in a crowd only the nearest tracks are labelled
+# returns short texts on the state of the run, such as the frame rate
+Status = Callable[[], Sequence[str]]
+# maximum number of labels per frame; in a crowd only the nearest tracks are labelled
+MOST_LABELS = 100
 _DASH = 7  # distance between the starts of dashes, in line widths
 _MIN_WINDOW_PX = 8  # smallest side in pixels of an inner window that is drawn
-_CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])  # (4, 2) x and y of each corner in left, top, right, bottom
+# (4, 2) x and y of each corner in left, top, right, bottom
+_CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
 _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], np.int32)
 """(4, 3, 2) polyline at each corner, in arm lengths inwards: one end, the corner, the other end."""
 
 _LANE_POINTS = 8  # points of the polyline of a lane line
-_CORNER_FRACTION = 0.2  # arm length of a corner as a fraction of the shorter side of the inner window
+# arm length of a corner as a fraction of the shorter side of the inner window
+_CORNER_FRACTION = 0.2
 
 
 class Overlay:
     """Draws the results of one video in their order; not thread-safe.
 
-    The bird's-eye view needs the camera of the images. The texts of `status` follow frame number and time in the upper
-    left corner, `warning` follows them in amber. `recorded` is the undistorter of the images of a wide lens: boxes are
-    drawn, as curves, on the images before this step; None = on the left images.
+    The bird's-eye view needs the camera of the images. The texts of `status` follow frame number
+    and time in the upper left corner, `warning` follows them in amber. `recorded` is the
+    undistorter of the images of a wide lens: boxes are drawn, as curves, on the images before this
+    step; None = on the left images.
     """
 
     def __init__(
@@ -67,26 +72,43 @@ class Overlay:
     def draw(self, result: FrameResult) -> Image:
         """A new (H, W, 3) uint8 BGR image: the left or the recorded frame with its tracks drawn.
 
-        Boxes may extend beyond the image; boxes with NaN are skipped; a NaN distance is shown as "-".
+        Boxes may extend beyond the image; boxes with NaN are skipped; a NaN distance is shown as
+        "-".
         """
         view = self._recorded
-        canvas = (result.frame.left if view is None or result.frame.recorded is None else result.frame.recorded).copy()
+        canvas = (
+            result.frame.left
+            if view is None or result.frame.recorded is None
+            else result.frame.recorded
+        ).copy()
         line_px = labels.text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        boxes = result.tracks.xyxy_px if view is None else view.recorded_boxes(result.tracks.xyxy_px)
+        boxes = (
+            result.tracks.xyxy_px if view is None else view.recorded_boxes(result.tracks.xyxy_px)
+        )
         valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
         colours = [track_colour(track_id) for track_id in result.tracks.track_id.tolist()]
         nearest_first = valid[np.argsort(-boxes[valid, 3])].tolist()
-        # Edges far outside the image are clipped: drawing takes 32-bit pixels, and time for each dash.
+        # Edges far outside the image are clipped: drawing takes 32-bit pixels, and time for each
+        # dash.
         size_px = np.array(canvas.shape[1::-1], np.float64)
         boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
         if result.lanes is not None:
-            draw_lanes(canvas, result.lanes, line_px=line_px, moved=None if view is None else view.recorded_points)
+            draw_lanes(
+                canvas,
+                result.lanes,
+                line_px=line_px,
+                moved=None if view is None else view.recorded_points,
+            )
         shapes = list(boxes) if view is None else view.recorded_outlines(result.tracks.xyxy_px)
         draw_shape = draw_box if view is None else draw_outline
         observed = result.tracks.observed.tolist()
         for row in nearest_first[::-1]:
-            draw_shape(canvas, shapes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
-        if view is None and any("right_image" in one.needs and one.name in result.ranges for one in methods()):
+            draw_shape(
+                canvas, shapes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row]
+            )
+        if view is None and any(
+            "right_image" in one.needs and one.name in result.ranges for one in methods()
+        ):
             matched = [row for row in nearest_first[::-1] if observed[row]]
             draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
         self._inset.draw(canvas, result, boxes)
@@ -94,14 +116,21 @@ class Overlay:
         return canvas
 
     def _draw_labels(
-        self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
+        self,
+        canvas: Image,
+        result: FrameResult,
+        boxes: FloatArray,
+        rows: Sequence[int],
+        colours: Sequence[Bgr],
     ) -> None:
         image_px = (canvas.shape[1], canvas.shape[0])
         *sizes_px, line_px = labels.text_sizes_px(image_px)
         occupied = self._draw_corners(canvas, result, sizes_px[1])
         full, short, urgent = [], [], []
         for row in rows:
-            lines = labels.label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1]))
+            lines = labels.label_lines(
+                result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1])
+            )
             full.append(lines)
             short.append(lines[:1])
             urgent.append(lines[-1][0].weight == labels.BOLD and lines[-1][0].fill is not None)
@@ -122,7 +151,9 @@ class Overlay:
                 self._text.write(canvas, lines, placement[1], stripe=colours[rows[i]])
 
     def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
-        """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of texts and inset, in pixels."""
+        """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of texts and inset,
+        in pixels.
+        """
         corners = labels.corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
         height, width = canvas.shape[:2]
@@ -146,12 +177,18 @@ def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: 
     _draw_strokes(canvas, np.array(across + down, np.int32).reshape(-1, 2, 2), bgr, line_px)
 
 
-def draw_outline(canvas: Image, outline: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:
-    """Draw a closed curve (N, 2) with a dark border, dashed for a predicted box; parts with NaN are omitted."""
+def draw_outline(
+    canvas: Image, outline: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool
+) -> None:
+    """Draw a closed curve (N, 2) with a dark border, dashed for a predicted box; parts with NaN are
+    omitted.
+    """
     size_px = np.array(canvas.shape[1::-1], np.float64)
     segments = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
     segments = segments[np.isfinite(segments).all(axis=(1, 2))][:: 2 if dashed else 1]
-    _draw_strokes(canvas, np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32), bgr, line_px)
+    _draw_strokes(
+        canvas, np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32), bgr, line_px
+    )
 
 
 def _draw_strokes(canvas: Image, strokes: npt.NDArray[np.int32], bgr: Bgr, line_px: int) -> None:
@@ -160,12 +197,20 @@ def _draw_strokes(canvas: Image, strokes: npt.NDArray[np.int32], bgr: Bgr, line_
 
 
 def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr]) -> None:
-    """Draw the corners of the inner half of each box, which the patch matcher uses; small boxes are skipped."""
+    """Draw the corners of the inner half of each box, which the patch matcher uses; small boxes are
+    skipped.
+    """
     halves = inner_halves(boxes, canvas.shape[:2], margin_px=0, min_side_px=_MIN_WINDOW_PX)
-    patches = [(patch, bgr) for patch, bgr in zip(halves, colours, strict=True) if patch is not None]
+    patches = [
+        (patch, bgr) for patch, bgr in zip(halves, colours, strict=True) if patch is not None
+    ]
     edges = np.array([patch for patch, _ in patches], np.int32).reshape(-1, 4)
     spans = edges[:, 2:] - edges[:, :2] + 1
-    arm = np.maximum(2, np.rint(_CORNER_FRACTION * spans.min(axis=1))).astype(np.int32) if len(edges) else spans[:, 0]
+    arm = (
+        np.maximum(2, np.rint(_CORNER_FRACTION * spans.min(axis=1))).astype(np.int32)
+        if len(edges)
+        else spans[:, 0]
+    )
     corners = edges[:, _CORNERS]
     strokes = np.repeat(corners[:, :, None], 3, axis=2) + arm[:, None, None, None] * _ARMS
     cv2.polylines(canvas, list(strokes.reshape(-1, 3, 2)), False, BLACK, 3)
@@ -173,18 +218,27 @@ def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr])
         cv2.polylines(canvas, list(corner_strokes), False, bgr, 1)
 
 
-def draw_leader(canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr, line_px: int) -> None:
+def draw_leader(
+    canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr, line_px: int
+) -> None:
     """Draw a thin line from a label to its box if there is a gap between them."""
     (left, top, right, bottom), (x1, y1, x2, y2) = place.tolist(), box.tolist()
-    (start_x, end_x, gap_x), (start_y, end_y, gap_y) = _nearest(left, right, x1, x2), _nearest(top, bottom, y1, y2)
+    (start_x, end_x, gap_x), (start_y, end_y, gap_y) = (
+        _nearest(left, right, x1, x2),
+        _nearest(top, bottom, y1, y2),
+    )
     if max(gap_x, gap_y) > 2:
         thin_px = max(1, line_px - 1)
         cv2.line(canvas, (start_x, start_y), (end_x, end_y), BLACK, thin_px + 2)
         cv2.line(canvas, (start_x, start_y), (end_x, end_y), bgr, thin_px)
 
 
-def _nearest(low: float, high: float, other_low: float, other_high: float) -> tuple[int, int, float]:
-    """Nearest points of two intervals, one common point if they overlap, and the gap (negative = overlap)."""
+def _nearest(
+    low: float, high: float, other_low: float, other_high: float
+) -> tuple[int, int, float]:
+    """Nearest points of two intervals, one common point if they overlap, and the gap (negative =
+    overlap).
+    """
     shared_low, shared_high = max(low, other_low), min(high, other_high)
     if shared_low <= shared_high:
         return round(shared_low), round(shared_low), shared_low - shared_high
@@ -193,15 +247,23 @@ def _nearest(low: float, high: float, other_low: float, other_high: float) -> tu
 
 
 def draw_lanes(
-    canvas: Image, lanes: LaneLines, *, line_px: int, moved: Callable[[FloatArray], FloatArray] | None = None
+    canvas: Image,
+    lanes: LaneLines,
+    *,
+    line_px: int,
+    moved: Callable[[FloatArray], FloatArray] | None = None,
 ) -> None:
-    """Draw the lines of the ego lane over the range in which they were detected; `moved` maps points to the canvas."""
+    """Draw the lines of the ego lane over the range in which they were detected; `moved` maps
+    points to the canvas.
+    """
     size_px = np.array(canvas.shape[1::-1], np.float64)
     for line in (lanes.left, lanes.right):
         if line is None:
             continue
         drawn = points(line, n=_LANE_POINTS)
-        along = np.clip(np.nan_to_num(drawn if moved is None else moved(drawn)), -size_px, 2 * size_px)
+        along = np.clip(
+            np.nan_to_num(drawn if moved is None else moved(drawn)), -size_px, 2 * size_px
+        )
         stroke = [np.rint(along).astype(np.int32)]
         cv2.polylines(canvas, stroke, False, BLACK, line_px + 2)
         cv2.polylines(canvas, stroke, False, LANE_COLOUR, line_px, cv2.LINE_AA)
@@ -212,7 +274,9 @@ SCALE_M = (5, 7, 10, 15, 20, 30, 50)  # distances on the scale, in metres
 
 
 class DisparityPicture:
-    """Draws the disparities of dense stereo: near is red, far is blue, unknown is black; not thread-safe."""
+    """Draws the disparities of dense stereo: near is red, far is blue, unknown is black; not
+    thread-safe.
+    """
 
     def __init__(self, rig: StereoRig) -> None:
         self._focal_baseline_px_m = rig.left.fx_px * rig.baseline_m
@@ -226,12 +290,17 @@ class DisparityPicture:
         return disparity_picture(result.disparity, largest_px=largest_px)
 
     def draw_marked(self, result: FrameResult) -> Image:
-        """Colour-coded disparities with the boxes and inner windows of the tracks, and a scale at the lower edge."""
+        """Colour-coded disparities with the boxes and inner windows of the tracks, and a scale at
+        the lower edge.
+        """
         canvas = self.draw(result)
         boxes = np.clip(result.tracks.xyxy_px, -20.0, np.tile(canvas.shape[1::-1], 2) + 20.0)
         valid = np.isfinite(boxes).all(axis=1)
         for row in np.flatnonzero(valid).tolist():
-            bgr, is_observed = track_colour(int(result.tracks.track_id[row])), bool(result.tracks.observed[row])
+            bgr, is_observed = (
+                track_colour(int(result.tracks.track_id[row])),
+                bool(result.tracks.observed[row]),
+            )
             draw_box(canvas, boxes[row], bgr=bgr, line_px=1, dashed=not is_observed)
         observed = boxes[valid & result.tracks.observed]
         draw_inner_windows(canvas, observed, [WHITE] * len(observed))

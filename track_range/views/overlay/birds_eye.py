@@ -1,4 +1,5 @@
-r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of the tracks and their uncertainty.
+r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of the tracks and their
+uncertainty.
 
 +---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark distances. A track is
 | --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
@@ -26,13 +27,15 @@ from track_range.views.overlay.labels import shared_areas, text_sizes_px
 Point = Sequence[int]
 RANGES_M = (30.0, 60.0, 90.0, 120.0)  # possible ranges of the inset in metres
 _SHRINK_DELAY_S = 3.0  # seconds for which all tracks must be nearer before the range shrinks
-_HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3  # largest height and width of the inset as fractions of the image's
+# largest height and width of the inset as fractions of the image's
+_HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3
 _ASPECT = 0.8  # width / height of the inset
 _EGO_MARGIN = 0.06  # fraction of the inset's height that is below the camera
 _N_LINES = 3  # marked distances
 _MOVE_INTERVAL_S = 1.0  # shortest time between two moves of the inset
 _MOVE_FRACTION = 0.02  # smallest fraction of the inset that a move makes free
-_CORNERS = np.array([(0, 1), (1, 1), (0, 0), (1, 0)])  # (4, 2) right and lower corners as 1, the preferred ones first
+# (4, 2) right and lower corners as 1, the preferred ones first
+_CORNERS = np.array([(0, 1), (1, 1), (0, 0), (1, 0)])
 _FAINT = (95, 95, 95)  # BGR colour of the grid
 
 
@@ -44,7 +47,9 @@ class Scale:
     _needed_s: float = -np.inf
 
     def update(self, farthest_m: float, time_s: float) -> None:
-        """Update with the farthest track of a frame in metres (0 = no track); times must increase."""
+        """Update with the farthest track of a frame in metres (0 = no track); times must
+        increase.
+        """
         needed_m = RANGES_M[min(bisect_left(RANGES_M, farthest_m), len(RANGES_M) - 1)]
         if needed_m >= self.range_m:
             self._needed_s = time_s
@@ -54,21 +59,28 @@ class Scale:
 
 
 class BirdsEye:
-    """Draws the insets of one video; predicted tracks and the field of view need the camera of the images."""
+    """Draws the insets of one video; predicted tracks and the field of view need the camera of the
+    images.
+    """
 
     def __init__(self, camera: PinholeCamera | None = None) -> None:
         self.camera = camera
         self._scale = Scale()
-        self._corner, self._moved_s = 0, -np.inf  # index of `_CORNERS`, and the time of the latest move
+        # index of `_CORNERS`, and the time of the latest move
+        self._corner, self._moved_s = 0, -np.inf
         self._font = cv2.FontFace("sans")
         self._grids: dict[tuple[int, int, float], Image] = {}
 
     def place(self, image_px: tuple[int, int]) -> FloatArray:
-        """(4,) rectangle of the inset in an image (W, H) in its present corner; empty if the image is too small."""
+        """(4,) rectangle of the inset in an image (W, H) in its present corner; empty if the image
+        is too small.
+        """
         return np.asarray(_places(image_px)[self._corner], np.float64)
 
     def _move(self, image_px: tuple[int, int], boxes: FloatArray, time_s: float) -> None:
-        """Choose the corner where the inset covers the smallest area of the boxes, if that is worth a move."""
+        """Choose the corner where the inset covers the smallest area of the boxes, if that is worth
+        a move.
+        """
         places = _places(image_px)
         area_px2 = float(np.prod(places[0, 2:] - places[0, :2]))
         covered_px2 = shared_areas(places, boxes)
@@ -78,7 +90,9 @@ class BirdsEye:
             self._corner, self._moved_s = best, time_s
 
     def draw(self, canvas: Image, result: FrameResult, boxes: FloatArray | None = None) -> None:
-        """Draw the inset of one frame; `boxes` (N, 4) are boxes in the image, None = the tracks' boxes."""
+        """Draw the inset of one frame; `boxes` (N, 4) are boxes in the image, None = the tracks'
+        boxes.
+        """
         image_px = (canvas.shape[1], canvas.shape[0])
         boxes = result.tracks.xyxy_px if boxes is None else boxes
         boxes = boxes[np.isfinite(boxes).all(axis=1)]
@@ -101,13 +115,17 @@ class BirdsEye:
             self._draw_track(inset, result, row, centre=centre, bar=ends)
         outside_px = text_sizes_px(image_px)[2] + 1  # of the line of a box
         covered = np.clip(
-            boxes + outside_px * np.array([-1, -1, 2, 2]) - [left, top, left, top], 0, 2 * max(inset.shape)
+            boxes + outside_px * np.array([-1, -1, 2, 2]) - [left, top, left, top],
+            0,
+            2 * max(inset.shape),
         )
         for x1, y1, x2, y2 in np.rint(covered).astype(int).tolist():
             inset[y1:y2, x1:x2] = before[y1:y2, x1:x2]
 
     def ground_m(self, result: FrameResult) -> FloatArray:
-        """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
+        """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance;
+        NaN = unknown.
+        """
         n = len(result.tracks)
         ground_m = np.full((n, 3), np.nan)
         ground_m[:, :2] = result.xyz_m[:, ::2]
@@ -118,7 +136,9 @@ class BirdsEye:
             centre_px = (result.tracks.xyxy_px[:, :2] + result.tracks.xyxy_px[:, 2:]) / 2
             predicted_m = self.camera.rays(centre_px)[:, ::2] * filtered.distance_m[:, None]
             fallback_m = np.hstack([predicted_m, filtered.sigma_m[:, None]])
-            ground_m = np.where(np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, fallback_m)
+            ground_m = np.where(
+                np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, fallback_m
+            )
         return ground_m
 
     def _grid(self, hw: tuple[int, int]) -> Image:
@@ -128,9 +148,12 @@ class BirdsEye:
             return self._grids[*hw, range_m]
         grid = self._grids[*hw, range_m] = np.zeros((*hw, 3), np.uint8)
         size_px, camera = max(9, hw[0] // 18), self.camera
-        slopes = [0.0]  # x / z of the camera, and of the left and the right edge of its field of view
+        # x / z of the camera, and of the left and the right edge of its field of view
+        slopes = [0.0]
         if camera is not None:
-            slopes += [(u_px - camera.cx_px) / camera.fx_px for u_px in (0.0, camera.width_px - 1.0)]
+            slopes += [
+                (u_px - camera.cx_px) / camera.fx_px for u_px in (0.0, camera.width_px - 1.0)
+            ]
         far_m = np.array([0.0, 2 * range_m, 2 * range_m])[: len(slopes)]
         ego, *far_ends = self._points(far_m * np.array(slopes), far_m, hw).tolist()
         for end in far_ends:
@@ -143,12 +166,19 @@ class BirdsEye:
             cv2.putText(grid, text, (3, y + size_px), GREY, self._font, size_px, 450)
         half = max(2, hw[0] // 60)
         base_y = ego[1] + 2 * half
-        cv2.fillConvexPoly(grid, np.array([(ego[0] - half, base_y), (ego[0] + half, base_y), ego]), WHITE)
+        cv2.fillConvexPoly(
+            grid, np.array([(ego[0] - half, base_y), (ego[0] + half, base_y), ego]), WHITE
+        )
         cv2.rectangle(grid, (0, 0), (hw[1] - 1, hw[0] - 1), _FAINT, 1)
         return grid
 
-    def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
-        colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
+    def _draw_track(
+        self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]
+    ) -> None:
+        colour, radius = (
+            track_colour(int(result.tracks.track_id[row])),
+            max(2, round(inset.shape[0] / 60)),
+        )
         alarm = warning_colour(result, row)
         is_observed = bool(result.tracks.observed[row])
         cv2.circle(inset, centre, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
@@ -158,15 +188,21 @@ class BirdsEye:
         cv2.line(inset, bar[0], bar[1], colour, max(1, radius // 3), cv2.LINE_AA)
 
     def _points(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> IntArray:
-        """(..., 2) pixels in an inset (H, W) of points; clipped far outside, as drawing takes 16-bit pixels."""
+        """(..., 2) pixels in an inset (H, W) of points; clipped far outside, as drawing takes
+        16-bit pixels.
+        """
         height, width = inset_hw
         px_per_m, limit = (1 - _EGO_MARGIN) * height / self._scale.range_m, 5.0 * max(inset_hw)
-        pixels = np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
+        pixels = np.stack(
+            [width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1
+        )
         return np.rint(np.clip(pixels, -limit, limit)).astype(np.int64)
 
 
 def _places(image_px: tuple[int, int]) -> FloatArray:
-    """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H); the upper two are below a line of text."""
+    """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H); the upper two are below
+    a line of text.
+    """
     width, height = image_px
     inset_px = min(_HEIGHT_FRACTION * height, _WIDTH_FRACTION * width / _ASPECT)
     size_px = np.round(np.array([_ASPECT, 1.0]) * (round(inset_px) if inset_px >= 60 else 0))

@@ -1,4 +1,5 @@
-"""Texts of the overlay, their layout and their drawing: label of a track, and texts in the upper corners.
+"""Texts of the overlay, their layout and their drawing: label of a track, and texts in the upper
+corners.
 
 +------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
 | 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
@@ -19,18 +20,31 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.pipeline.colours import AMBER, BLACK, CALM, GREY, WHITE, Bgr, track_colour, warning_colour
+from track_range.pipeline.colours import (
+    AMBER,
+    BLACK,
+    CALM,
+    GREY,
+    WHITE,
+    Bgr,
+    track_colour,
+    warning_colour,
+)
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.safety import apart_m
 
-CLOSING_SHOWN_MPS = 0.5  # smallest closing speed that is shown; slower ones are within the noise of the distance filter
-TTC_SHOWN_S = 30.0  # longest time to collision that is shown, in seconds; beyond it only the closing speed is shown
+# smallest closing speed that is shown; slower ones are within the noise of the distance filter
+CLOSING_SHOWN_MPS = 0.5
+# longest time to collision that is shown, in seconds; beyond it only the closing speed is shown
+TTC_SHOWN_S = 30.0
 BAR_S = 8.0  # time to collision in seconds at which its bar is empty; at 0 s it is full
 LONGEST_NAME = 24  # longest class name that is shown in full, in characters
-_MARGIN_PX = 6  # smallest left margin of the text; the stripe in the colour of the track has half of it
+# smallest left margin of the text; the stripe in the colour of the track has half of it
+_MARGIN_PX = 6
 _N_CACHED_WIDTHS = 4096  # number of texts whose widths are cached
-_LEAST_ASPECT = 0.75  # largest height / width of an image (4:3) up to which the text size follows the height
+# largest height / width of an image (4:3) up to which the text size follows the height
+_LEAST_ASPECT = 0.75
 BOLD, REGULAR = 700, 450  # font weights, 100..900
 
 
@@ -51,12 +65,17 @@ Lines = Sequence[Line]
 
 
 def text_sizes_px(image_px: tuple[int, int]) -> tuple[int, int, int]:
-    """Large text, small text and stroke width in px for an image (W, H): 26, 18 and 3 at 1280 x 720.
+    """Large text, small text and stroke width in px for an image (W, H): 26, 18 and 3 at 1280 x
+    720.
 
     In images taller than 4:3 the sizes follow the width, which limits the width of labels.
     """
     height_px = min(image_px[1], _LEAST_ASPECT * image_px[0])
-    return round(4 + 0.03 * height_px), max(11, round(3.5 + 0.02 * height_px)), max(1, round(1 + 0.0025 * height_px))
+    return (
+        round(4 + 0.03 * height_px),
+        max(11, round(3.5 + 0.02 * height_px)),
+        max(1, round(1 + 0.0025 * height_px)),
+    )
 
 
 def distance_text(distance_m: float) -> str:
@@ -73,27 +92,43 @@ def sigma_text(sigma_m: float) -> str:
 
 def shown_name(name: str) -> str:
     """Class name on one line, shortened to `LONGEST_NAME` characters."""
-    line = name if name.isprintable() else "".join(character if character.isprintable() else " " for character in name)
+    line = (
+        name
+        if name.isprintable()
+        else "".join(character if character.isprintable() else " " for character in name)
+    )
     return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
-    """Fused, else filtered distance (as for predicted boxes) with its sigma in metres; NaN = unknown."""
+    """Fused, else filtered distance (as for predicted boxes) with its sigma in metres; NaN =
+    unknown.
+    """
     for name in ("fused", "fused_kf"):
         if name in result.ranges and math.isfinite(result.ranges[name].distance_m[row]):
-            return float(result.ranges[name].distance_m[row]), float(result.ranges[name].sigma_m[row])
+            return float(result.ranges[name].distance_m[row]), float(
+                result.ranges[name].sigma_m[row]
+            )
     return math.nan, math.nan
 
 
-def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], sizes_px: tuple[int, int]) -> Lines:
-    """Label of a track in one to three lines: fused distance and identity, distances by method, closing speed."""
+def label_lines(
+    result: FrameResult, row: int, *, class_names: Sequence[str], sizes_px: tuple[int, int]
+) -> Lines:
+    """Label of a track in one to three lines: fused distance and identity, distances by method,
+    closing speed.
+    """
     large_px, small_px = sizes_px
     tracks, ranges = result.tracks, result.ranges
     identity = f"{shown_name(class_names[int(tracks.class_id[row])])} {int(tracks.track_id[row])}"
     named = Span(identity, small_px, BOLD, track_colour(int(tracks.track_id[row])))
     distance_m, sigma_m = shown_distance(result, row)
     metres = Span(f"{distance_text(distance_m)} m", large_px, BOLD, WHITE)
-    sigma = [Span(f"±{sigma_text(sigma_m)}", small_px, REGULAR, WHITE)] if math.isfinite(distance_m) else []
+    sigma = (
+        [Span(f"±{sigma_text(sigma_m)}", small_px, REGULAR, WHITE)]
+        if math.isfinite(distance_m)
+        else []
+    )
     lines = [[metres, *sigma, named]]
     figures = [
         f"{method.letter} {distance_text(float(ranges[method.name].distance_m[row]))}"
@@ -103,26 +138,41 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     alarm, warnings = warning_colour(result, row), result.warnings
-    ttc_s, passes = float((result.ttc_s if result.safety is None else result.safety.ttc_front_s)[row]), False
+    ttc_s, passes = (
+        float((result.ttc_s if result.safety is None else result.safety.ttc_front_s)[row]),
+        False,
+    )
     if math.isnan(ttc_s) and alarm is None and warnings is not None:  # no contact is possible
         passes = bool(apart_m(warnings.path_offset_m, result.tracks.class_id)[row] > 0)
         ttc_s = float(result.ttc_s[row]) if passes else ttc_s
-    closing = closing_span(float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, passes=passes)
+    closing = closing_span(
+        float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, passes=passes
+    )
     return [*lines, [closing]] if closing else lines
 
 
 def closing_span(
-    closing_mps: float, ttc_s: float, size_px: int, *, alarm: Bgr | None = None, passes: bool = False
+    closing_mps: float,
+    ttc_s: float,
+    size_px: int,
+    *,
+    alarm: Bgr | None = None,
+    passes: bool = False,
 ) -> Span | None:
-    """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not approach.
+    """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not
+    approach.
 
-    `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by (`passes`) have no bar,
-    and their time is the time until they are beside the camera.
+    `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by
+    (`passes`) have no bar, and their time is the time until they are beside the camera.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
     speed = f"closing {closing_mps:.1f} m/s"
-    text = f"{'beside in' if passes else 'TTC'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
+    text = (
+        f"{'beside in' if passes else 'TTC'} {ttc_s:.1f} s  {speed}"
+        if ttc_s < TTC_SHOWN_S
+        else speed
+    )
     filled = min(1.0, 1 - ttc_s / BAR_S) if ttc_s < BAR_S and not passes else 0.0
     return Span(text, size_px, REGULAR if alarm is None else BOLD, WHITE, alarm or CALM, filled)
 
@@ -130,14 +180,20 @@ def closing_span(
 def corner_lines(
     result: FrameResult, size_px: int, *, status: Sequence[str] = (), warning: str = ""
 ) -> tuple[Lines, Lines]:
-    """Texts of the upper left corner (frame number, time, status, warning) and of the upper right corner (legend)."""
+    """Texts of the upper left corner (frame number, time, status, warning) and of the upper right
+    corner (legend).
+    """
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
-    clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
+    clock += [
+        Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)
+    ]
     if result.scale_doubt is not None:
         warning = "scale in doubt"
     if warning:
         clock.append(Span(warning, size_px, BOLD, AMBER))
-    shown = [method for method in methods() if method.measures_distance and method.name in result.ranges]
+    shown = [
+        method for method in methods() if method.measures_distance and method.name in result.ranges
+    ]
     letters = [f"{method.letter} {method.title}" for method in shown]
     legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]
@@ -154,12 +210,21 @@ class TextRenderer:
         """(N, 2) width and height of each label in pixels, including margins."""
         sizes = []
         for lines in labels:
-            widths_px = [sum([self._width_px(span.text, span.size_px, span.weight) for span in line]) for line in lines]
-            sizes.append((max(widths_px) + _margin_px(lines), sum(map(line_height_px, lines)) + 2.0))
+            widths_px = [
+                sum([self._width_px(span.text, span.size_px, span.weight) for span in line])
+                for line in lines
+            ]
+            sizes.append(
+                (max(widths_px) + _margin_px(lines), sum(map(line_height_px, lines)) + 2.0)
+            )
         return np.array(sizes, np.float64).reshape(-1, 2)
 
-    def write(self, canvas: Image, lines: Lines, place: FloatArray, *, stripe: Bgr | None = None) -> None:
-        """Draw lines on a darkened background in the rectangle `place` (4,), with an optional stripe at the left."""
+    def write(
+        self, canvas: Image, lines: Lines, place: FloatArray, *, stripe: Bgr | None = None
+    ) -> None:
+        """Draw lines on a darkened background in the rectangle `place` (4,), with an optional
+        stripe at the left.
+        """
         left, top, right, bottom = np.rint(place).astype(int).tolist()
         background = canvas[top:bottom, left:right]
         np.right_shift(background, 2, out=background)
@@ -169,20 +234,28 @@ class TextRenderer:
         for line in lines:
             height = line_height_px(line)
             self._write_line(canvas, line, (left + margin, top))
-            if line[0].fill is not None and (filled := round(line[0].filled * (right - left - stripe_px))):
-                bar = canvas[top + 1 : top + height + 1, left + stripe_px : left + stripe_px + filled]
+            if line[0].fill is not None and (
+                filled := round(line[0].filled * (right - left - stripe_px))
+            ):
+                bar = canvas[
+                    top + 1 : top + height + 1, left + stripe_px : left + stripe_px + filled
+                ]
                 cv2.rectangle(bar, (0, 0), (filled, height), line[0].fill, -1)
                 on_bar = BLACK if line[0].fill == AMBER else WHITE
                 self._write_line(bar, line, (margin - stripe_px, -1), bgr=on_bar)
             top += height
 
-    def _write_line(self, canvas: Image, line: Line, corner: tuple[int, int], *, bgr: Bgr | None = None) -> None:
+    def _write_line(
+        self, canvas: Image, line: Line, corner: tuple[int, int], *, bgr: Bgr | None = None
+    ) -> None:
         """Draw the spans of a line in their colours, or all in the colour `bgr`."""
         x, top = corner
         height = line_height_px(line)
         for span in line:
             origin, colour = (x, top + height - height // 5), span.bgr if bgr is None else bgr
-            end, _ = cv2.putText(canvas, span.text, origin, colour, self._font, span.size_px, span.weight)
+            end, _ = cv2.putText(
+                canvas, span.text, origin, colour, self._font, span.size_px, span.weight
+            )
             x = end[0] + span.size_px // 2
 
     def _new_width_px(self, text: str, size_px: int, weight: int) -> int:
@@ -199,26 +272,43 @@ def line_height_px(line: Line) -> int:
     return max(line, key=attrgetter("size_px")).size_px * 5 // 4
 
 
-BESIDE = ((0, 0, 0, -1), (1, 0, -1, -1), (0, 1, 0, 0), (1, 1, -1, 0), (1, 0, 0, 0), (0, 0, -1, 0), (0, 0, 0, 0))
-AWAY = tuple((0, 0, across, -1 - up) for up in (0, 1, 2, 3, 4, -1, -2) for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5))
+BESIDE = (
+    (0, 0, 0, -1),
+    (1, 0, -1, -1),
+    (0, 1, 0, 0),
+    (1, 1, -1, 0),
+    (1, 0, 0, 0),
+    (0, 0, -1, 0),
+    (0, 0, 0, 0),
+)
+AWAY = tuple(
+    (0, 0, across, -1 - up)
+    for up in (0, 1, 2, 3, 4, -1, -2)
+    for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5)
+)
 PLACES = np.array(BESIDE + AWAY, np.float64).reshape(-1, 2, 2)
-"""(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from the box's upper left
-corner, as a multiple of the box size plus a multiple of the label size. First at the box and inside it, then farther
-away."""
+"""(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from the
+box's upper left corner, as a multiple of the box size plus a multiple of the label size. First at
+the box and inside it, then farther away."""
 
-_STEP_COST = 0.01  # cost of each step along the list of candidates, as a fraction of the label's area
-_PREVIOUS_BONUS = 0.1  # bonus for the position in the previous frame, as a fraction of the label's area
-_MAX_COST = 0.3  # cost, of the label's area, above which a full label is shortened if that reduces it
+# cost of each step along the list of candidates, as a fraction of the label's area
+_STEP_COST = 0.01
+# bonus for the position in the previous frame, as a fraction of the label's area
+_PREVIOUS_BONUS = 0.1
+# cost, of the label's area, above which a full label is shortened if that reduces it
+_MAX_COST = 0.3
 
 
 class LabelPlacer:
-    """Places the labels of one video, frame by frame: near their boxes, inside the image, and without overlap.
+    """Places the labels of one video, frame by frame: near their boxes, inside the image, and
+    without overlap.
 
-    Labels are placed greedily in the given order. Each gets the free candidate position of the lowest cost: the area of
-    boxes it covers, plus a term that grows along the list of candidates (near ones first), minus a bonus for the
-    position in the previous frame, so that labels do not jump. Boxes before its own, of nearer road users, are not
-    free. A label without a free position, or at a high cost, is shortened; if that does not help either, it is omitted,
-    or, if it is urgent, covers nearer road users.
+    Labels are placed greedily in the given order. Each gets the free candidate position of the
+    lowest cost: the area of boxes it covers, plus a term that grows along the list of candidates
+    (near ones first), minus a bonus for the position in the previous frame, so that labels do not
+    jump. Boxes before its own, of nearer road users, are not free. A label without a free position,
+    or at a high cost, is shortened; if that does not help either, it is omitted, or, if it is
+    urgent, covers nearer road users.
     """
 
     def __init__(self) -> None:
@@ -234,23 +324,34 @@ class LabelPlacer:
         image_px: tuple[int, int],
         urgent: Sequence[bool],
     ) -> list[tuple[int, FloatArray] | None]:
-        """Size (0 = full, 1 = short) and rectangle (4,) of the label of each track id; None = no free position.
+        """Size (0 = full, 1 = short) and rectangle (4,) of the label of each track id; None = no
+        free position.
 
-        `boxes` (N, 4) have no NaN; `sizes_px` (2, N, 2) are width and height of full and short labels, which must not
-        cover `occupied` (M, 4). An `urgent` (N,) label is shortened only if the full one has no free position.
+        `boxes` (N, 4) have no NaN; `sizes_px` (2, N, 2) are width and height of full and short
+        labels, which must not cover `occupied` (M, 4). An `urgent` (N,) label is shortened only if
+        the full one has no free position.
         """
         previous, self._previous = self._previous, {}
         placements: list[tuple[int, FloatArray] | None] = []
-        full = _candidates(boxes, sizes_px[0], image_px, [previous.get((0, track_id)) for track_id in ids])
+        full = _candidates(
+            boxes, sizes_px[0], image_px, [previous.get((0, track_id)) for track_id in ids]
+        )
         for i, track_id in enumerate(ids):
             places, costs = full[0][i], full[1][i]
             closed = np.vstack([occupied, boxes[:i]])
             size, number = 0, free_place(places, costs, closed)
-            if number is None or (not urgent[i] and costs[number] > _MAX_COST * sizes_px[0, i].prod()):
+            if number is None or (
+                not urgent[i] and costs[number] > _MAX_COST * sizes_px[0, i].prod()
+            ):
                 last = [previous.get((1, track_id))]
-                short = [part[0] for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, last, row=i)]
+                short = [
+                    part[0]
+                    for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, last, row=i)
+                ]
                 short_number = free_place(short[0], short[1], closed)
-                if short_number is not None and (number is None or short[1][short_number] < costs[number]):
+                if short_number is not None and (
+                    number is None or short[1][short_number] < costs[number]
+                ):
                     size, number, places = 1, short_number, short[0]
             if number is None and urgent[i]:
                 number = free_place(places, costs, occupied)
@@ -269,7 +370,9 @@ def _candidates(
     *,
     row: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, K, 4) candidate rectangles and (N, K) costs, for all boxes or box `row`; inf if larger than the image."""
+    """(N, K, 4) candidate rectangles and (N, K) costs, for all boxes or box `row`; inf if larger
+    than the image.
+    """
     places = label_places(boxes if row is None else boxes[row : row + 1], size_px, image_px)
     costs = place_costs(places, boxes, previous)
     costs[(size_px > image_px).any(axis=1)] = np.inf
@@ -277,7 +380,9 @@ def _candidates(
 
 
 def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, int]) -> FloatArray:
-    """(N, K, 4) candidate rectangles of labels of size (N, 2) at (N, 4) boxes in an image (W, H), best first."""
+    """(N, K, 4) candidate rectangles of labels of size (N, 2) at (N, 4) boxes in an image (W, H),
+    best first.
+    """
     spans = np.stack([boxes[:, 2:] - boxes[:, :2], size_px], axis=1)
     corner = boxes[:, None, :2] + np.einsum("kij,nij->nkj", PLACES, spans)
     corner = np.clip(corner, 0.0, np.maximum(np.array(image_px) - size_px, 0.0)[:, None]).round()
@@ -285,15 +390,27 @@ def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, in
 
 
 def shared_areas(places: FloatArray, others: FloatArray) -> FloatArray:
-    """(..., K) area in px^2 that each of (..., K, 4) rectangles shares with (M, 4) other rectangles, summed."""
+    """(..., K) area in px^2 that each of (..., K, 4) rectangles shares with (M, 4) other
+    rectangles, summed.
+    """
     corners = places[..., None]
-    width = np.minimum(corners[..., 2, :], others[:, 2]) - np.maximum(corners[..., 0, :], others[:, 0])
-    height = np.minimum(corners[..., 3, :], others[:, 3]) - np.maximum(corners[..., 1, :], others[:, 1])
-    return np.asarray(np.einsum("...m,...m->...", np.maximum(width, 0.0), np.maximum(height, 0.0)), np.float64)
+    width = np.minimum(corners[..., 2, :], others[:, 2]) - np.maximum(
+        corners[..., 0, :], others[:, 0]
+    )
+    height = np.minimum(corners[..., 3, :], others[:, 3]) - np.maximum(
+        corners[..., 1, :], others[:, 1]
+    )
+    return np.asarray(
+        np.einsum("...m,...m->...", np.maximum(width, 0.0), np.maximum(height, 0.0)), np.float64
+    )
 
 
-def place_costs(places: FloatArray, boxes: FloatArray, previous: list[int | None] | None = None) -> FloatArray:
-    """(N, K) costs in px^2 of (N, K, 4) candidates; `previous`: candidate of each label in the last frame, or None."""
+def place_costs(
+    places: FloatArray, boxes: FloatArray, previous: list[int | None] | None = None
+) -> FloatArray:
+    """(N, K) costs in px^2 of (N, K, 4) candidates; `previous`: candidate of each label in the last
+    frame, or None.
+    """
     w, h = (places[:, 0, 2:] - places[:, 0, :2]).T
     costs = shared_areas(places, boxes) + np.outer(_STEP_COST * w * h, np.arange(places.shape[1]))
     for row, number in enumerate(previous or ()):
@@ -303,7 +420,9 @@ def place_costs(places: FloatArray, boxes: FloatArray, previous: list[int | None
 
 
 def free_place(places: FloatArray, costs: FloatArray, occupied: FloatArray) -> int | None:
-    """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there is none."""
+    """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there
+    is none.
+    """
     overlaps = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
     costs = np.where((overlaps[..., 0] & overlaps[..., 1]).any(axis=1), np.inf, costs)
     number = int(np.argmin(costs))

@@ -1,4 +1,6 @@
-"""Videos of a run in progress (overlay.mp4, disparity.mp4), drawn and encoded in a separate thread."""
+"""Videos of a run in progress (overlay.mp4, disparity.mp4), drawn and encoded in a separate
+thread.
+"""
 
 from __future__ import annotations
 
@@ -14,29 +16,41 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import StageClock
 from track_range.views.video_writer import MAX_HELD_FRAMES, VideoWriter
 
-QUANTIZER = 28  # of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)
-_MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5  # that a video may lack after a kill, whichever is less; at least one frame
-Draw = Callable[[FrameResult], Image]  # draws a result as (H, W, 3) uint8 BGR; called from one thread
+# of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)
+QUANTIZER = 28
+# that a video may lack after a kill, whichever is less; at least one frame
+_MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5
+# draws a result as (H, W, 3) uint8 BGR; called from one thread
+Draw = Callable[[FrameResult], Image]
 
 
 class ResultVideo:
-    """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
+    """Draws and encodes results in a thread; an error is raised by a later call of `wait` or
+    `write`.
 
-    `draw` draws a result in the size `size_px` (width, height); the stage "write" of `clock` counts the time.
-    `precedes_rows`: whether frames must be written before their rows, since the video would otherwise lag too much;
-    `write` then returns after the frame is encoded. Raises VideoError: the file cannot be written; also raised by
-    `wait`, `write` and `raise_error` for an earlier frame.
+    `draw` draws a result in the size `size_px` (width, height); the stage "write" of `clock` counts
+    the time. `precedes_rows`: whether frames must be written before their rows, since the video
+    would otherwise lag too much; `write` then returns after the frame is encoded. Raises
+    VideoError: the file cannot be written; also raised by `wait`, `write` and `raise_error` for an
+    earlier frame.
     """
 
-    def __init__(self, path: Path, draw: Draw, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
+    def __init__(
+        self, path: Path, draw: Draw, *, size_px: tuple[int, int], fps: float, clock: StageClock
+    ) -> None:
         width_px, height_px = size_px
-        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=fps, quantizer=QUANTIZER)
+        self._writer = VideoWriter(
+            path, width_px=width_px, height_px=height_px, fps=fps, quantizer=QUANTIZER
+        )
         self._picture = draw
         self._clock = clock
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=lower_thread_priority)
+        self._thread = ThreadPoolExecutor(
+            1, thread_name_prefix=path.stem, initializer=lower_thread_priority
+        )
         self._queue: deque[Future[None]] = deque()
         max_lag = min(_MAX_LAG_FRAMES, max(1, int(_MAX_LAG_S * fps)))
-        # The rows of the next frame are written while these frames wait, and the muxer holds others.
+        # The rows of the next frame are written while these frames wait, and the muxer holds
+        # others.
         self._max_queued = max(0, max_lag - MAX_HELD_FRAMES - 1)
         self.precedes_rows = max_lag <= MAX_HELD_FRAMES
 

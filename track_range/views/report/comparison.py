@@ -1,8 +1,9 @@
 """Comparison of runs: events that differ, a row per run with its results, and settings that differ.
 
-Events of two runs match if they are of the same kind, if their times overlap within `TIME_TOLERANCE_S`, and if the
-boxes of their tracks overlap in the frames that both tracks have (median IoU), or if their distances are similar where
-no boxes are known. The pairs with the nearest peaks are matched first.
+Events of two runs match if they are of the same kind, if their times overlap within
+`TIME_TOLERANCE_S`, and if the boxes of their tracks overlap in the frames that both tracks have
+(median IoU), or if their distances are similar where no boxes are known. The pairs with the nearest
+peaks are matched first.
 """
 
 from __future__ import annotations
@@ -23,17 +24,35 @@ from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, Event
 from track_range.views.report import tables
 from track_range.views.report.content.errors import band_line
-from track_range.views.report.content.events import event_details, kind_words, object_words, time_words
+from track_range.views.report.content.events import (
+    event_details,
+    kind_words,
+    object_words,
+    time_words,
+)
 from track_range.views.report.sentences import address, flattened, run_name
-from track_range.views.report.tables import Cell, Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
+from track_range.views.report.tables import (
+    Cell,
+    Column,
+    ColumnSpec,
+    Grid,
+    columns_of,
+    figure,
+    grid_of,
+    largest,
+)
 from track_range.views.report.track_comparison import picture, track_differences, unmatched_names
 
 TIME_TOLERANCE_S = 0.5  # largest gap in s between the times of matching events
 MIN_IOU = 0.3  # smallest median IoU of the boxes of matching events
-_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0  # largest differences of matching events without common frames
-_CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0  # differences that are listed: s, and in joint sigmas of distances
-_CHANGED_FRACTION = 0.1  # relative difference of distances without a standard deviation that is listed
-_MOST_NAMED, _MOST_PICTURES = 10, 6  # of a pair of runs: road users that are in one run only, and with pictures
+# largest differences of matching events without common frames
+_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
+# differences that are listed: s, and in joint sigmas of distances
+_CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
+# relative difference of distances without a standard deviation that is listed
+_CHANGED_FRACTION = 0.1
+# of a pair of runs: road users that are in one run only, and with pictures
+_MOST_NAMED, _MOST_PICTURES = 10, 6
 _ARROW = "\N{RIGHTWARDS ARROW}"
 
 _RUN_COLUMNS: tuple[ColumnSpec, ...] = (
@@ -83,7 +102,9 @@ class ComparedRun:
     def video(self) -> str:
         """Name of the left or only video."""
         inputs = self.section("inputs")
-        return run_name({"inputs": {"left": inputs.get("left") or inputs.get("video") or inputs.get("mono")}})
+        return run_name(
+            {"inputs": {"left": inputs.get("left") or inputs.get("video") or inputs.get("mono")}}
+        )
 
     def section(self, name: str) -> Mapping[str, Any]:
         """A section of the summary; empty if it is missing."""
@@ -99,7 +120,13 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     methods = [run.section("methods") for run in runs]
     for title, key, pattern, scale, cost in _METHOD_GRIDS:
         columns = [
-            Column(method, [figure(rows.get(method) or {}, key) for rows in methods], pattern, scale, cost)
+            Column(
+                method,
+                [figure(rows.get(method) or {}, key) for rows in methods],
+                pattern,
+                scale,
+                cost,
+            )
             for method in dict.fromkeys(method for rows in methods for method in rows)
         ]
         grids.append(grid_of(title, "run", names, columns))
@@ -108,14 +135,20 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
         Column(stage, [figure(times, stage) or None for times in stages], cost=abs)
         for stage in dict.fromkeys(stage for times in stages for stage in times)
     ]
-    grids.append(grid_of("Run time by stage in ms per frame (stages overlap)", "run", names, columns))
+    grids.append(
+        grid_of("Run time by stage in ms per frame (stages overlap)", "run", names, columns)
+    )
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
 
 
 def settings_grid(runs: Sequence[ComparedRun]) -> Grid:
     """A row per setting that differs between runs."""
     settings = [dict(flattened(run.settings)) for run in runs]
-    names = [name for name in dict.fromkeys(name for values in settings for name in values) if name not in _OMITTED]
+    names = [
+        name
+        for name in dict.fromkeys(name for values in settings for name in values)
+        if name not in _OMITTED
+    ]
     rows = [[name, *(values.get(name, tables.NOTHING) for values in settings)] for name in names]
     different = [tuple(Cell(text) for text in row) for row in rows if len(set(row[1:])) > 1]
     return Grid("Settings that differ", ("setting", *(run.name for run in runs)), tuple(different))
@@ -125,10 +158,13 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
     """Reasons why the results of the runs may not be comparable."""
     notes = []
     if len({run.video for run in runs}) > 1:
-        notes.append("The runs are of different videos, so their errors are not directly comparable.")
+        notes.append(
+            "The runs are of different videos, so their errors are not directly comparable."
+        )
     if len({str(run.summary.get("truth")) for run in runs}) > 1:
         notes.append(
-            "The runs were not evaluated against the same kind of ground truth, or some runs had no ground truth."
+            "The runs were not evaluated against the same kind of ground truth, or some runs had "
+            "no ground truth."
         )
     if len({run.summary.get("frames") for run in runs}) > 1:
         notes.append("The runs have different numbers of frames.")
@@ -136,7 +172,9 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
 
 
 def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
-    """Mean error of `fused` by distance band, one line per run with ground truth: name, colour, x in m, y in %."""
+    """Mean error of `fused` by distance band, one line per run with ground truth: name, colour, x
+    in m, y in %.
+    """
     palette = (*dict.fromkeys([*reversed(method_colours().values()), *OTHER_COLOURS]),)
     lines = []
     for i, run in enumerate(runs):
@@ -147,14 +185,16 @@ def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     return lines
 
 
-# -- road users -------------------------------------------------------------------------------------------------------
+# -- road users
+# -------------------------------------------------------------------------------------------------------
 
 
 def compared_tracks(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
-    """The road users of each further run on the first run's video, beside the road users of the first run.
+    """The road users of each further run on the first run's video, beside the road users of the
+    first run.
 
-    Keys: `grid`, `sentences`, and `pictures` of the largest disagreements: `text`, and `images` (name of the run,
-    distance and data URI, "" = none, of each run).
+    Keys: `grid`, `sentences`, and `pictures` of the largest disagreements: `text`, and `images`
+    (name of the run, distance and data URI, "" = none, of each run).
     """
     return [_compared_pair(runs[0], run) for run in runs[1:] if run.video == runs[0].video]
 
@@ -163,11 +203,20 @@ def _compared_pair(first: ComparedRun, second: ComparedRun) -> dict[str, Any]:
     differences, matched = track_differences(first.rows, second.rows)
     pair, rows, pictures = (first, second), [], list[dict[str, Any]]()
     for one in differences:
-        name, words, time = " / ".join(dict.fromkeys(one["names"])), f" {_ARROW} ".join(one["words"]), one["time_s"]
+        name, words, time = (
+            " / ".join(dict.fromkeys(one["names"])),
+            f" {_ARROW} ".join(one["words"]),
+            one["time_s"],
+        )
         link = f"{address(first.link)}#t={time:.3f}" if first.link else ""
         closing = tables.NOTHING if math.isnan(one["closing_mps"]) else f"{one['closing_mps']:+.1f}"
         texts = (f"{one['difference_pct']:+.1f}", closing, str(one["frames"]))
-        cells = (Cell(name), Cell(f"{one['sigmas']:.1f}"), Cell(words), Cell(time_words(time), link=link))
+        cells = (
+            Cell(name),
+            Cell(f"{one['sigmas']:.1f}"),
+            Cell(words),
+            Cell(time_words(time), link=link),
+        )
         rows.append((*cells, *map(Cell, texts)))
         if len(pictures) < _MOST_PICTURES and one["sigmas"] >= _CHANGED_SIGMA:
             places = zip(pair, one["words"], one["boxes"], strict=True)
@@ -176,7 +225,9 @@ def _compared_pair(first: ComparedRun, second: ComparedRun) -> dict[str, Any]:
                 (run.name, distance, picture(run.overlay, time - start_s, box))
                 for start_s, (run, distance, box) in zip(starts_s, places, strict=True)
             ]
-            text = f"{name} at {time_words(time)}: {words}, {one['sigmas']:.1f} {tables.SIGMA} apart"
+            text = (
+                f"{name} at {time_words(time)}: {words}, {one['sigmas']:.1f} {tables.SIGMA} apart"
+            )
             pictures.append({"text": text, "images": images})
     sentences = [f"{counted(len(differences), 'road user')} in both runs."]
     for run, ids in zip(pair, matched, strict=True):
@@ -196,7 +247,8 @@ def _compared_pair(first: ComparedRun, second: ComparedRun) -> dict[str, Any]:
     return {"grid": Grid(title, columns, tuple(rows)), "sentences": sentences, "pictures": pictures}
 
 
-# -- events -----------------------------------------------------------------------------------------------------------
+# -- events
+# -----------------------------------------------------------------------------------------------------------
 
 
 def event_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
@@ -223,28 +275,51 @@ def event_sentence(runs: Sequence[ComparedRun]) -> str:
     others = _comparable(runs)
     if not others:
         return "The events were not compared: no other run is of the same video and has events."
-    if any(event_differences(runs[0].events, runs[0].rows, run.events or (), run.rows) for run in others):
+    if any(
+        event_differences(runs[0].events, runs[0].rows, run.events or (), run.rows)
+        for run in others
+    ):
         return ""
-    return "The runs have the same events." if any(run.events for run in others) else "The runs have no events."
+    return (
+        "The runs have the same events."
+        if any(run.events for run in others)
+        else "The runs have no events."
+    )
 
 
 def _difference_grid(first: ComparedRun, second: ComparedRun) -> Grid:
-    """One row per differing event: time, with a link to that moment in the report of its run, kind, and difference."""
+    """One row per differing event: time, with a link to that moment in the report of its run, kind,
+    and difference.
+    """
     rows = []
-    for difference in event_differences(first.events or (), first.rows, second.events or (), second.rows):
+    for difference in event_differences(
+        first.events or (), first.rows, second.events or (), second.rows
+    ):
         event, run = difference.event, first if difference.first else second
-        time = Cell(time_words(event.start_s), link=f"{address(run.link)}#t={event.start_s:.3f}" if run.link else "")
-        objects = dict.fromkeys(object_words(one) for one in (difference.first, difference.second) if one)
+        time = Cell(
+            time_words(event.start_s),
+            link=f"{address(run.link)}#t={event.start_s:.3f}" if run.link else "",
+        )
+        objects = dict.fromkeys(
+            object_words(one) for one in (difference.first, difference.second) if one
+        )
         state = "changed" if difference.changes else f"only in {run.name}"
         details = "; ".join(difference.changes) or event_details(event)
         texts = (state, kind_words(event.kind), " / ".join(objects), details)
         rows.append((time, *map(Cell, texts)))
     columns = ("time", "difference", "event", "object", "details")
-    return Grid(f"Events that differ: {first.name} and {second.name}", columns, tuple(rows), has_sentences=True)
+    return Grid(
+        f"Events that differ: {first.name} and {second.name}",
+        columns,
+        tuple(rows),
+        has_sentences=True,
+    )
 
 
 def _count_grid(runs: Sequence[ComparedRun]) -> Grid:
-    """One row per run: number of events of each kind that occurs in a run, and of warnings; empty = unknown."""
+    """One row per run: number of events of each kind that occurs in a run, and of warnings; empty =
+    unknown.
+    """
     counts: list[dict[str, float] | None] = [
         None
         if run.events is None
@@ -257,14 +332,19 @@ def _count_grid(runs: Sequence[ComparedRun]) -> Grid:
         return Grid("Number of events", (), ())
     columns = columns_of(
         (count or {} for count in counts),
-        [*((kind_words(kind), kind, "{:.0f}") for kind in kinds), ("with a warning", "warnings", "{:.0f}")],
+        [
+            *((kind_words(kind), kind, "{:.0f}") for kind in kinds),
+            ("with a warning", "warnings", "{:.0f}"),
+        ],
     )
     return grid_of("Number of events", "run", [run.name for run in runs], columns)
 
 
 @dataclass(frozen=True, slots=True)
 class EventDifference:
-    """Events of two runs that differ; None = the event is only in the other run. `changes`: their differences."""
+    """Events of two runs that differ; None = the event is only in the other run. `changes`: their
+    differences.
+    """
 
     first: Event | None
     second: Event | None
@@ -282,7 +362,9 @@ class EventDifference:
 def event_differences(
     first: Sequence[Event], first_rows: Columns, second: Sequence[Event], second_rows: Columns
 ) -> list[EventDifference]:
-    """Events of two runs that differ, in the order of time; the rows of the runs give the places."""
+    """Events of two runs that differ, in the order of time; the rows of the runs give the
+    places.
+    """
     first_boxes, second_boxes = _boxes_by_track(first_rows), _boxes_by_track(second_rows)
     candidates = sorted(
         (abs(a.peak_s - b.peak_s), i, j)
@@ -300,7 +382,9 @@ def event_differences(
             pairs[i] = j
             matched.add(j)
     differences = [EventDifference(event, None) for i, event in enumerate(first) if i not in pairs]
-    differences += [EventDifference(None, event) for j, event in enumerate(second) if j not in matched]
+    differences += [
+        EventDifference(None, event) for j, event in enumerate(second) if j not in matched
+    ]
     for i, j in pairs.items():
         changes = tuple(_changes(first[i], second[j]))
         differences += [EventDifference(first[i], second[j], changes)] if changes else []
@@ -313,7 +397,9 @@ _BoxByFrame = dict[int, FloatArray]
 def _boxes_by_track(rows: Columns) -> dict[int, _BoxByFrame]:
     boxes: dict[int, _BoxByFrame] = {}
     if {"frame", "track_id", "x1_px", "y1_px", "x2_px", "y2_px"} <= rows.keys():
-        for track_id, frame, box in zip(rows["track_id"].tolist(), rows["frame"].tolist(), boxes_px(rows), strict=True):
+        for track_id, frame, box in zip(
+            rows["track_id"].tolist(), rows["frame"].tolist(), boxes_px(rows), strict=True
+        ):
             boxes.setdefault(int(track_id), {})[int(frame)] = box
     return boxes
 
@@ -321,9 +407,13 @@ def _boxes_by_track(rows: Columns) -> dict[int, _BoxByFrame]:
 def _is_same_place(a: Event, a_boxes: _BoxByFrame, b: Event, b_boxes: _BoxByFrame) -> bool:
     low, high = sorted((a.frame, b.frame))
     margin = max(10, high - low)
-    frames = [frame for frame in a_boxes if frame in b_boxes and low - margin <= frame <= high + margin]
+    frames = [
+        frame for frame in a_boxes if frame in b_boxes and low - margin <= frame <= high + margin
+    ]
     if frames:
-        overlaps = [float(iou(a_boxes[frame][None], b_boxes[frame][None])[0, 0]) for frame in frames]
+        overlaps = [
+            float(iou(a_boxes[frame][None], b_boxes[frame][None])[0, 0]) for frame in frames
+        ]
         return float(np.median(overlaps)) >= MIN_IOU
     difference_m = abs(a.min_distance_m - b.min_distance_m)  # NaN = unknown
     largest_m = max(_DISTANCE_M, _DISTANCE_FRACTION * max(a.min_distance_m, b.min_distance_m))

@@ -7,10 +7,25 @@ from typing import Any
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.matching import SizeMeasure
-from track_range.views.report.tables import Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
+from track_range.views.report.tables import (
+    Column,
+    ColumnSpec,
+    Grid,
+    columns_of,
+    figure,
+    grid_of,
+    largest,
+)
 
-_ACCURACY = (("mAP50 %", "ap50"), ("mAP50-95 %", "ap50_95"), ("precision %", "precision"), ("recall %", "recall"))
-_CLASS_ACCURACY: tuple[ColumnSpec, ...] = tuple((head.removeprefix("m"), key, "{:.1f}", 100) for head, key in _ACCURACY)
+_ACCURACY = (
+    ("mAP50 %", "ap50"),
+    ("mAP50-95 %", "ap50_95"),
+    ("precision %", "precision"),
+    ("recall %", "recall"),
+)
+_CLASS_ACCURACY: tuple[ColumnSpec, ...] = tuple(
+    (head.removeprefix("m"), key, "{:.1f}", 100) for head, key in _ACCURACY
+)
 _SPEED: tuple[ColumnSpec, ...] = (
     ("pre ms", "pre_ms", "{:.2f}", 1, float),
     ("inference ms", "inference_ms", "{:.1f}", 1, float),
@@ -29,14 +44,18 @@ _CALIBRATION: tuple[ColumnSpec, ...] = (
 
 
 def accuracy_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per model: file size, and means over its averaged classes and the classes averaged for all models."""
+    """One row per model: file size, and means over its averaged classes and the classes averaged
+    for all models.
+    """
     rows = list(figures["models"].values())
     columns = [Column("MB", [row["size_mb"] for row in rows], cost=float)]
     columns += columns_of(rows, ((head, key, "{:.1f}", 100, largest) for head, key in _ACCURACY))
     if len({tuple(row["averaged_classes"]) for row in rows}) > 1:
         common = [row["common"] for row in rows]
         columns += columns_of(common, [("mAP50 common %", "ap50", "{:.1f}", 100, largest)])
-    return grid_of(f"Detection, {figures['n_images']} images", "model", list(figures["models"]), columns)
+    return grid_of(
+        f"Detection, {figures['n_images']} images", "model", list(figures["models"]), columns
+    )
 
 
 def speed_grid(figures: Mapping[str, Any]) -> Grid:
@@ -44,12 +63,17 @@ def speed_grid(figures: Mapping[str, Any]) -> Grid:
     models = figures["models"]
     names = [f"{name}, {row['input']}" for name, row in models.items()]
     return grid_of(
-        "Speed per image", "model, input", names, columns_of((row["speed"] for row in models.values()), _SPEED)
+        "Speed per image",
+        "model, input",
+        names,
+        columns_of((row["speed"] for row in models.values()), _SPEED),
     )
 
 
 def class_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per class: labelled images and boxes, and AP50 of each model, or all metrics of a single model."""
+    """One row per class: labelled images and boxes, and AP50 of each model, or all metrics of a
+    single model.
+    """
     models = figures["models"]
     by_name = (item for row in models.values() for item in row["classes"].items())
     labelled = {name: scores for name, scores in by_name if scores["n_boxes"]}
@@ -61,12 +85,16 @@ def class_grid(figures: Mapping[str, Any]) -> Grid:
     for model, row in models.items():
         by_class = [row["classes"].get(name, {}) for name in names]
         known = [scores if scores.get("is_known") else {} for scores in by_class]
-        columns += columns_of(known, [(model, "ap50", "{:.1f}", 100)] if len(models) > 1 else _CLASS_ACCURACY)
+        columns += columns_of(
+            known, [(model, "ap50", "{:.1f}", 100)] if len(models) > 1 else _CLASS_ACCURACY
+        )
     return grid_of("AP50 % by class" if len(models) > 1 else "By class", "class", names, columns)
 
 
 def size_grids(figures: Mapping[str, Any], measure: SizeMeasure) -> list[Grid]:
-    """A table per model with a row per class and bin of areas or heights, and the means over the averaged classes."""
+    """A table per model with a row per class and bin of areas or heights, and the means over the
+    averaged classes.
+    """
     grids = []
     for model, model_figures in figures["models"].items():
         bins = model_figures["by_size"][measure]
@@ -78,19 +106,24 @@ def size_grids(figures: Mapping[str, Any], measure: SizeMeasure) -> list[Grid]:
         }
         rows |= {f"mean, {one['name']}": one for one in bins if one["averaged_classes"]}
         columns = [Column("boxes", [row["n_boxes"] for row in rows.values()], "{:.0f}")]
-        columns += columns_of(rows.values(), (spec for spec in _CLASS_ACCURACY if spec[1] != "precision"))
+        columns += columns_of(
+            rows.values(), (spec for spec in _CLASS_ACCURACY if spec[1] != "precision")
+        )
         title = f"{model}: by {measure} of the box in the image"
         grids.append(grid_of(title, f"class, {measure}", list(rows), columns))
     return grids
 
 
 def calibration_grids(figures: Mapping[str, Any]) -> list[Grid]:
-    """Calibration of each model over all classes, and by class: ECE of each model, or all metrics of a single model.
+    """Calibration of each model over all classes, and by class: ECE of each model, or all metrics
+    of a single model.
 
     "score" is the mean score; "chance" the ECE expected of calibrated scores in the same number.
     """
     models = {name: row["calibration"] for name, row in figures["models"].items()}
-    classes = [name for name in ROAD_CLASSES if any(name in row["classes"] for row in models.values())]
+    classes = [
+        name for name in ROAD_CLASSES if any(name in row["classes"] for row in models.values())
+    ]
     title = "Calibration of scores"
     if len(models) == 1:
         (row,) = models.values()
@@ -102,6 +135,11 @@ def calibration_grids(figures: Mapping[str, Any]) -> list[Grid]:
         for name, row in models.items()
     ]
     return [
-        grid_of(title, "model", list(models), columns_of((row["all"] for row in models.values()), _CALIBRATION)),
+        grid_of(
+            title,
+            "model",
+            list(models),
+            columns_of((row["all"] for row in models.values()), _CALIBRATION),
+        ),
         grid_of("ECE % by class", "class", classes, columns),
     ]

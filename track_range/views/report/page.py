@@ -1,8 +1,8 @@
 """The report: one self-contained HTML page of a run, or of several runs; it works offline.
 
-The overlay video is a separate file. All text from outside (names of files and classes, notes) is escaped, in the
-markup and in the embedded data. Script and style are embedded, and a content security policy with the checksum of the
-script blocks all other scripts.
+The overlay video is a separate file. All text from outside (names of files and classes, notes) is
+escaped, in the markup and in the embedded data. Script and style are embedded, and a content
+security policy with the checksum of the script blocks all other scripts.
 """
 
 from __future__ import annotations
@@ -31,8 +31,18 @@ from track_range.results.formats.poses_file import Poses
 from track_range.views.report import comparison, sentences, tables
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
-from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
-from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
+from track_range.views.report.content.events import (
+    clips_of,
+    event_records,
+    hidden_events_note,
+    shown_events,
+)
+from track_range.views.report.content.road import (
+    box_columns,
+    camera_of_rows,
+    road_columns,
+    uncalibrated_video,
+)
 from track_range.views.report.content.series import timeline, track_records
 from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids
 
@@ -51,12 +61,14 @@ def write_report(
     clips: Path | None = None,
     poses: Poses | None = None,
 ) -> None:
-    """Write the report of a run atomically, usually beside overlay.mp4; OutputError if the file cannot be written.
+    """Write the report of a run atomically, usually beside overlay.mp4; OutputError if the file
+    cannot be written.
 
-    `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
-    rows without tracks. `events` are in the order of events.csv; None = unknown, the page is then without them. `clips`
-    is the folder of their clips, to which the page links; it may be missing. None = no links. `poses` are the camera's,
-    for the map of the drive; None = no map.
+    `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where
+    there is one; zero rows without tracks. `events` are in the order of events.csv; None = unknown,
+    the page is then without them. `clips` is the folder of their clips, to which the page links; it
+    may be missing. None = no links. `poses` are the camera's, for the map of the drive; None = no
+    map.
     """
     addresses = {}
     with suppress(OSError):  # the folder of the clips is missing
@@ -67,7 +79,9 @@ def write_report(
     _write_page(path, report_page(summary, columns, events, clips=addresses, poses=poses))
 
 
-def write_comparison(path: Path, runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]) -> None:
+def write_comparison(
+    path: Path, runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]
+) -> None:
     """Write `comparison_page`, atomically; OutputError if the file cannot be written."""
     _write_page(path, comparison_page(runs, tracks))
 
@@ -85,7 +99,9 @@ def report_page(
     clips: Mapping[str, str] | None = None,
     poses: Poses | None = None,
 ) -> str:
-    """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by file name."""
+    """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by
+    file name.
+    """
     columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
     tracks, users = summary.get("tracks") or {}, closest_approaches(columns)
     overlay = (summary.get("files") or {}).get("overlay")
@@ -112,7 +128,9 @@ def report_page(
         subtitle=sentences.run_line(summary, len(users), span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
         headlines=sentences.headlines(columns, users, events),
-        events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
+        events=None
+        if shown is None
+        else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),
         notes=summary.get("notes") or [],
@@ -132,14 +150,20 @@ def report_page(
     )
 
 
-def comparison_page(runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]) -> str:
+def comparison_page(
+    runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]
+) -> str:
     """HTML of the page that compares several runs; `tracks` are their `compared_tracks`."""
     lines = comparison.error_lines(runs)
     return rendered(
         "comparison.html.j2",
         title=f"Comparison of {len(runs)} runs",
         runs=[
-            {"name": run.name, "link": sentences.address(run.link) if run.link else None, "notes": run.notes}
+            {
+                "name": run.name,
+                "link": sentences.address(run.link) if run.link else None,
+                "notes": run.notes,
+            }
             for run in runs
         ],
         notes=comparison.comparison_notes(runs),
@@ -153,7 +177,9 @@ def comparison_page(runs: Sequence[comparison.ComparedRun], tracks: Sequence[Map
     )
 
 
-def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] = ()) -> dict[str, Any]:
+def run_content(
+    summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] = ()
+) -> dict[str, Any]:
     """Data for the script of the page; columns with `road_columns` where they are known."""
     errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
     names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
@@ -161,29 +187,40 @@ def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
     camera = camera_of_rows(columns)
     view = None  # focal length in px, and slopes x / z of the left and the right edge of the image
     if camera is not None:
-        left, right = (round((edge_px - camera.cx_px) / camera.fx_px, 4) for edge_px in (0, camera.width_px - 1))
+        left, right = (
+            round((edge_px - camera.cx_px) / camera.fx_px, 4)
+            for edge_px in (0, camera.width_px - 1)
+        )
         view = {"focal_px": round(camera.fx_px, 1), "left": left, "right": right}
     return {
         # filtered methods are hidden at first where the unfiltered method is shown
         "methods": [
-            {"name": name, "colour": colours[name], "shown": not (name.endswith("_kf") and name[:-3] in names)}
+            {
+                "name": name,
+                "colour": colours[name],
+                "shown": not (name.endswith("_kf") and name[:-3] in names),
+            }
             for name in names
         ],
         "tracks": list(track_records(columns)),
         "errors": errors,
         "signed": any(curve["points"][0] for curve in errors.values()),
         "calibration": calibration,
-        "starts_s": round(tables.figure(summary, "starts_s") or 0.0, 6),  # time of the overlay's first frame
+        # time of the overlay's first frame
+        "starts_s": round(tables.figure(summary, "starts_s") or 0.0, 6),
         "timeline": timeline(columns, summary),
         "events": event_records(events),
         "camera": view,
         "known_distances": uncalibrated_video(summary),
-        "has_warnings": "contact_probability" in columns and bool(np.isfinite(columns["contact_probability"]).any()),
+        "has_warnings": "contact_probability" in columns
+        and bool(np.isfinite(columns["contact_probability"]).any()),
     }
 
 
 def embedded(content: Mapping[str, Any]) -> str:
-    """JSON for embedding in an HTML element: characters that could begin markup or a comment are escaped."""
+    """JSON for embedding in an HTML element: characters that could begin markup or a comment are
+    escaped.
+    """
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -192,7 +229,11 @@ def rendered(template: str, **values: Any) -> str:
     """HTML of a template in assets/, with the values and the script and style of all pages."""
     script, style = packaged_script(), _packaged("report.css")
     checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return _templates().get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
+    return (
+        _templates()
+        .get_template(template)
+        .render(script=script, style=style, script_checksum=checksum, **values)
+    )
 
 
 @cache

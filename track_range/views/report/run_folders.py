@@ -39,24 +39,39 @@ class WrittenReport:
     clips: tuple[Path, ...] = ()
 
 
-def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool = False) -> WrittenReport:
-    """Write report.html into the folder of each run and, for several runs, a page that compares them.
+def report(
+    folders: Sequence[Path], out: Path | None = None, *, has_clips: bool = False
+) -> WrittenReport:
+    """Write report.html into the folder of each run and, for several runs, a page that compares
+    them.
 
-    OutputError if a folder contains no run, or a page or clip cannot be written or would overwrite an input; VideoError
-    if clips are to be cut from an overlay that cannot be read. Duplicate folders are ignored. `out` is the page of a
-    single run instead of the one in its folder, or the page of the comparison (None = comparison.html in the current
-    folder); with `has_clips` a clip of each event is cut from the overlay.
+    OutputError if a folder contains no run, or a page or clip cannot be written or would overwrite
+    an input; VideoError if clips are to be cut from an overlay that cannot be read. Duplicate
+    folders are ignored. `out` is the page of a single run instead of the one in its folder, or the
+    page of the comparison (None = comparison.html in the current folder); with `has_clips` a clip
+    of each event is cut from the overlay.
     """
-    runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
+    runs = [
+        read_run_folder(folder)
+        for folder in {real_path(folder): folder for folder in folders}.values()
+    ]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
     if out is not None:
-        inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
+        inputs = (
+            run.folder / name for run in runs for name in result_names() if name != "report.html"
+        )
         check_outputs([*pages, out], inputs)
-    missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in (*run.missing, *restore_events(run)))
+    missing = tuple(
+        f"{run.folder}: {sentence}"
+        for run in runs
+        for sentence in (*run.missing, *restore_events(run))
+    )
     clips: list[Path] = []
     for run in runs if has_clips else ():
         starts_s = float(run.summary.get("starts_s") or 0.0)
-        clips += write_clips(run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s)
+        clips += write_clips(
+            run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s
+        )
     if len(runs) == 1:
         page = out or runs[0].folder / "report.html"
         _write(page, runs[0])
@@ -73,7 +88,9 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
             notes=run.missing,
             events=known_events(run),
             rows=run.columns,
-            overlay=run.folder / str(run.summary["files"]["overlay"]) if run.summary["files"].get("overlay") else None,
+            overlay=run.folder / str(run.summary["files"]["overlay"])
+            if run.summary["files"].get("overlay")
+            else None,
         )
         for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
     ]
@@ -82,25 +99,31 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
     compared_grids = (*event_grids(compared), *comparison_grids(compared), settings_grid(compared))
     grids = (*(pair["grid"] for pair in tracks), *compared_grids)
     notes = tuple(comparison_notes(compared))
-    return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips))
+    return WrittenReport(
+        page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips)
+    )
 
 
 def restore_events(run: RunFolder) -> Iterator[str]:
-    """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence about it.
+    """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence
+    about it.
 
-    A run in progress and the folders of a fleet are left alone. OutputError if a file cannot be written, or the
-    events.csv of a finished run is damaged.
+    A run in progress and the folders of a fleet are left alone. OutputError if a file cannot be
+    written, or the events.csv of a finished run is damaged.
     """
     if not run.are_events_replayed or is_locked(run.folder) or clip_rows(run.folder) is not None:
         return
     path = run.folder / EVENTS_FILE
     if path.exists() and (run.folder / "summary.json").exists():
         raise OutputError(
-            f"{path}: expected the events of the run, found a damaged file; delete it, so that it is written "
-            "again from the rows of the tracks."
+            f"{path}: expected the events of the run, found a damaged file; delete it, so that it "
+            "is written again from the rows of the tracks."
         )
     write_event_files(run.folder, run.events, run.provenance.metadata())
-    yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the tracks: {counted(len(run.events), 'event')}."
+    yield (
+        f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the tracks: "
+        f"{counted(len(run.events), 'event')}."
+    )
 
 
 def _write(path: Path, run: RunFolder) -> None:
@@ -109,12 +132,16 @@ def _write(path: Path, run: RunFolder) -> None:
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
     clips = run.folder / CLIPS_FOLDER
     summary = {**run.summary, "files": files}
-    write_report(path, summary, run.columns, known_events(run), clips=clips, poses=read_poses(run.folder))
+    write_report(
+        path, summary, run.columns, known_events(run), clips=clips, poses=read_poses(run.folder)
+    )
 
 
 def known_events(run: RunFolder) -> tuple[Event, ...] | None:
     """Events of a run; None for a run of a version without events."""
-    return run.events if run.events or run.are_events_replayed or run.summary.get("events") else None
+    return (
+        run.events if run.events or run.are_events_replayed or run.summary.get("events") else None
+    )
 
 
 def _relative(path: Path, start: Path) -> str:

@@ -1,4 +1,5 @@
-"""Sentences of the report, made from a run's summary and rows: name, main results, calibration and alignment, settings.
+"""Sentences of the report, made from a run's summary and rows: name, main results, calibration and
+alignment, settings.
 
 A disparity error e in pixels changes the distance Z = f B / d by about Z^2 e / (f B).
 """
@@ -19,16 +20,25 @@ from track_range.results.columns import Columns
 from track_range.results.events.event import Event
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.views.report import tables
-from track_range.views.report.content.events import kind_counts, kind_words, object_words, sigma_words, time_words
+from track_range.views.report.content.events import (
+    kind_counts,
+    kind_words,
+    object_words,
+    sigma_words,
+    time_words,
+)
 from track_range.views.report.content.series import column
 from track_range.views.report.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
-_MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
+# smallest probability of contact of a headline, as of the amber marks in the overlay
+_MIN_PROBABILITY = 0.25
 
 
 def run_name(summary: Summary) -> str:
-    """Name of a run: the names of its videos, each with its folder; of several files, the first and their number."""
+    """Name of a run: the names of its videos, each with its folder; of several files, the first and
+    their number.
+    """
     inputs = summary.get("inputs") or {}
     names = []
     for key in ("left", "right", "video", "mono"):
@@ -47,7 +57,8 @@ def address(path: str) -> str:
 def headlines(
     columns: Columns, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
 ) -> list[dict[str, Any]]:
-    """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video, if any.
+    """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video,
+    if any.
 
     `users` are `closest_approaches` of the rows; `events` None = unknown.
     """
@@ -56,29 +67,47 @@ def headlines(
 
 
 def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str, Any]:
-    return {"figure": figure, "words": words, "time_s": None if time_s is None else round(time_s, 3)}
+    return {
+        "figure": figure,
+        "words": words,
+        "time_s": None if time_s is None else round(time_s, 3),
+    }
 
 
 def _user_moment(user: Mapping[str, Any], key: str, figure: str, words: str) -> dict[str, Any]:
     time_s = user[f"{key}_at_s"]
-    return _headline(figure, f"{words}: {user['class']} {user['track_id']} at {time_words(time_s)}", time_s)
+    return _headline(
+        figure, f"{words}: {user['class']} {user['track_id']} at {time_words(time_s)}", time_s
+    )
 
 
 def event_headline(events: Sequence[Event]) -> dict[str, Any]:
     """The headline of the warnings or, without a warning, of the events."""
     if not events:
-        return _headline("No event", "no collision warning, close following, hard approach, cut-in or near miss")
-    warnings = sorted((event for event in events if np.isfinite(event.warning_s)), key=lambda event: event.warning_s)
+        return _headline(
+            "No event", "no collision warning, close following, hard approach, cut-in or near miss"
+        )
+    warnings = sorted(
+        (event for event in events if np.isfinite(event.warning_s)),
+        key=lambda event: event.warning_s,
+    )
     n_events = counted(len(events), "event")
     if not warnings:
         if len(events) > 1:
             return _headline(n_events, f"{', '.join(kind_counts(events))}, without a warning")
-        what, start_s = f"{kind_words(events[0].kind)}, {object_words(events[0])}", events[0].start_s
+        what, start_s = (
+            f"{kind_words(events[0].kind)}, {object_words(events[0])}",
+            events[0].start_s,
+        )
         return _headline(n_events, f"{what} at {time_words(start_s)}, without a warning", start_s)
     first, n = warnings[0], len(warnings)
     text = f"{object_words(first)} at {time_words(first.warning_s)}"
     text = text if n == 1 else f"the first for {text}"
-    return _headline(counted(n, "warning"), text if len(events) == n else f"{text}; {n_events} in all", first.warning_s)
+    return _headline(
+        counted(n, "warning"),
+        text if len(events) == n else f"{text}; {n_events} in all",
+        first.warning_s,
+    )
 
 
 def _user_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -95,7 +124,10 @@ def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         return _headline("No distance", "no distance to a road user was measured")
     sigma_m = users[0]["min_distance_sigma_m"]
     uncertainty = "" if sigma_m is None else f" (±{sigma_words(sigma_m)} m)"
-    figure, words = f"{users[0]['min_distance_m']:.1f} m", f"smallest distance from the camera{uncertainty}"
+    figure, words = (
+        f"{users[0]['min_distance_m']:.1f} m",
+        f"smallest distance from the camera{uncertainty}",
+    )
     return _user_moment(users[0], "min_distance_m", figure, words)
 
 
@@ -111,8 +143,13 @@ def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) ->
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:
-        return _headline("No collision course", "no road user approached the path of the ego vehicle")
-    time_s, name = float(columns["time_s"][row]), f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
+        return _headline(
+            "No collision course", "no road user approached the path of the ego vehicle"
+        )
+    time_s, name = (
+        float(columns["time_s"][row]),
+        f"{columns['class'][row]} {columns['track_id'][row]:.0f}",
+    )
     words = f"largest probability of contact: {name} at {time_words(time_s)}"
     return _headline(f"{100 * probability[row]:.0f} %", words, time_s)
 
@@ -130,7 +167,11 @@ def run_line(summary: Mapping[str, Any], n: int, duration_s: float) -> str:
 
 def card(name: str, value: object, detail: str) -> dict[str, str]:
     """One card; a value that is None was not measured."""
-    return {"name": name, "value": tables.NOTHING if value is None else str(value), "detail": detail}
+    return {
+        "name": name,
+        "value": tables.NOTHING if value is None else str(value),
+        "detail": detail,
+    }
 
 
 def geometry_sentences(summary: Summary) -> list[str]:
@@ -139,19 +180,24 @@ def geometry_sentences(summary: Summary) -> list[str]:
     calibrations = {
         "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
         "focal length": "The focal length was given by the user; lens distortion is not corrected.",
-        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances are approximate.",
+        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances "
+        "are approximate.",
     }
     sentences = [calibrations.get(str(summary.get("calibration")), "")]
     if scale := summary.get("learnt_scale"):
         sentences.append(
             f"The baseline was estimated from the sizes of {counted(scale['n_tracks'], 'track')}: "
-            f"{scale['baseline_m']:.2f} m at "
-            f"a focal length of {scale['focal_px']:.0f} px; all distances share a relative error of "
-            f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
+            f"{scale['baseline_m']:.2f} m at a focal length of {scale['focal_px']:.0f} px; all "
+            f"distances share a relative error of {100 * scale['relative_sigma']:.0f} % (1 "
+            f"{tables.SIGMA})."
         )
     alignment = summary.get("alignment")
     if alignment:
-        sentences += [_vertical_offset(alignment), _disparities(alignment), _residual(alignment, summary)]
+        sentences += [
+            _vertical_offset(alignment),
+            _disparities(alignment),
+            _residual(alignment, summary),
+        ]
         health = alignment.get("health") or {}
         sentences += [health.get(key) or "" for key in ("sentence", "move_sentence", "unseen")]
     return [sentence for sentence in sentences if sentence]
@@ -166,13 +212,15 @@ def _vertical_offset(alignment: Mapping[str, Any]) -> str:
     if abs(offset_px) <= MAX_ROW_OFFSET_PX:
         return f"{sentence}: the calibration fits these images."
     return (
-        f"{sentence}, more than {MAX_ROW_OFFSET_PX:g} px: the calibration does not fit these images well; the right "
-        "image was shifted, but a new calibration is recommended."
+        f"{sentence}, more than {MAX_ROW_OFFSET_PX:g} px: the calibration does not fit these "
+        "images well; the right image was shifted, but a new calibration is recommended."
     )
 
 
 def _disparities(alignment: Mapping[str, Any]) -> str:
-    offset_px, curvature_px = (tables.figure(alignment, key) or 0.0 for key in ("offset_px", "bow_px"))
+    offset_px, curvature_px = (
+        tables.figure(alignment, key) or 0.0 for key in ("offset_px", "bow_px")
+    )
     source = alignment.get("source") or "unknown source"
     if not offset_px and not curvature_px:
         return f"Disparity error: {source}."
@@ -193,14 +241,18 @@ def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:
     metres = ""
     if focal_px and baseline_m:
         metres = f" ({_FAR_M**2 * residual_px / (focal_px * baseline_m):.2f} m at {_FAR_M:.0f} m)"
-    return f"The residual disparity uncertainty is {residual_px:.2f} px{metres}, included in every sigma."
+    return (
+        f"The residual disparity uncertainty is {residual_px:.2f} px{metres}, included in every "
+        "sigma."
+    )
 
 
 def sigma_sentences(summary: Summary) -> list[str]:
-    """Calibration of each method's sigma, in one sentence per method with errors against ground truth.
+    """Calibration of each method's sigma, in one sentence per method with errors against ground
+    truth.
 
-    Sigma is about right if the fraction of errors within one sigma differs from 68 % by less than 10 percentage points,
-    or by less than two standard deviations of a fraction of that many errors.
+    Sigma is about right if the fraction of errors within one sigma differs from 68 % by less than
+    10 percentage points, or by less than two standard deviations of a fraction of that many errors.
     """
     sentences = []
     for name, row in (summary.get("methods") or {}).items():
@@ -209,10 +261,19 @@ def sigma_sentences(summary: Summary) -> list[str]:
             n = tables.figure(row, "n")
             excess = fraction - tables.WITHIN_1_SIGMA
             n_errors = math.inf if n is None else max(n, 1.0)
-            tolerance = max(0.1, 2 * math.sqrt(tables.WITHIN_1_SIGMA * (1 - tables.WITHIN_1_SIGMA) / n_errors))
-            verdict = "about right" if abs(excess) < tolerance else ("too large" if excess > 0 else "too small")
+            tolerance = max(
+                0.1, 2 * math.sqrt(tables.WITHIN_1_SIGMA * (1 - tables.WITHIN_1_SIGMA) / n_errors)
+            )
+            verdict = (
+                "about right"
+                if abs(excess) < tolerance
+                else ("too large" if excess > 0 else "too small")
+            )
             errors = "errors" if n is None else f"{n:.0f} errors"
-            sentences.append(f"{name}: {verdict} ({100 * fraction:.0f} % of {errors} within one sigma, expected 68 %)")
+            sentences.append(
+                f"{name}: {verdict} ({100 * fraction:.0f} % of {errors} within one "
+                "sigma, expected 68 %)"
+            )
     return sentences
 
 

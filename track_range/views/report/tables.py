@@ -1,10 +1,10 @@
 """Tables of a run's summary, for the terminal and the report, and as Markdown.
 
-A summary is the content of `summary.json`. Values without `_pct` are fractions 0..1 and are shown in per cent; MOT
-metrics are in per cent already. None, NaN or a missing key means not measured, shown as "-". A column without any value
-(such as errors of a run without ground truth) is omitted. The best value of a column is marked: the largest coverage,
-the smallest error, the bias nearest 0, and the fraction within k sigma nearest to the fraction of a normal
-distribution.
+A summary is the content of `summary.json`. Values without `_pct` are fractions 0..1 and are shown
+in per cent; MOT metrics are in per cent already. None, NaN or a missing key means not measured,
+shown as "-". A column without any value (such as errors of a run without ground truth) is omitted.
+The best value of a column is marked: the largest coverage, the smallest error, the bias nearest 0,
+and the fraction within k sigma nearest to the fraction of a normal distribution.
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545  # of a normal distribution
 WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2))
 """Headings of the percentage of errors within one and two sigma."""
 
-Cost = Callable[[float], float]  # function of a value that is smallest for the best value of a column
+# function of a value that is smallest for the best value of a column
+Cost = Callable[[float], float]
 Summary = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One value as text; `best` marks the best value of its column, `link` is the address it leads to ("" = none)."""
+    """One value as text; `best` marks the best value of its column, `link` is the address it leads
+    to ("" = none).
+    """
 
     text: str
     best: bool = False
@@ -35,7 +38,9 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table, independent of its rendering: headings of columns, and rows of cells, each named by its first cell."""
+    """A table, independent of its rendering: headings of columns, and rows of cells, each named by
+    its first cell.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -51,11 +56,15 @@ class Column:
     values: Sequence[float | None]
     pattern: str = "{:.1f}"  # format of a value after scaling
     scale: float = 1.0  # factor from the stored to the shown value
-    cost: Cost | None = None  # function that is smallest for the best value; None = no value is marked
+    # function that is smallest for the best value; None = no value is marked
+    cost: Cost | None = None
 
     def cells(self) -> list[Cell]:
         """One cell per value; all values whose text equals the best value's are marked."""
-        texts = [NOTHING if value is None else self.pattern.format(self.scale * value) for value in self.values]
+        texts = [
+            NOTHING if value is None else self.pattern.format(self.scale * value)
+            for value in self.values
+        ]
         known = [value for value in self.values if value is not None]
         if self.cost is None or len(known) < 2:
             return [Cell(text) for text in texts]
@@ -63,17 +72,22 @@ class Column:
         return [Cell(text, text == best) for text in texts]
 
 
-ColumnSpec = tuple[Any, ...]  # heading, key, then `pattern`, `scale`, `cost` of `Column`, which may be left out
+# heading, key, then `pattern`, `scale`, `cost` of `Column`, which may be left out
+ColumnSpec = tuple[Any, ...]
 
 
 def columns_of(rows: Iterable[Mapping[str, Any]], specs: Iterable[ColumnSpec]) -> list[Column]:
     """Columns of the figures of some rows."""
     rows = list(rows)
-    return [Column(heading, [figure(row, key) for row in rows], *rest) for heading, key, *rest in specs]
+    return [
+        Column(heading, [figure(row, key) for row in rows], *rest) for heading, key, *rest in specs
+    ]
 
 
 def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Column]) -> Grid:
-    """A grid with a row per name, of the columns that have values; `corner` is the heading above the names."""
+    """A grid with a row per name, of the columns that have values; `corner` is the heading above
+    the names.
+    """
     kept = [column for column in columns if any(value is not None for value in column.values)]
     cells = [[Cell(name) for name in names], *(column.cells() for column in kept)]
     headings = (corner, *(column.heading for column in kept))
@@ -131,18 +145,33 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
     ("IDF1 %", "idf1"),
     ("ID switches", "idsw", "{:.0f}"),
 )
-_MOT_FIGURES = (  # heading and key in the section `tracks` of the summary; MOT metrics are in per cent already
-    *(("HOTA %", "hota"), ("DetA %", "deta"), ("AssA %", "assa"), ("LocA %", "loca"), ("MOTA %", "mota")),
+# heading and key in the section `tracks` of the summary; MOT metrics are in per cent already
+_MOT_FIGURES = (
+    *(
+        ("HOTA %", "hota"),
+        ("DetA %", "deta"),
+        ("AssA %", "assa"),
+        ("LocA %", "loca"),
+        ("MOTA %", "mota"),
+    ),
     *(("MOTP %", "motp"), ("IDF1 %", "idf1"), ("ID precision %", "idp"), ("ID recall %", "idr")),
     ("ID switches", "idsw"),
-    *(("fragments", "frag"), ("false positives", "fp"), ("false negatives", "fn"), ("true boxes", "n_truth_boxes")),
+    *(
+        ("fragments", "frag"),
+        ("false positives", "fp"),
+        ("false negatives", "fn"),
+        ("true boxes", "n_truth_boxes"),
+    ),
     *(("mostly tracked", "mt"), ("partly tracked", "pt"), ("mostly lost", "ml")),
 )
-STAGE_OF = {"fused": "fuse"}  # stage that measures a method's run time; filtered methods are part of fusion
+# stage that measures a method's run time; filtered methods are part of fusion
+STAGE_OF = {"fused": "fuse"}
 
 
 def grids(summary: Summary) -> list[Grid]:
-    """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time, tracks."""
+    """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time,
+    tracks.
+    """
     tables = [
         *_distance_grids(summary, has_errors=bool(summary.get("common"))),
         closing_grid(summary.get("closing") or {}),
@@ -155,30 +184,48 @@ def grids(summary: Summary) -> list[Grid]:
 
 
 def accuracy_grids(summary: Summary) -> list[Grid]:
-    """Distance errors of each method on its own coverage, on common coverage and by class; closing-speed errors."""
+    """Distance errors of each method on its own coverage, on common coverage and by class;
+    closing-speed errors.
+    """
     methods = summary.get("methods") or {}
-    has_errors = any(figure(row, "median_relative_error_pct") is not None for row in methods.values())
+    has_errors = any(
+        figure(row, "median_relative_error_pct") is not None for row in methods.values()
+    )
     tables = [*_distance_grids(summary, has_errors=has_errors), class_grid(methods)]
     return [grid for grid in (*tables, closing_grid(summary.get("closing") or {})) if grid.rows]
 
 
 def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
-    title = "Distance error of each method on its own coverage" if has_errors else "Coverage of each method"
+    title = (
+        "Distance error of each method on its own coverage"
+        if has_errors
+        else "Coverage of each method"
+    )
     common = summary.get("common") or {}
     n = max((figure(row, "n") or 0 for row in common.values()), default=0)
-    common_title = f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)"
+    common_title = (
+        f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)"
+    )
     return method_grid(title, summary.get("methods") or {}), method_grid(common_title, common)
 
 
 def method_grid(
-    title: str, methods: Mapping[str, Mapping[str, Any]], specs: Sequence[ColumnSpec] = METHOD_COLUMNS
+    title: str,
+    methods: Mapping[str, Mapping[str, Any]],
+    specs: Sequence[ColumnSpec] = METHOD_COLUMNS,
 ) -> Grid:
-    """One row per method: the columns `specs`, and the mean error in each distance band that a method has."""
+    """One row per method: the columns `specs`, and the mean error in each distance band that a
+    method has.
+    """
     rows = list(methods.values())
     columns = columns_of(rows, specs)
-    bands = [{(band["from_m"], band["to_m"]): band for band in row.get("bands") or []} for row in rows]
+    bands = [
+        {(band["from_m"], band["to_m"]): band for band in row.get("bands") or []} for row in rows
+    ]
     for low_m, high_m in sorted({limits_m for by_limits in bands for limits_m in by_limits}):
-        errors_pct = [figure(one.get((low_m, high_m), {}), "mean_relative_error_pct") for one in bands]
+        errors_pct = [
+            figure(one.get((low_m, high_m), {}), "mean_relative_error_pct") for one in bands
+        ]
         columns.append(Column(f"{low_m:g}-{high_m:g} m", errors_pct, cost=abs))
     return grid_of(title, "method", list(methods), columns)
 
@@ -187,7 +234,11 @@ def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:
     """Median error of each method by the class in the ground truth."""
     scores = [row.get("by_class") or {} for row in methods.values()]
     columns = [
-        Column(f"{name} %", [figure(row.get(name) or {}, "median_relative_error_pct") for row in scores], cost=abs)
+        Column(
+            f"{name} %",
+            [figure(row.get(name) or {}, "median_relative_error_pct") for row in scores],
+            cost=abs,
+        )
         for name in sorted({name for row in scores for name in row})
     ]
     return grid_of("Median distance error by class", "method", list(methods), columns)
@@ -200,10 +251,14 @@ def closing_grid(closing: Mapping[str, Any]) -> Grid:
 
 
 def rig_grid(health: Mapping[str, Any]) -> Grid:
-    """Expected distance errors of a rig, by distance, before and after its alignment, from `RigHealth.to_dict()`."""
+    """Expected distance errors of a rig, by distance, before and after its alignment, from
+    `RigHealth.to_dict()`.
+    """
     rows = health.get("distances") or []
     names = [f"{figure(row, 'distance_m') or 0:.0f} m" for row in rows]
-    return grid_of("Expected distance error of the rig", "distance", names, columns_of(rows, _RIG_COLUMNS))
+    return grid_of(
+        "Expected distance error of the rig", "distance", names, columns_of(rows, _RIG_COLUMNS)
+    )
 
 
 def uncertainty_grid(summary: Summary) -> Grid:
@@ -211,18 +266,31 @@ def uncertainty_grid(summary: Summary) -> Grid:
     methods, stages_ms = summary.get("methods") or {}, summary.get("stages_ms") or {}
     columns = [
         Column(f"{SIGMA} %", [figure(row, "median_sigma_pct") for row in methods.values()]),
-        Column("ms/frame", [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods], "{:.2f}"),
+        Column(
+            "ms/frame",
+            [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods],
+            "{:.2f}",
+        ),
     ]
-    return grid_of("Reported uncertainty (median relative sigma) and run time", "method", list(methods), columns)
+    return grid_of(
+        "Reported uncertainty (median relative sigma) and run time",
+        "method",
+        list(methods),
+        columns,
+    )
 
 
 def speed_grids(summary: Summary) -> list[Grid]:
     """Run time of the stages, and reported uncertainty and run time of the methods."""
-    return [grid for grid in (speed_grid(summary), uncertainty_grid(summary)) if len(grid.columns) > 1]
+    return [
+        grid for grid in (speed_grid(summary), uncertainty_grid(summary)) if len(grid.columns) > 1
+    ]
 
 
 def speed_grid(summary: Summary) -> Grid:
-    """Rows of stages that ran, in processor time (detection and background in wall-clock time), and of the run."""
+    """Rows of stages that ran, in processor time (detection and background in wall-clock time), and
+    of the run.
+    """
     stages_ms = summary.get("stages_ms") or {}
     stages = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
     fps = frames_per_s(summary)
@@ -236,9 +304,13 @@ def speed_grid(summary: Summary) -> Grid:
 
 
 def frames_per_s(summary: Summary) -> float | None:
-    """Frame rate of the whole run; computed from frames and wall time where the summary lacks it."""
+    """Frame rate of the whole run; computed from frames and wall time where the summary lacks
+    it.
+    """
     stored, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
-    return stored or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
+    return (
+        stored or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
+    )
 
 
 def track_grid(tracks: Mapping[str, Any]) -> Grid:
@@ -257,7 +329,9 @@ def mot_grid(tracks: Mapping[str, Any]) -> Grid:
 
 
 def markdown(summary: Summary) -> str:
-    """The tables of a summary as Markdown, best values in bold, with the source of the ground truth and the notes."""
+    """The tables of a summary as Markdown, best values in bold, with the source of the ground truth
+    and the notes.
+    """
     parts = [markdown_table(grid) for grid in grids(summary)]
     if summary.get("truth"):
         parts.append(f"Ground truth: {summary['truth']}")
@@ -268,9 +342,17 @@ def markdown(summary: Summary) -> str:
 def markdown_table(grid: Grid) -> str:
     """A grid as a pipe table under its title."""
     others = ":--" if grid.has_sentences else "--:"
-    lines = [[_escaped(heading) for heading in grid.columns], [":--"] + [others] * (len(grid.columns) - 1)]
-    lines += [[f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text) for cell in row] for row in grid.rows]
-    return f"**{_escaped(grid.title)}**\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    lines = [
+        [_escaped(heading) for heading in grid.columns],
+        [":--"] + [others] * (len(grid.columns) - 1),
+    ]
+    lines += [
+        [f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text) for cell in row]
+        for row in grid.rows
+    ]
+    return f"**{_escaped(grid.title)}**\n\n" + "\n".join(
+        "| " + " | ".join(line) + " |" for line in lines
+    )
 
 
 def _escaped(text: str) -> str:

@@ -1,7 +1,8 @@
-"""Road users of two runs on one video, matched by the boxes of each frame; the largest disagreements come first.
+"""Road users of two runs on one video, matched by the boxes of each frame; the largest
+disagreements come first.
 
-The disagreement of two distances, fused as in the overlay, else filtered, is their difference in joint standard
-deviations, sqrt(sigma_1^2 + sigma_2^2).
+The disagreement of two distances, fused as in the overlay, else filtered, is their difference in
+joint standard deviations, sqrt(sigma_1^2 + sigma_2^2).
 """
 
 import base64
@@ -24,15 +25,17 @@ from track_range.views.report.content.series import column
 
 _MIN_FRAMES = 3  # common frames of matched tracks
 _MIN_SIGMA = 0.01  # smallest relative standard deviation, also where it is unknown
-_CROP_PX, _CROP_BOXES = np.array([200.0, 110.0]), 1.2  # from the middle of a box to the edge of its picture, at least
+# from the middle of a box to the edge of its picture, at least
+_CROP_PX, _CROP_BOXES = np.array([200.0, 110.0]), 1.2
 
 
 def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, Any]], FloatArray]:
-    """Road users that both runs measure, the largest disagreement first, and track IDs (2, K) of all matched boxes.
+    """Road users that both runs measure, the largest disagreement first, and track IDs (2, K) of
+    all matched boxes.
 
-    Keys: `names` (most frequent class and ID in each run), `frames` (number of common ones), medians of second against
-    first `difference_pct` and `closing_mps` (NaN = unknown), and of the frame with the largest disagreement `sigmas`,
-    `time_s`, `words` (the two distances) and `boxes`.
+    Keys: `names` (most frequent class and ID in each run), `frames` (number of common ones),
+    medians of second against first `difference_pct` and `closing_mps` (NaN = unknown), and of the
+    frame with the largest disagreement `sigmas`, `time_s`, `words` (the two distances) and `boxes`.
     """
     runs = [_detected(run) for run in (first, second)]
     if not all(len(run.get("x1_px", ())) for run in runs):
@@ -41,23 +44,35 @@ def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, A
     match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
     rows = np.stack([np.flatnonzero(match >= 0), match[match >= 0]])
     known = [
-        (*reference_distance(run, ("fused", "fused_kf")), column(run, "closing_mps"), run["track_id"]) for run in runs
+        (
+            *reference_distance(run, ("fused", "fused_kf")),
+            column(run, "closing_mps"),
+            run["track_id"],
+        )
+        for run in runs
     ]
-    m, sigma_m, closing_mps, ids = (np.stack([a[rows[0]], b[rows[1]]]) for a, b in zip(*known, strict=True))
+    m, sigma_m, closing_mps, ids = (
+        np.stack([a[rows[0]], b[rows[1]]]) for a, b in zip(*known, strict=True)
+    )
     sigmas = np.abs(m[1] - m[0]) / np.hypot(*np.fmax(sigma_m, _MIN_SIGMA * m))
     differences, matched = [], np.unique(ids, axis=1)
     for pair in matched.T:
         common = np.flatnonzero((ids == pair[:, None]).all(axis=0) & np.isfinite(sigmas))
         if len(common) >= _MIN_FRAMES:
             at = common[np.argmax(sigmas[common])]
-            classes = [most_frequent(run["class"][run["track_id"] == i]) for run, i in zip(runs, pair, strict=True)]
+            classes = [
+                most_frequent(run["class"][run["track_id"] == i])
+                for run, i in zip(runs, pair, strict=True)
+            ]
             gap_mps = np.diff(closing_mps[:, common], axis=0)
             differences.append(
                 {
                     "names": [f"{name} {i:.0f}" for name, i in zip(classes, pair, strict=True)],
                     "frames": len(common),
                     "difference_pct": 100 * float(np.median(m[1, common] / m[0, common] - 1)),
-                    "closing_mps": float(np.nanmedian(gap_mps)) if np.isfinite(gap_mps).any() else np.nan,
+                    "closing_mps": float(np.nanmedian(gap_mps))
+                    if np.isfinite(gap_mps).any()
+                    else np.nan,
                     "sigmas": float(sigmas[at]),
                     "time_s": float(runs[0]["time_s"][rows[0, at]]),
                     "words": [f"{m[i, at]:.1f} ±{sigma_words(sigma_m[i, at])} m" for i in (0, 1)],
@@ -78,12 +93,18 @@ def unmatched_names(run: Columns, matched: FloatArray) -> Iterator[str]:
 
 def _detected(run: Columns) -> Columns:
     """Rows of detected road users."""
-    is_kept = (column(run, "observed") != 0) & ~np.isin(run["class"], STATIC_CLASSES) if "class" in run else []
+    is_kept = (
+        (column(run, "observed") != 0) & ~np.isin(run["class"], STATIC_CLASSES)
+        if "class" in run
+        else []
+    )
     return {name: values[is_kept] for name, values in run.items()} if len(is_kept) else {}
 
 
 def picture(overlay: Path | None, time_s: float, box: FloatArray) -> str:
-    """The part of an overlay around a box as a data URI; `time_s` from its first frame; "" = there is no picture."""
+    """The part of an overlay around a box as a data URI; `time_s` from its first frame; "" = there
+    is no picture.
+    """
     image = None if overlay is None else frame_at(overlay, time_s)
     if image is None:
         return ""

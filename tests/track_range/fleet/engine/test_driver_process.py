@@ -1,4 +1,5 @@
-"""Drivers in separate processes, with a Ray cluster of this machine each: kill -9, Ctrl-C, a full disk."""
+"""Drivers in separate processes, with a Ray cluster of this machine each: kill -9, Ctrl-C, a full
+disk."""
 
 from __future__ import annotations
 
@@ -23,7 +24,13 @@ PROJECT = Path(__file__).resolve().parents[4]
 
 
 def start(tmp_path, n_clips, **options):
-    command = [sys.executable, "-m", "tests.track_range.fleet.driver_process", tmp_path / "out", tmp_path / "clips"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.track_range.fleet.driver_process",
+        tmp_path / "out",
+        tmp_path / "clips",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
     return subprocess.Popen(
         [*map(str, command), str(n_clips)],

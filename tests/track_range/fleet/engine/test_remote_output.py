@@ -23,7 +23,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def out(bucket, s3_endpoint):
-    """Address of a folder in a new bucket, with the server in the address, since workers do not have it otherwise."""
+    """Address of a folder in a new bucket, with the server in the address, since workers do not
+    have it otherwise."""
     return f"{bucket.address}/fleet?endpoint_override={s3_endpoint.partition('://')[2]}&scheme=http"
 
 

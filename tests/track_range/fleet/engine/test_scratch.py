@@ -20,7 +20,9 @@ with scratch_folder(Path(sys.argv[1])) as folder:
 
 def test_folder_of_a_killed_process_is_removed(tmp_path):
     (tmp_path / "other").mkdir()
-    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
     with process:
         part = Path(process.stdout.readline().strip()) / "part"
         with scratch_folder(tmp_path):

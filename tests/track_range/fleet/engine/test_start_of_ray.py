@@ -16,7 +16,8 @@ from track_range.fleet.storage.location import Location
 
 @pytest.fixture
 def ray(monkeypatch):
-    """Ray whose first `n_failing` starts exceed its time limit, as on a busy machine; `n_starts` counts them."""
+    """Ray whose first `n_failing` starts exceed its time limit, as on a busy machine; `n_starts`
+    counts them."""
     module = ModuleType("ray")
     module.n_starts, module.n_failing = 0, 0
 
@@ -32,7 +33,9 @@ def ray(monkeypatch):
 
 
 def settings_of(tmp_path):
-    return FleetSettings.of({"recordings": (str(tmp_path),), "out": str(tmp_path / "out"), "workers": 1})
+    return FleetSettings.of(
+        {"recordings": (str(tmp_path),), "out": str(tmp_path / "out"), "workers": 1}
+    )
 
 
 def test_second_try(ray, tmp_path):
@@ -44,7 +47,9 @@ def test_second_try(ray, tmp_path):
 def test_one_sentence(ray, tmp_path):
     ray.n_failing = 9
     with pytest.raises(FleetError, match="timed out during startup") as caught:
-        run_fleet(settings_of(tmp_path), {}, stub_clips(tmp_path / "clips", "a"), process=process_stub)
+        run_fleet(
+            settings_of(tmp_path), {}, stub_clips(tmp_path / "clips", "a"), process=process_stub
+        )
     assert ray.n_starts == 2
     assert "repeat" in str(caught.value)
     state = read_state(Location.of(tmp_path / "out"))
@@ -54,6 +59,8 @@ def test_one_sentence(ray, tmp_path):
 def test_state_after_an_unexpected_error(ray, tmp_path):
     ray.cluster_resources = lambda: 1 / 0
     with pytest.raises(ZeroDivisionError):
-        run_fleet(settings_of(tmp_path), {}, stub_clips(tmp_path / "clips", "a"), process=process_stub)
+        run_fleet(
+            settings_of(tmp_path), {}, stub_clips(tmp_path / "clips", "a"), process=process_stub
+        )
     state = read_state(Location.of(tmp_path / "out"))
     assert (state.state, "ZeroDivisionError" in state.reason) == ("failed", True)

@@ -145,7 +145,9 @@ def test_killed_workers_leave_one_result_each(run, tmp_path, monkeypatch):
 def test_lost_node(run, cluster, tmp_path, monkeypatch):
     """A node is lost while all workers but one are on it; its clips are not counted as failed."""
     monkeypatch.setattr(fleet_run, "HEARTBEAT_S", 0.2)
-    node = cluster.add_node(num_cpus=2, object_store_memory=OBJECT_STORE_BYTES, resources={"other": 1})
+    node = cluster.add_node(
+        num_cpus=2, object_store_memory=OBJECT_STORE_BYTES, resources={"other": 1}
+    )
     lost = []
 
     def lose():
@@ -173,7 +175,10 @@ def test_unwritable_output_ends_the_run(run, tmp_path):
     with pytest.raises(FleetError, match="clip=c"):
         run("a", "c", "d")
     rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
-    assert {row["clip"]: row["status"] for row in rows if row["clip"] != "d"} == {"a": "done", "b": "done"}
+    assert {row["clip"]: row["status"] for row in rows if row["clip"] != "d"} == {
+        "a": "done",
+        "b": "done",
+    }
     state = read_state(Location.of(tmp_path / "out"))
     assert state.state == "failed"
     assert "clip=c" in state.reason
@@ -203,7 +208,9 @@ def test_shared_files_reach_other_machines(tmp_path):
     names = tmp_path / "names.txt"
     names.write_text("car\nbus\n")
     settings = FleetSettings(recordings=("x",), out=str(tmp_path))
-    made = plan.FleetPlan(settings=settings, options={"names": str(names), "sgbm": False}, shared=("names",))
+    made = plan.FleetPlan(
+        settings=settings, options={"names": str(names), "sgbm": False}, shared=("names",)
+    )
     files = shared_files(made)
     copied = with_shared_files(made, files, tmp_path / "worker")
     assert Path(copied.options["names"]).read_text() == "car\nbus\n"

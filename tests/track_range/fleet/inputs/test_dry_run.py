@@ -98,7 +98,9 @@ def test_two_cameras_in_one_video(tmp_path, film, level):
     clip = Clip("a", str(tmp_path / "both.mp4"))
     (checked,) = check(clip, stereo_layout="side-by-side")
     assert (checked.size_px, checked.calibration, checked.problems) == ((64, 48), "file", ())
-    (own,) = check(replace(clip, settings={"stereo_layout": "top-bottom"}), stereo_layout="side-by-side")
+    (own,) = check(
+        replace(clip, settings={"stereo_layout": "top-bottom"}), stereo_layout="side-by-side"
+    )
     assert own.size_px == (128, 24)
     assert check(clip)[0].size_px == (128, 48)
     settings = clip_settings({"stereo_layout": "side-by-side"}, clip)

@@ -9,7 +9,9 @@ from hypothesis import given, settings, strategies as st
 from track_range.fleet.inputs.clip import FleetInputError
 from track_range.fleet.inputs.pattern import FilePattern, Template
 
-TEXTS = st.text(st.characters(exclude_characters="/_", exclude_categories=("Cs",)), min_size=1, max_size=20)
+TEXTS = st.text(
+    st.characters(exclude_characters="/_", exclude_categories=("Cs",)), min_size=1, max_size=20
+)
 
 
 @settings(max_examples=25, deadline=None)

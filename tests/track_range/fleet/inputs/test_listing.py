@@ -21,9 +21,31 @@ def names_of(*recordings, pattern=None, rig=None):
 
 
 def test_every_recording_of_a_folder(tmp_path, filled):
-    filled(tmp_path, "b.MP4", "day 1/a.b.mkv", "day 1/rig.yaml", "day 1/.hidden.mp4", ".trash/c.mp4", "notes.txt")
-    filled(tmp_path, "images/000001.png", "images/000002.png", "day 1/thumbnail1.jpg", "day 1/thumbnail2.jpg")
-    filled(tmp_path, "bag/metadata.yaml", "bag/bag_0.db3", "bag/bag_1.db3", "x.mcap", "run/overlay.mp4", "run/run.mcap")
+    filled(
+        tmp_path,
+        "b.MP4",
+        "day 1/a.b.mkv",
+        "day 1/rig.yaml",
+        "day 1/.hidden.mp4",
+        ".trash/c.mp4",
+        "notes.txt",
+    )
+    filled(
+        tmp_path,
+        "images/000001.png",
+        "images/000002.png",
+        "day 1/thumbnail1.jpg",
+        "day 1/thumbnail2.jpg",
+    )
+    filled(
+        tmp_path,
+        "bag/metadata.yaml",
+        "bag/bag_0.db3",
+        "bag/bag_1.db3",
+        "x.mcap",
+        "run/overlay.mp4",
+        "run/run.mcap",
+    )
     filled(tmp_path, "run/clips/01-cut_in-7.mp4")
     clips = clips_of([str(tmp_path)], None, None)
     assert [clip.name for clip in clips] == ["b", "bag", "day 1/a.b", "images", "x"]
@@ -39,7 +61,11 @@ def test_folder_of_images_alone(tmp_path, filled):
 def test_pairs_with_labels(tmp_path, filled):
     filled(
         tmp_path,
-        *(f"{car}/{clip}_{side}.mp4" for car, clip in (("v1", "a b"), ("v2", "c")) for side in ("left", "right")),
+        *(
+            f"{car}/{clip}_{side}.mp4"
+            for car, clip in (("v1", "a b"), ("v2", "c"))
+            for side in ("left", "right")
+        ),
     )
     filled(tmp_path, "rigs/v1.yaml", "rigs/v2.yaml")
     first, second = clips_of([str(tmp_path)], VEHICLE_PAIR, f"{tmp_path}/rigs/{{vehicle}}.yaml")
@@ -54,14 +80,21 @@ def test_pairs_with_labels(tmp_path, filled):
 
 
 def test_pairs_of_image_folders(tmp_path, filled):
-    filled(tmp_path, *(f"{clip}/{side}/{n:06d}.png" for clip in "ab" for side in ("l", "r") for n in range(2)))
+    filled(
+        tmp_path,
+        *(f"{clip}/{side}/{n:06d}.png" for clip in "ab" for side in ("l", "r") for n in range(2)),
+    )
     clips = clips_of([str(tmp_path)], "{clip}/l,{clip}/r", None)
-    assert [(clip.name, clip.right) for clip in clips] == [(name, str(tmp_path / name / "r")) for name in "ab"]
+    assert [(clip.name, clip.right) for clip in clips] == [
+        (name, str(tmp_path / name / "r")) for name in "ab"
+    ]
 
 
 def test_listing_without_folders(tmp_path):
     names = [f"{clip}/x/{side}/{n}.png" for clip in "ab" for side in ("l", "r") for n in range(2)]
-    tree = FileTree.of_entries(Location.of(tmp_path), with_folders(Entry(name, FileStat(1, 1)) for name in names))
+    tree = FileTree.of_entries(
+        Location.of(tmp_path), with_folders(Entry(name, FileStat(1, 1)) for name in names)
+    )
     assert "a/x" in tree
     clips = matched_clips(tree, FilePattern.of("{clip}/x/l,{clip}/x/r"), tree.folder)
     assert sorted((clip.name, clip.problem) for clip in clips) == [("a", ""), ("b", "")]
@@ -121,7 +154,15 @@ def test_equal_names(tmp_path, filled):
 
 
 def test_wildcards(tmp_path, filled):
-    filled(tmp_path, "day1/a.mp4", "day1/b.mp4", "day2/a.mp4", "day2/deep/c.mp4", "other/a.mp4", "[x]/d.mp4")
+    filled(
+        tmp_path,
+        "day1/a.mp4",
+        "day1/b.mp4",
+        "day2/a.mp4",
+        "day2/deep/c.mp4",
+        "other/a.mp4",
+        "[x]/d.mp4",
+    )
     assert names_of(tmp_path / "day*/a.mp4") == ["day1/a", "day2/a"]
     assert names_of(tmp_path / "day[!1]") == ["day2/a", "day2/deep/c"]
     assert names_of(tmp_path / "day2/**/?.mp4") == ["a", "deep/c"]
@@ -169,7 +210,13 @@ def test_links(tmp_path, filled):
 
 
 def test_bucket(bucket):
-    for name in ("v 1/a_left.mp4", "v 1/a_right.mp4", "v 1/b=%20_left.mp4", "v 1/b=%20_right.mp4", "rigs/v 1.yaml"):
+    for name in (
+        "v 1/a_left.mp4",
+        "v 1/a_right.mp4",
+        "v 1/b=%20_left.mp4",
+        "v 1/b=%20_right.mp4",
+        "rigs/v 1.yaml",
+    ):
         bucket.child(name).write_bytes(b"x")
     one, other = clips_of([bucket.address], VEHICLE_PAIR, f"{bucket.address}/rigs/{{vehicle}}.yaml")
     assert (one.name, other.name) == ("a", "b=%20")
@@ -200,7 +247,14 @@ def test_left_folder_without_images(tmp_path, filled):
 
 
 def test_results_below_the_recordings(tmp_path, filled):
-    filled(tmp_path, "a.mp4", "out/b.mp4", "out/fleet.json", "out/runs/clip=a/overlay.mp4", "runs/c.mp4")
+    filled(
+        tmp_path,
+        "a.mp4",
+        "out/b.mp4",
+        "out/fleet.json",
+        "out/runs/clip=a/overlay.mp4",
+        "runs/c.mp4",
+    )
     assert names_of(tmp_path, pattern="{clip}.mp4") == ["a", "out/b", "runs/c"]
     filled(tmp_path, "fleet.json")
     assert names_of(tmp_path, pattern="{clip}.mp4") == ["a", "out/b"]

@@ -96,8 +96,12 @@ def test_names_without_the_column_clip(tmp_path):
 
 def test_rig_option_and_column(tmp_path, filled):
     filled(tmp_path, "v1.yaml", "own.yaml")
-    path = write_manifest(tmp_path, "left,rig,focal_px,vehicle\na.mp4,,,v1\nb.mp4,own.yaml,,v1\nc.mp4,,800,v1\n")
-    rigs = [clip.settings.get("rig") for clip in clips_of([path], None, f"{tmp_path}/{{vehicle}}.yaml")]
+    path = write_manifest(
+        tmp_path, "left,rig,focal_px,vehicle\na.mp4,,,v1\nb.mp4,own.yaml,,v1\nc.mp4,,800,v1\n"
+    )
+    rigs = [
+        clip.settings.get("rig") for clip in clips_of([path], None, f"{tmp_path}/{{vehicle}}.yaml")
+    ]
     assert rigs == [f"{tmp_path}/v1.yaml", f"{tmp_path}/own.yaml", None]
 
 
@@ -138,7 +142,13 @@ def test_damaged_parquet(tmp_path):
     path = tmp_path / "m.parquet"
     pq.write_table(pa.table({"left": [f"{n}.mp4" for n in range(100)]}), path)
     content = path.read_bytes()
-    for damaged in (b"", b"PAR1", content[:-20], content[:40] + b"\xff" * 40 + content[80:], b"clip,left\na,b\n"):
+    for damaged in (
+        b"",
+        b"PAR1",
+        content[:-20],
+        content[:40] + b"\xff" * 40 + content[80:],
+        b"clip,left\na,b\n",
+    ):
         path.write_bytes(damaged)
         with pytest.raises(FleetInputError, match=r"m\.parquet"):
             clips_of([str(path)], None, None)
@@ -163,7 +173,9 @@ def test_pattern_with_a_manifest(tmp_path):
 @settings(max_examples=15, deadline=None)
 @given(
     rows=st.lists(
-        st.tuples(*[st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=6)] * 3),
+        st.tuples(
+            *[st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=6)] * 3
+        ),
         max_size=4,
     )
 )
@@ -210,6 +222,13 @@ def test_manifest_on_a_web_server(web):
 
 @pytest.mark.slow
 def test_100_000_clips(tmp_path):
-    rows = (f"clip{n},day{n % 50}/{n}_l.mp4,day{n % 50}/{n}_r.mp4,rigs/{n % 20}.yaml,v{n % 20}" for n in range(100_000))
-    clips = clips_of([write_manifest(tmp_path, "clip,left,right,rig,vehicle\n" + "\n".join(rows) + "\n")], None, None)
+    rows = (
+        f"clip{n},day{n % 50}/{n}_l.mp4,day{n % 50}/{n}_r.mp4,rigs/{n % 20}.yaml,v{n % 20}"
+        for n in range(100_000)
+    )
+    clips = clips_of(
+        [write_manifest(tmp_path, "clip,left,right,rig,vehicle\n" + "\n".join(rows) + "\n")],
+        None,
+        None,
+    )
     assert len(clips) == 100_000

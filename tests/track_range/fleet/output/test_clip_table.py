@@ -41,7 +41,9 @@ def names_in(out):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_record_is_read_again(out, name):
-    row = record(name, frames=3, warnings=["a", "b"], stages_ms={"read": 1.5}, labels={"vehicle": "v"})
+    row = record(
+        name, frames=3, warnings=["a", "b"], stages_ms={"read": 1.5}, labels={"vehicle": "v"}
+    )
     publish_record(out, row)
     assert journal_rows(out, [name]) == {name: row}
     assert names_in(out) == [name]
@@ -76,7 +78,10 @@ def test_newer_rows_replace_older_ones(out):
     table.add(record("a"), is_in_journal=False)
     table.compile()
     publish_record(out, record("b", frames=7))
-    assert [(row["clip"], row["status"]) for row in read_clips(out).to_pylist()] == [("a", "done"), ("b", "done")]
+    assert [(row["clip"], row["status"]) for row in read_clips(out).to_pylist()] == [
+        ("a", "done"),
+        ("b", "done"),
+    ]
     again = ClipTable(out)
     again.compile(is_sorted=True)
     assert [row["frames"] for row in read_clips(out).to_pylist()] == [None, 7]
@@ -112,7 +117,9 @@ def test_crash_before_the_table_is_written(out, monkeypatch):
     assert journal_rows(out, ["a"])
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"clip": 3}', b"\xff", b'{"clip": "a", "status": "odd"}'])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[]", b'{"clip": 3}', b"\xff", b'{"clip": "a", "status": "odd"}']
+)
 def test_damaged_record_is_left_out(out, content):
     publish_record(out, record("b"))
     (out.path / "journal" / "a.json").write_bytes(content)
@@ -144,7 +151,10 @@ def test_newer_table_is_refused(out):
 
 def test_columns_are_the_union(out):
     first = records_table([record("b", stages_ms={"read": 1.0}, labels={"vehicle": "v1"})])
-    merged = merged_table(first, {"a": record("a", coverage={"mono": 0.5}), "c": record("c", labels={"clip": "other"})})
+    merged = merged_table(
+        first,
+        {"a": record("a", coverage={"mono": 0.5}), "c": record("c", labels={"clip": "other"})},
+    )
     rows = {row["clip"]: row for row in merged.to_pylist()}
     assert rows["b"]["read_ms"] == 1.0
     assert rows["b"]["mono_coverage"] is None
@@ -161,16 +171,26 @@ def test_label_that_becomes_a_number(out):
 
 def test_types_do_not_depend_on_the_values(out):
     """Neither without a road user, nor where an earlier version has stored text."""
-    unknown = record("a", coverage={"fused": None}, stages_ms={"read": None}, alignment={"row_offset_px": None})
+    unknown = record(
+        "a", coverage={"fused": None}, stages_ms={"read": None}, alignment={"row_offset_px": None}
+    )
     table = records_table([{**unknown, "fused_median_relative_error_pct": None}])
-    figures = ("fused_coverage", "read_ms", "alignment_row_offset_px", "fused_median_relative_error_pct")
+    figures = (
+        "fused_coverage",
+        "read_ms",
+        "alignment_row_offset_px",
+        "fused_median_relative_error_pct",
+    )
     assert {str(table[name].type) for name in figures} == {"double"}
     index = table.column_names.index("fused_coverage")
     text = table.set_column(index, "fused_coverage", pyarrow.array(["0.8947"]))
-    merged = merged_table(text, {"b": record("b", coverage={"fused": 1}), "c": unknown | {"clip": "c"}})
+    merged = merged_table(
+        text, {"b": record("b", coverage={"fused": 1}), "c": unknown | {"clip": "c"}}
+    )
     assert merged["fused_coverage"].to_pylist() == [0.8947, 1.0, None]
     vehicles = merged_table(
-        records_table([record("a", labels={"vehicle": "01"})]), {"b": record("b") | {"vehicle": None}}
+        records_table([record("a", labels={"vehicle": "01"})]),
+        {"b": record("b") | {"vehicle": None}},
     )
     assert vehicles["vehicle"].to_pylist() == ["01", None]
 
@@ -181,7 +201,9 @@ def test_touched_row_has_the_new_fingerprint(out):
     table.compile()
     table.touch("a", "new")
     table.compile()
-    assert [(row["inputs"], row["content_hash"]) for row in read_clips(out).to_pylist()] == [("new", "c")]
+    assert [(row["inputs"], row["content_hash"]) for row in read_clips(out).to_pylist()] == [
+        ("new", "c")
+    ]
 
 
 def test_failed_write_leaves_nothing(out, tmp_path):
@@ -202,7 +224,9 @@ def test_state_is_read_again(out):
     assert state.is_alive
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"track_range_fleet": 1}', '{"track_range_fleet": 1, "x": 2}'])
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"track_range_fleet": 1}', '{"track_range_fleet": 1, "x": 2}']
+)
 def test_damaged_state_is_none(out, content):
     (out.path / "fleet.json").write_text(content)
     assert read_state(out) is None

@@ -23,7 +23,12 @@ THIS_PROCESS = -1
 )
 def test_driver_at_work(host, pid, age_s, is_alive):
     pid = os.getpid() if pid == THIS_PROCESS else pid
-    state = FleetState(state="running", pid=pid, heartbeat_s=time.time() - age_s, **({"host": host} if host else {}))
+    state = FleetState(
+        state="running",
+        pid=pid,
+        heartbeat_s=time.time() - age_s,
+        **({"host": host} if host else {}),
+    )
     assert state.is_alive is is_alive
 
 
@@ -43,7 +48,9 @@ def test_sentence_of_a_run(counts, sentence):
     assert ("left" in state.text()) is (counts == {"done": 6})
 
 
-@pytest.mark.parametrize(("seconds", "text"), [(94, "94 s"), (180, "3 min"), (12_000, "3 h 20 min")])
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(94, "94 s"), (180, "3 min"), (12_000, "3 h 20 min")]
+)
 def test_durations(seconds, text):
     assert duration_text(seconds) == text
 

@@ -7,7 +7,15 @@ import math
 
 import pytest
 
-from tests.track_range.fleet.fleet_results import DAWN, DAWN_S, NOON, done_record, rows_table, track_rows, write_clip
+from tests.track_range.fleet.fleet_results import (
+    DAWN,
+    DAWN_S,
+    NOON,
+    done_record,
+    rows_table,
+    track_rows,
+    write_clip,
+)
 from tests.track_range.results.events.event_builder import event
 from track_range.fleet.output.data_set import (
     ClipTable,
@@ -31,9 +39,20 @@ def out(tmp_path):
     location, scratch = Location.of(tmp_path / "out"), tmp_path / "scratch"
     scratch.mkdir()
     table = rows_table(track_rows(1, "car", near_m=4.0, x_m=0.0, utc_s=None))
-    of_dawn = [event(track_id=1, probability=0.6), event(kind="close_following", track_id=2, **QUIET)]
-    write_clip(location, done_record(DAWN, start_utc="2026-05-04T07:50:00Z"), table, scratch, of_dawn)
-    write_clip(location, done_record(NOON), table, scratch, [event(kind="cut_in", track_id=9, probability=0.9)])
+    of_dawn = [
+        event(track_id=1, probability=0.6),
+        event(kind="close_following", track_id=2, **QUIET),
+    ]
+    write_clip(
+        location, done_record(DAWN, start_utc="2026-05-04T07:50:00Z"), table, scratch, of_dawn
+    )
+    write_clip(
+        location,
+        done_record(NOON),
+        table,
+        scratch,
+        [event(kind="cut_in", track_id=9, probability=0.9)],
+    )
     write_clip(location, done_record("old"), table, scratch)
     write_clip(location, done_record("nothing"), table, scratch, [])
     ClipTable(location).compile()
@@ -70,7 +89,9 @@ def test_events_replace_the_approaches(out, tmp_path):
     without = Location.of(tmp_path / "without")
     table = rows_table(track_rows(1, "car", near_m=4.0, x_m=0.0, utc_s=None))
     write_clip(without, done_record("a"), table, tmp_path, [])
-    sections = {section.anchor: section for section in fleet_sections(fleet_figures(without).figures)}
+    sections = {
+        section.anchor: section for section in fleet_sections(fleet_figures(without).figures)
+    }
     assert sections["events"].grids == ()
     assert sections["closest"].grids
 

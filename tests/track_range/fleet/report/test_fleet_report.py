@@ -25,11 +25,21 @@ from tests.track_range.fleet.fleet_results import (
 from tests.track_range.results.events.event_builder import event
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
-from track_range.fleet.report.clip_figures import MAX_GROUPS, ClipColumns, drift_figures, note_figures
+from track_range.fleet.report.clip_figures import (
+    MAX_GROUPS,
+    ClipColumns,
+    drift_figures,
+    note_figures,
+)
 from track_range.fleet.report.fleet_figures import fleet_figures
 from track_range.fleet.report.fleet_grids import fleet_sections
 from track_range.fleet.report.fleet_page import fleet_page
-from track_range.fleet.report.track_figures import N_RANKED, TrackFigures, needed_columns, track_figures
+from track_range.fleet.report.track_figures import (
+    N_RANKED,
+    TrackFigures,
+    needed_columns,
+    track_figures,
+)
 from track_range.fleet.storage.location import Location
 
 
@@ -69,12 +79,18 @@ def test_counts_and_hours(out):
 def test_tracks_by_class_and_hour(out):
     figures = figures_of(out)
     classes = {row["class"]: row for row in figures["classes"]}
-    assert {name: row["tracks"] for name, row in classes.items()} == {"car": 2, "person": 1, "traffic sign": 1}
+    assert {name: row["tracks"] for name, row in classes.items()} == {
+        "car": 2,
+        "person": 1,
+        "traffic sign": 1,
+    }
     assert classes["car"]["per_hour"] == pytest.approx(3.0)
     assert classes["car"]["mean_visible_s"] == pytest.approx(1.9)
     hours = {row["hour_utc"]: row for row in figures["hours"]}
     # the first clip starts at 07:50 and lasts 20 minutes; the second has no times in its rows
-    assert [hours[hour]["video_h"] * 60 for hour in (7, 8, 12, None)] == pytest.approx([10, 10, 20, 0])
+    assert [hours[hour]["video_h"] * 60 for hour in (7, 8, 12, None)] == pytest.approx(
+        [10, 10, 20, 0]
+    )
     assert hours[7]["tracks"] == {"car": 1, "person": 1, "traffic sign": 1}
     assert hours[None]["tracks"]["car"] == 1
 
@@ -82,7 +98,8 @@ def test_tracks_by_class_and_hour(out):
 def test_coverage_by_band(out):
     rows = {(row["method"], row["from_m"]): row for row in figures_of(out)["coverage"]}
     assert {method for method, _ in rows} == {"fused", "fused_kf", "stereo"}
-    # the car has distances from 4 to 23 m, the sign from 1 to 20 m, the person from 12 to 31 m, the other car from 30 m
+    # the car has distances from 4 to 23 m, the sign from 1 to 20 m, the person from 12 to 31 m, the
+    # other car from 30 m
     assert [rows["fused", low]["boxes"] for low in (0, 5, 10, 20, 30)] == [5, 10, 28, 15, 22]
     assert rows["fused", 0]["coverage"] == 1.0
     assert rows["stereo", 10]["coverage"] == pytest.approx(0.5)
@@ -106,7 +123,11 @@ def test_ranking_is_limited(tmp_path):
     for clip in ("b", "a"):
         total.add(track_figures(clip, table.select(needed_columns(table.column_names))))
     assert len(total.closest) == len(total.collisions) == N_RANKED
-    assert [(item["clip"], item["track_id"]) for item in total.closest[:3]] == [("a", 1), ("b", 1), ("a", 2)]
+    assert [(item["clip"], item["track_id"]) for item in total.closest[:3]] == [
+        ("a", 1),
+        ("b", 1),
+        ("a", 2),
+    ]
 
 
 def test_uncertain_distances_are_not_ranked():
@@ -152,10 +173,17 @@ def test_drift_of_many_groups(out):
     for number in range(2 * MAX_GROUPS):
         for day, offset_px in (("01", 0.0), ("02", 0.01 * number)):
             utc = f"2026-05-{day}T12:00:00Z"
-            changed = {"vehicle": f"v{number:03}", "alignment_offset_px": offset_px, "start_utc": utc}
+            changed = {
+                "vehicle": f"v{number:03}",
+                "alignment_offset_px": offset_px,
+                "start_utc": utc,
+            }
             table.add({**row, **changed, "clip": f"{number}-{day}"}, is_in_journal=False)
     table.compile()
-    groups = [row["group"] for row in drift_figures(ClipColumns(table.table).with_status("done"), "vehicle")]
+    groups = [
+        row["group"]
+        for row in drift_figures(ClipColumns(table.table).with_status("done"), "vehicle")
+    ]
     assert groups == [f"v{number:03}" for number in range(MAX_GROUPS, 2 * MAX_GROUPS)]
 
 
@@ -163,18 +191,28 @@ def test_failures_and_notes(out, scratch):
     for number in range(6):
         left = f"/recordings/{number}.mp4"
         error = f"{left}: frame {number} is damaged."
-        write_clip(out, record(f"c{number}", left=left, error=error, error_kind="input"), _one_row(), scratch)
+        write_clip(
+            out,
+            record(f"c{number}", left=left, error=error, error_kind="input"),
+            _one_row(),
+            scratch,
+        )
     table = ClipTable(out)
     for number in range(6):
         table.add({**table.newer[f"c{number}"], "status": "failed"}, is_in_journal=True)
     table.compile()
     figures = figures_of(out)
     damaged, other = figures["failures"]
-    assert (damaged["kind"], damaged["n"], damaged["reason"]) == ("input", 6, "frame 0 to 5 is damaged.")
+    assert (damaged["kind"], damaged["n"], damaged["reason"]) == (
+        "input",
+        6,
+        "frame 0 to 5 is damaged.",
+    )
     assert len(damaged["clips"]) == 5
     assert (other["n"], other["reason"], other["clips"]) == (1, "not a video.", [BROKEN])
     (note,) = (row for row in figures["notes"] if row["n"] == 2)
-    assert note == {"n": 2, "note": "Focal length 4 to 13 px.", "clip": NOON}  # the lengths of the names of the clips
+    # the lengths of the names of the clips
+    assert note == {"n": 2, "note": "Focal length 4 to 13 px.", "clip": NOON}
 
 
 def test_numbers_of_merged_notes():
@@ -193,7 +231,11 @@ def test_numbers_of_merged_notes():
     [
         ("expected 2, found 1240.5.", "expected 3, found 'abc'.", "expected 2 to 3, found 1240.5."),
         ("expected 2, found 'abc'.", "expected 3, found 1240.5.", "expected 2 to 3, found 'abc'."),
-        ("from 10:05:30, 4 times: 7.", "from 11:05:31, 5 times: 9.", "from 10:05:30, 4 to 5 times: 7 to 9."),
+        (
+            "from 10:05:30, 4 times: 7.",
+            "from 11:05:31, 5 times: 9.",
+            "from 10:05:30, 4 to 5 times: 7 to 9.",
+        ),
     ],
 )
 def test_texts_and_clock_times_are_not_merged(first, second, merged):
@@ -211,12 +253,18 @@ def test_short_fleets_have_no_rates(tmp_path, scratch):
     out = Location.of(tmp_path / "out")
     write_clip(out, record("a", seconds=9.8), _one_row(), scratch, [event()])
     figures = figures_of(out)
-    assert [row["per_hour"] for row in (*figures["classes"], *figures["event_kinds"])] == [None, None]
+    assert [row["per_hour"] for row in (*figures["classes"], *figures["event_kinds"])] == [
+        None,
+        None,
+    ]
     sections = {section.anchor: section for section in fleet_sections(figures)}
     (classes,) = sections["road-users"].grids
     assert classes.columns == ("class", "tracks", "mean s visible")
     work = sections["throughput"].grids[0]
-    assert dict(zip(work.columns, (cell.text for cell in work.rows[0]), strict=True))["video s"] == "9.8"
+    assert (
+        dict(zip(work.columns, (cell.text for cell in work.rows[0]), strict=True))["video s"]
+        == "9.8"
+    )
     assert "10 s of video" in run_command("fleet", "report", out.path).stdout
 
 
@@ -225,11 +273,14 @@ def test_notes_are_read_in_one_table(out):
     shown = run_command("fleet", "report", out.path).stdout
     lines = shown[shown.index("\nNotes") :].splitlines()
     assert lines[2].split() == ["example", "clips", "note"]
-    assert [line.split(maxsplit=2)[1:] for line in lines[4:5]] == [["2", "Focal length 4 to 13 px."]]
+    assert [line.split(maxsplit=2)[1:] for line in lines[4:5]] == [
+        ["2", "Focal length 4 to 13 px."]
+    ]
 
 
 def test_lateral_position_where_only_the_filter_has_a_distance():
-    """A pinhole camera of 700 px with the centre at 600 px; the sum of the edges of a box is twice its centre."""
+    """A pinhole camera of 700 px with the centre at 600 px; the sum of the edges of a box is twice
+    its centre."""
     rows = track_rows(1, "car", near_m=4.0, x_m=3.0, utc_s=None)
     centre_px = 600 + 700 * rows["x_m"] / rows["fused_m"]
     rows |= {"x1_px": centre_px - 50, "x2_px": centre_px + 50, "path_offset_m": rows["x_m"] - 2.5}
@@ -302,7 +353,9 @@ def test_column_of_another_type(out):
     """Another program has changed the types of columns."""
     table = parquet.read_table(out.child("clips.parquet").path)
     for name in ("seconds", "frames", "node", "alignment_offset_px", "fused_coverage"):
-        values = pa.array([{"a": 1}] * len(table)) if name == "node" else pa.array(["x"] * len(table))
+        values = (
+            pa.array([{"a": 1}] * len(table)) if name == "node" else pa.array(["x"] * len(table))
+        )
         table = table.set_column(table.column_names.index(name), name, values)
     parquet.write_table(table, out.child("clips.parquet").path)
     figures = figures_of(out)
@@ -315,7 +368,13 @@ def test_column_of_another_type(out):
     [b"", b"{", b"[]", b'{"track_range_fleet": 1, "state": "running"', b"\xff" * 9]
     + [
         json.dumps({"track_range_fleet": 1, "state": "finished", **changed}).encode()
-        for changed in ({"total": "x"}, {"options": []}, {"started_s": None}, {"state": "asleep"}, {"workers": 3})
+        for changed in (
+            {"total": "x"},
+            {"options": []},
+            {"started_s": None},
+            {"state": "asleep"},
+            {"workers": 3},
+        )
     ],
 )
 def test_damaged_state(out, content):
@@ -356,7 +415,8 @@ def test_page_links_to_files(out, tmp_path, page):
     parsed = Links(text)
     assert parsed.loaded == []
     files = [link for link in parsed.links if not link.startswith("#")]
-    assert len(files) == 6  # report and overlay of two rows of the first ranking and one of the second
+    # report and overlay of two rows of the first ranking and one of the second
+    assert len(files) == 6
     assert all((path.parent / unquote(link.partition("#")[0])).is_file() for link in files)
     assert any(link.endswith("overlay.mp4#t=0.0") for link in files)
 
@@ -372,7 +432,12 @@ def test_overlay_time_after_start_s(out, scratch):
 def test_texts_are_escaped(out, scratch):
     evil = "<img src=x onerror=alert(1)>"
     labels = {"vehicle": evil}
-    write_clip(out, record(evil, warnings=[evil], labels=labels, alignment={"offset_px": 1.0}), _one_row(), scratch)
+    write_clip(
+        out,
+        record(evil, warnings=[evil], labels=labels, alignment={"offset_px": 1.0}),
+        _one_row(),
+        scratch,
+    )
     page = fleet_page(fleet_figures(out), out, out.child("fleet.html"))
     assert "<img" not in page
     assert page.count("&lt;img") >= 3
@@ -380,7 +445,17 @@ def test_texts_are_escaped(out, scratch):
 
 def test_command_writes_all_files(out, tmp_path):
     done = run_command(
-        *("fleet", "report", out.path, "--html", "fleet.html", "--table", "fleet.md", "--json", "fleet.json"),
+        *(
+            "fleet",
+            "report",
+            out.path,
+            "--html",
+            "fleet.html",
+            "--table",
+            "fleet.md",
+            "--json",
+            "fleet.json",
+        ),
         folder=tmp_path,
     )
     assert (done.status, done.stderr) == (0, "")
@@ -393,7 +468,9 @@ def test_command_writes_all_files(out, tmp_path):
     assert DAWN in (tmp_path / "fleet.html").read_text()
 
 
-@pytest.mark.parametrize("options", [["--json", "out/clips.parquet"], ["--html", "out/fleet.json"], ["--html", "out"]])
+@pytest.mark.parametrize(
+    "options", [["--json", "out/clips.parquet"], ["--html", "out/fleet.json"], ["--html", "out"]]
+)
 def test_files_of_the_fleet_are_not_replaced(out, tmp_path, options):
     done = run_command("fleet", "report", "out", *options, folder=tmp_path)
     assert done.status != 0

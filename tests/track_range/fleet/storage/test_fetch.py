@@ -18,7 +18,12 @@ def sha256(content):
 
 
 def test_remote_files_are_local_for_a_while(bucket, tmp_path):
-    contents = {"a b_left.mp4": b"left", "a b_right.mp4": b"right", "rig.yaml": b"rig", "speed.csv": b"speed"}
+    contents = {
+        "a b_left.mp4": b"left",
+        "a b_right.mp4": b"right",
+        "rig.yaml": b"rig",
+        "speed.csv": b"speed",
+    }
     for name, content in contents.items():
         bucket.child("day 1", name).write_bytes(content)
     left, right, _, speed = (bucket.child("day 1", name).address for name in contents)
@@ -79,7 +84,9 @@ def test_equal_content_has_equal_hashes(bucket, tmp_path, filled):
 def test_web_server(web, tmp_path):
     address, folder = web
     (folder / "a%.mp4").write_bytes(b"abc")
-    with fetched(Clip("a", Location.of(address).child("a%.mp4").address), tmp_path / "cache", LIMIT) as (local, _):
+    with fetched(
+        Clip("a", Location.of(address).child("a%.mp4").address), tmp_path / "cache", LIMIT
+    ) as (local, _):
         assert Path(local.left).read_bytes() == b"abc"
         assert Path(local.left).name == "a%.mp4"
 
@@ -115,9 +122,18 @@ def test_names_of_objects_that_leave_the_folder(bucket, tmp_path):
 
     client = boto3.client("s3", region_name="us-east-1")
     outside = tmp_path / "outside.png"
-    for key in ("images/1.png", "images/2.png", f"images/{outside}", "images/../3.png", "images//4.png"):
+    for key in (
+        "images/1.png",
+        "images/2.png",
+        f"images/{outside}",
+        "images/../3.png",
+        "images//4.png",
+    ):
         client.put_object(Bucket=bucket.name, Key=key, Body=b"x")
-    with fetched(Clip("a", bucket.child("images").address), tmp_path / "cache", LIMIT) as (local, _):
+    with fetched(Clip("a", bucket.child("images").address), tmp_path / "cache", LIMIT) as (
+        local,
+        _,
+    ):
         assert sorted(path.name for path in Path(local.left).rglob("*")) == ["1.png", "2.png"]
     assert [path.name for path in tmp_path.iterdir()] == ["cache"]
 
@@ -125,6 +141,9 @@ def test_names_of_objects_that_leave_the_folder(bucket, tmp_path):
 def test_error_in_a_folder(bucket, tmp_path):
     for number in range(20):
         bucket.child("images", f"{number}.png").write_bytes(bytes(100))
-    with pytest.raises(StorageError), fetched(Clip("a", bucket.child("images").address), tmp_path, 1999):
+    with (
+        pytest.raises(StorageError),
+        fetched(Clip("a", bucket.child("images").address), tmp_path, 1999),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,9 @@ def test_addresses_without_anonymization():
 def test_no_folders_with_anonymization():
     names = FileNames(CLIP, is_anonymized=True)
     assert (names.left, names.right) == ("a_left.mp4", "a_right.mp4")
-    text = names.text("/data/j.doe/a_left.mp4, /data/j.doe/calib.txt and /cars/red/rig.yaml differ.")
+    text = names.text(
+        "/data/j.doe/a_left.mp4, /data/j.doe/calib.txt and /cars/red/rig.yaml differ."
+    )
     assert text == "a_left.mp4, calib.txt and rig.yaml differ."
 
 
@@ -32,4 +34,7 @@ def test_no_folders_of_images_and_buckets():
 
 def test_home_folder_with_anonymization(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert FileNames(CLIP, is_anonymized=True).text(f"{tmp_path}/x.onnx: damaged.") == "~/x.onnx: damaged."
+    assert (
+        FileNames(CLIP, is_anonymized=True).text(f"{tmp_path}/x.onnx: damaged.")
+        == "~/x.onnx: damaged."
+    )

@@ -1,4 +1,5 @@
-"""Files on this machine, in an S3 store and on a web server: real servers on the loopback interface."""
+"""Files on this machine, in an S3 store and on a web server: real servers on the loopback
+interface."""
 
 import errno
 import os
@@ -61,7 +62,10 @@ def test_upload_of_a_large_file(folder, tmp_path_factory):
     folder.child("large").upload(local)
     folder.child("large").download(copy)
     assert copy.read_bytes() == local.read_bytes()
-    for read in (lambda: folder.child("large").download(copy, 1000), lambda: folder.child("large").read_bytes(1000)):
+    for read in (
+        lambda: folder.child("large").download(copy, 1000),
+        lambda: folder.child("large").read_bytes(1000),
+    ):
         with pytest.raises(StorageError, match="at most"):
             read()
 
@@ -104,7 +108,11 @@ def test_wrong_credentials(bucket, s3_endpoint):
     bucket.child("x").write_bytes(b"x")
     require_credentials("0")
     try:
-        for act in (bucket.child("x").stat, bucket.child("x").read_bytes, lambda: bucket.child("x").write_bytes(b"")):
+        for act in (
+            bucket.child("x").stat,
+            bucket.child("x").read_bytes,
+            lambda: bucket.child("x").write_bytes(b""),
+        ):
             with pytest.raises(StorageError, match="credentials") as error:
                 act()
             assert kind_of(error) == "permission"
@@ -153,7 +161,9 @@ def test_full_disk():
     assert kind_of(error) == "full"
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read all files")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read all files"
+)
 def test_no_permission(tmp_path):
     (tmp_path / "closed").mkdir(mode=0)
     with pytest.raises(StorageError) as error:
@@ -244,7 +254,11 @@ def test_web_server(web, tmp_path):
     with pytest.raises(StorageError, match="at most"):
         location.read_bytes(2)
     assert Location.of(f"{address}/none").stat() is None
-    for act in (lambda: location.write_bytes(b""), lambda: location.upload(tmp_path / "copy"), location.remove):
+    for act in (
+        lambda: location.write_bytes(b""),
+        lambda: location.upload(tmp_path / "copy"),
+        location.remove,
+    ):
         with pytest.raises(StorageError, match="web server"):
             act()
     with pytest.raises(StorageError) as error:
@@ -262,5 +276,7 @@ def test_web_server(web, tmp_path):
 
 def test_options_of_a_bucket_reach_pyarrow(monkeypatch):
     monkeypatch.delenv("AWS_ENDPOINT_URL", raising=False)
-    location = Location.of("s3://bucket/x?endpoint_override=127.0.0.1:1&scheme=http&region=eu-west-1")
+    location = Location.of(
+        "s3://bucket/x?endpoint_override=127.0.0.1:1&scheme=http&region=eu-west-1"
+    )
     assert location.arrow()[0].region == "eu-west-1"

@@ -53,7 +53,9 @@ class _FaultyHandler(BaseHTTPRequestHandler):
 def address():
     """Address of the server."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), _FaultyHandler)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+    )
     thread.start()
     yield f"http://127.0.0.1:{server.server_address[1]}"
     server.shutdown()
@@ -102,7 +104,8 @@ def test_silent_server(address, monkeypatch):
 
 
 def test_packages_are_missing(monkeypatch):
-    monkeypatch.setattr(file_systems, "REQUEST_TIMEOUT_S", 0.3)  # a file system that does not exist yet
+    # a file system that does not exist yet
+    monkeypatch.setattr(file_systems, "REQUEST_TIMEOUT_S", 0.3)
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     location = Location.of("http://host/x")
     for act in (location.stat, location.read_bytes):

@@ -1,4 +1,5 @@
-"""Reading of .npy files: only arrays of numbers of the announced size, and without allocating the announced memory."""
+"""Reading of .npy files: only arrays of numbers of the announced size, and without allocating the
+announced memory."""
 
 import contextlib
 import io
@@ -25,7 +26,12 @@ def npy(array):
 
 def header(text, version=1):
     body = text.encode().ljust(117) + b"\n"
-    return b"\x93NUMPY" + bytes([version, 0]) + len(body).to_bytes(2 if version == 1 else 4, "little") + body
+    return (
+        b"\x93NUMPY"
+        + bytes([version, 0])
+        + len(body).to_bytes(2 if version == 1 else 4, "little")
+        + body
+    )
 
 
 def zipped():
@@ -36,7 +42,11 @@ def zipped():
 
 
 def test_arrays_of_numbers(tmp_path):
-    for array in (np.arange(6.0).reshape(2, 3), np.arange(3, dtype=np.int16), np.zeros((0, 4), np.float32)):
+    for array in (
+        np.arange(6.0).reshape(2, 3),
+        np.arange(3, dtype=np.int16),
+        np.zeros((0, 4), np.float32),
+    ):
         (tmp_path / "a.npy").write_bytes(npy(array))
         np.testing.assert_array_equal(read_array(tmp_path / "a.npy", ArrayError, "numbers"), array)
 
@@ -51,14 +61,23 @@ def test_arrays_of_numbers(tmp_path):
         (npy(np.zeros(3))[:-1], "24 bytes, found 23"),
         (npy(np.array(["a"])), "type"),
         (npy(np.zeros(2, [("a", "f8")])), "type"),
-        (header("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}") + pickle.dumps([1]), "type"),
+        (
+            header("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}") + pickle.dumps([1]),
+            "type",
+        ),
         (header("{'descr': '<f8', 'fortran_order': False, 'shape': (2**40,)}"), "error"),
-        (header("{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776,)}"), "8796093022208 bytes, found 0"),
+        (
+            header("{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776,)}"),
+            "8796093022208 bytes, found 0",
+        ),
         (
             header("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000, 10000000000)}"),
             "8" + 20 * "0" + " bytes",
         ),
-        (header("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, -3)}"), "24 bytes, found 0"),
+        (
+            header("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, -3)}"),
+            "24 bytes, found 0",
+        ),
         (header("{'descr': '<f8', 'fortran_order': False, 'shape': (1,)}", version=9), "version"),
         (header("[" * 110), "error"),
     ],
@@ -73,7 +92,9 @@ def test_other_files(tmp_path, content, word):
 
 def test_announced_memory_is_not_allocated(tmp_path):
     path = tmp_path / "a.npy"
-    path.write_bytes(header("{'descr': '<f8', 'fortran_order': False, 'shape': (100000000,)}") + bytes(8))
+    path.write_bytes(
+        header("{'descr': '<f8', 'fortran_order': False, 'shape': (100000000,)}") + bytes(8)
+    )
     tracemalloc.start()
     try:
         with pytest.raises(ArrayError, match="800000000 bytes, found 8"):
@@ -85,7 +106,9 @@ def test_announced_memory_is_not_allocated(tmp_path):
 
 def test_negative_lengths_of_the_right_size(tmp_path):
     path = tmp_path / "a.npy"
-    path.write_bytes(header("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, -3)}") + bytes(24))
+    path.write_bytes(
+        header("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, -3)}") + bytes(24)
+    )
     with pytest.raises(ArrayError, match="error"):
         read_array(path, ArrayError, "numbers")
 

@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from track_range.foundation.files.atomic_files import atomic_folder, atomic_path, write_bytes, write_text
+from track_range.foundation.files.atomic_files import (
+    atomic_folder,
+    atomic_path,
+    write_bytes,
+    write_text,
+)
 
 
 def contents(folder: Path) -> dict[str, str]:

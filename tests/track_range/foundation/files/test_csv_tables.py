@@ -70,7 +70,8 @@ def test_default_header(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "word"), [("\n\n", "empty"), (b"a,b\n\xff,1\n", "UTF-8"), (b"a,b\n\x00\n", "line|CSV")]
+    ("content", "word"),
+    [("\n\n", "empty"), (b"a,b\n\xff,1\n", "UTF-8"), (b"a,b\n\x00\n", "line|CSV")],
 )
 def test_not_a_table(tmp_path: Path, content: str | bytes, word: str) -> None:
     with pytest.raises(TableError, match=word):
@@ -85,7 +86,16 @@ def test_missing_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_other_separators_and_decimal_commas(tmp_path: Path, separator: str) -> None:
     path = tmp_path / "a.csv"
-    path.write_text(separator.join(["\na", '"b, c"', "d"]) + "\n" + separator.join(["1,5", "-2,25E-01", "x,y"]) + "\n")
+    path.write_text(
+        separator.join(["\na", '"b, c"', "d"])
+        + "\n"
+        + separator.join(["1,5", "-2,25E-01", "x,y"])
+        + "\n"
+    )
     table = read_csv_table(path, ValueError, "numbers")
     assert table.header == ("a", "b, c", "d")
-    assert [table.numbers("a")[0], table.numbers("b, c")[0], table.texts("d")[0]] == [1.5, -0.225, "x,y"]
+    assert [table.numbers("a")[0], table.numbers("b, c")[0], table.texts("d")[0]] == [
+        1.5,
+        -0.225,
+        "x,y",
+    ]

@@ -1,4 +1,5 @@
-"""Damaged files in YAML, JSON and FileStorage: each reader returns, or names the file and the reason."""
+"""Damaged files in YAML, JSON and FileStorage: each reader returns, or names the file and the
+reason."""
 
 from __future__ import annotations
 
@@ -28,7 +29,14 @@ from track_range.run.settings_files import settings_from
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.rig_formats.reading import load_calibration
 
-CAMERA = {"fx_px": 700.0, "fy_px": 701.0, "cx_px": 320.0, "cy_px": 180.0, "width_px": 640, "height_px": 360}
+CAMERA = {
+    "fx_px": 700.0,
+    "fy_px": 701.0,
+    "cx_px": 320.0,
+    "cy_px": 180.0,
+    "width_px": 640,
+    "height_px": 360,
+}
 RIG = {
     "track_range_rig": 1,
     "left": CAMERA,
@@ -36,7 +44,11 @@ RIG = {
     "right_from_left": {"rotation": np.eye(3).tolist(), "translation_m": [-0.5, 0.0, 0.0]},
 }
 KALIBR = {
-    "cam0": {"camera_model": "pinhole", "intrinsics": [700.0, 700.0, 320.0, 180.0], "resolution": [640, 360]},
+    "cam0": {
+        "camera_model": "pinhole",
+        "intrinsics": [700.0, 700.0, 320.0, 180.0],
+        "resolution": [640, 360],
+    },
     "cam1": {
         "camera_model": "pinhole",
         "distortion_model": "radtan",
@@ -46,15 +58,51 @@ KALIBR = {
         "T_cn_cnm1": [[1.0, 0, 0, -0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]],
     },
 }
-ALIGNMENT = {"track_range_align": 1, "offset_px": 0.5, "bow_px": 1.0, "residual_px": 0.2, "source": "this drive"}
-FACTS = {"names": ["person", "car"], "anchors": [[[10, 13]], [[30, 61]]], "letterbox": "centred-114", "divisor": 255}
-DATA = {"path": "..", "train": "images/train", "val": ["images/val"], "names": {0: "car"}, "labels": "labels"}
-SETTINGS = {"track_range_settings": 1, "run": {"mono": "a.mp4", "focal_px": 700.0, "classes": ["car"], "sgbm": False}}
-TABLE = {"log_size": [-4.0, -2.0], "log_distance": [5.0, 3.0], "sigma_relative": 0.1, "n": 5, "source": "drives"}
-CURVES = {"track_range_size_curves": 2, "kind": "table", "measure": "height", "classes": {"car": TABLE}}
+ALIGNMENT = {
+    "track_range_align": 1,
+    "offset_px": 0.5,
+    "bow_px": 1.0,
+    "residual_px": 0.2,
+    "source": "this drive",
+}
+FACTS = {
+    "names": ["person", "car"],
+    "anchors": [[[10, 13]], [[30, 61]]],
+    "letterbox": "centred-114",
+    "divisor": 255,
+}
+DATA = {
+    "path": "..",
+    "train": "images/train",
+    "val": ["images/val"],
+    "names": {0: "car"},
+    "labels": "labels",
+}
+SETTINGS = {
+    "track_range_settings": 1,
+    "run": {"mono": "a.mp4", "focal_px": 700.0, "classes": ["car"], "sgbm": False},
+}
+TABLE = {
+    "log_size": [-4.0, -2.0],
+    "log_distance": [5.0, 3.0],
+    "sigma_relative": 0.1,
+    "n": 5,
+    "source": "drives",
+}
+CURVES = {
+    "track_range_size_curves": 2,
+    "kind": "table",
+    "measure": "height",
+    "classes": {"car": TABLE},
+}
 LINE = {"intercept": 0.4, "per_log_height": -1.0, "per_log_width": 0.0, "per_bearing": 0.0}
 LINES = {"car": {**LINE, "sigma_relative": 0.1, "n": 5, "source": "drives"}}
-LOG_LINEAR = {"track_range_size_curves": 2, "kind": "log-linear", "whole": LINES, "height_only": LINES}
+LOG_LINEAR = {
+    "track_range_size_curves": 2,
+    "kind": "log-linear",
+    "whole": LINES,
+    "height_only": LINES,
+}
 
 
 def opencv_text(suffix: str) -> str:
@@ -79,7 +127,8 @@ READERS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "opencv JSON": ("stereo.json", opencv_text(".json"), load_calibration),
     "kitti": (
         "calib.txt",
-        "P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -350 0 700 180 0 0 0 1 0\nS_rect_02: 6.4e+02 3.6e+02\n",
+        "P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -350 0 700 180 0 0 0 1 0\nS_rect_02: "
+        "6.4e+02 3.6e+02\n",
         load_calibration,
     ),
     **{
@@ -91,17 +140,29 @@ READERS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
             ("ost", "ost.txt", device.ost(-108.0, ("narrow_stereo/left", "narrow_stereo/right"))),
             ("euroc", "sensor.yaml", yaml_text(device.euroc_camera(0))),
             ("vins", "camera.yaml", device.vins_camera(0, "MEI")),
-            ("orb-slam", "settings.yaml", device.orb(*device.focal("Camera1", 718.856), "Stereo.b: 0.53716")),
+            (
+                "orb-slam",
+                "settings.yaml",
+                device.orb(*device.focal("Camera1", 718.856), "Stereo.b: 0.53716"),
+            ),
             ("middlebury", "calib.txt", device.MIDDLEBURY),
             ("K.txt", "K.txt", "754.5 0.0 489.25 0.0 754.5 265.125 0.0 0.0 1.0\n0.063\n"),
             ("names in JSON", "stereo.json", json.dumps(plain(values(NAMES[4])))),
-            ("printed", "stereo.txt", "\n".join(f"{name}:\n{np.asarray(v)}" for name, v in values(NAMES[0]).items())),
+            (
+                "printed",
+                "stereo.txt",
+                "\n".join(f"{name}:\n{np.asarray(v)}" for name, v in values(NAMES[0]).items()),
+            ),
         )
     },
     "alignment": ("align.yaml", yaml_text(ALIGNMENT), load_alignment),
     "table": ("curves.json", json.dumps(CURVES), load_curves),
     "log-linear": ("curves.json", json.dumps(LOG_LINEAR), load_curves),
-    "model": ("m.yaml", yaml_text(FACTS), lambda path: read_metadata(path.with_suffix(".onnx"), {}, ModelOptions())),
+    "model": (
+        "m.yaml",
+        yaml_text(FACTS),
+        lambda path: read_metadata(path.with_suffix(".onnx"), {}, ModelOptions()),
+    ),
     "names": ("data.yaml", yaml_text(DATA), lambda path: names_for_folder(path.parent)),
     "settings": ("settings.yaml", yaml_text(SETTINGS), lambda path: settings_from({}, path)),
 }
@@ -155,7 +216,9 @@ def test_damaged_binary_calibrations(folder: Path, number: int, data: st.DataObj
     place = data.draw(st.integers(0, len(content) - 1))
     byte = data.draw(st.binary(min_size=0, max_size=9))
     check_damaged(
-        load_calibration, folder / f"{number}{name[1:]}", content[:place] + byte + content[place + len(byte) :]
+        load_calibration,
+        folder / f"{number}{name[1:]}",
+        content[:place] + byte + content[place + len(byte) :],
     )
     check_damaged(load_calibration, folder / f"{number}{name[1:]}", content[:place])
 
@@ -163,7 +226,12 @@ def test_damaged_binary_calibrations(folder: Path, number: int, data: st.DataObj
 def test_large_content_is_not_unpacked(tmp_path: Path) -> None:
     """100 MB of zeros in a .mat, and an .npz that announces more than it has."""
     element = zlib.compress(bytes(100_000_000))
-    bomb = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(element)) + element
+    bomb = (
+        b"MATLAB 5.0 MAT-file".ljust(124)
+        + b"\x00\x01IM"
+        + struct.pack("<II", 15, len(element))
+        + element
+    )
     error = check_damaged(load_calibration, tmp_path / "a.mat", bomb)
     assert "64 MB" in str(error)
     np.savez_compressed(tmp_path / "b.npz", **values(NAMES[0]) | {"K1": np.zeros((4000, 4000))})
@@ -189,7 +257,10 @@ MATRIX = "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: 
         ("%YAML:1.0\n---\n# opencv-matrix\nM1: 5\n", "M1"),
         ("%YAML:1.0\n---\n# opencv-matrix\n- 1\n", "expected"),
         ("<opencv_storage>" + "<a>" * 50_000, "XML"),
-        ("<!DOCTYPE a [<!ENTITY a 'b'>]><opencv_storage><M1>&a;</M1></opencv_storage>", "document type"),
+        (
+            "<!DOCTYPE a [<!ENTITY a 'b'>]><opencv_storage><M1>&a;</M1></opencv_storage>",
+            "document type",
+        ),
         ("<opencv_storage><M1>1</M1><M1>1</M1></opencv_storage>", "M1"),
         ('{"opencv-matrix": ' + "[" * 100_000, "nested"),
         ('{"opencv-matrix": 1, "M1": "$base64$AAAA"}', "M1"),
@@ -207,13 +278,27 @@ def test_wrong_opencv_files(tmp_path: Path, text: str, key_word: str) -> None:
 @pytest.mark.parametrize(
     ("name", "read", "content"),
     [
-        ("rig.yaml", load_calibration, {"track_range_rig": 1, "left": {**CAMERA, "width_px": 40000}}),
-        ("rig.yaml", load_calibration, {"track_range_rig": 1, "left": {**CAMERA, "width_px": True}}),
+        (
+            "rig.yaml",
+            load_calibration,
+            {"track_range_rig": 1, "left": {**CAMERA, "width_px": 40000}},
+        ),
+        (
+            "rig.yaml",
+            load_calibration,
+            {"track_range_rig": 1, "left": {**CAMERA, "width_px": True}},
+        ),
         ("align.yaml", load_alignment, {**ALIGNMENT, "bow_px": 1e9}),
-        ("settings.yaml", lambda path: settings_from({}, path), {**SETTINGS, "run": {"mono": "a", "focal_px": "x"}}),
+        (
+            "settings.yaml",
+            lambda path: settings_from({}, path),
+            {**SETTINGS, "run": {"mono": "a", "focal_px": "x"}},
+        ),
     ],
 )
-def test_key_is_named(tmp_path: Path, name: str, read: Callable[[Path], object], content: dict[str, Any]) -> None:
+def test_key_is_named(
+    tmp_path: Path, name: str, read: Callable[[Path], object], content: dict[str, Any]
+) -> None:
     error = check_damaged(read, tmp_path / name, yaml_text(content).encode())
     assert any(key in str(error) for key in ("left.width_px", "bow_px", "run.focal_px"))
 

@@ -33,7 +33,9 @@ def test_second_owner_is_refused(tmp_path: Path) -> None:
     with locked_folder(tmp_path):
         assert is_locked(tmp_path)
         for _ in range(2):
-            with pytest.raises(FolderLockError, match=f"process {os.getpid()}, started 2") as caught:
+            with pytest.raises(
+                FolderLockError, match=f"process {os.getpid()}, started 2"
+            ) as caught:
                 FolderLock(tmp_path)
             assert len(str(caught.value)) - len(str(tmp_path)) < 300
     assert not is_locked(tmp_path)

@@ -1,4 +1,5 @@
-"""Images: sizes from headers of all formats, limits before decoding, and files that are no images."""
+"""Images: sizes from headers of all formats, limits before decoding, and files that are no
+images."""
 
 from __future__ import annotations
 
@@ -44,15 +45,19 @@ def png(width_px: int, height_px: int) -> bytes:
     header = struct.pack(">IIBBBBB", width_px, height_px, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(2**27), 1)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
     )
 
 
 def tiff(**changed: int) -> bytes:
-    """A TIFF file with 32-bit width and height, and no pixels; `order`, `width`, `height`, `tile_width`."""
+    """A TIFF file with 32-bit width and height, and no pixels; `order`, `width`, `height`,
+    `tile_width`."""
     values = {"width": 7, "height": 5} | changed
     numbers = {"width": 256, "height": 257, "tile_width": 322, "tile_height": 323}
-    tags = b"".join(struct.pack(">HHII", numbers[name], 4, 1, value) for name, value in values.items())
+    tags = b"".join(
+        struct.pack(">HHII", numbers[name], 4, 1, value) for name, value in values.items()
+    )
     return b"MM\0*" + struct.pack(">IH", 8, len(values)) + tags + bytes(4)
 
 
@@ -70,13 +75,20 @@ def test_size_after_metadata() -> None:
     assert header_size_px(io.BytesIO(tiff(tile_width=2**31))) == (2**31, 5)
 
 
-@pytest.mark.parametrize("content", [b"", b"text", b"P5", b"\xff\xd8" + bytes(200_000), b"BM", b"GIF89a\7\0\5\0"])
+@pytest.mark.parametrize(
+    "content", [b"", b"text", b"P5", b"\xff\xd8" + bytes(200_000), b"BM", b"GIF89a\7\0\5\0"]
+)
 def test_no_size(content: bytes) -> None:
     assert header_size_px(io.BytesIO(content)) is None
 
 
 @settings(max_examples=50, deadline=None)
-@given(kind=st.sampled_from(list(FORMATS)), at=st.integers(0, 400), junk=st.binary(max_size=8), is_cut=st.booleans())
+@given(
+    kind=st.sampled_from(list(FORMATS)),
+    at=st.integers(0, 400),
+    junk=st.binary(max_size=8),
+    is_cut=st.booleans(),
+)
 def test_damaged_images(
     tmp_path_factory: pytest.TempPathFactory, kind: str, at: int, junk: bytes, is_cut: bool
 ) -> None:
@@ -120,7 +132,13 @@ def test_pipes_folders_and_loops(tmp_path: Path) -> None:
     (tmp_path / "folder.png").mkdir()
     (tmp_path / "loop.png").symlink_to("loop.png")
     (tmp_path / "zero.png").symlink_to("/dev/zero")
-    for name, word in (("pipe", "pipe"), ("folder", "folder"), ("loop", "loop"), ("zero", "device"), ("no", "no such")):
+    for name, word in (
+        ("pipe", "pipe"),
+        ("folder", "folder"),
+        ("loop", "loop"),
+        ("zero", "device"),
+        ("no", "no such"),
+    ):
         with pytest.raises(UserError, match=rf"{name}\.png: .*{word}"):
             read_image(tmp_path / f"{name}.png", UserError)
 

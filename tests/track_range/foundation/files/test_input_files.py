@@ -1,4 +1,5 @@
-"""Reading of regular files: what is refused before it is read, encodings, and lengths of values in messages."""
+"""Reading of regular files: what is refused before it is read, encodings, and lengths of values in
+messages."""
 
 import os
 import socket
@@ -94,7 +95,8 @@ def test_line_ends_and_byte_order_mark(tmp_path, end):
 
 def test_first_line_of_a_long_file(tmp_path):
     path = tmp_path / "in.txt"
-    path.write_bytes(b"x" + "ä".encode() * 50_000)  # the limit of 65536 bytes cuts a character in two
+    # the limit of 65536 bytes cuts a character in two
+    path.write_bytes(b"x" + "ä".encode() * 50_000)
     assert first_line(path, FileError, "rows") == "x" + "ä" * 32_767
     path.write_bytes(b"")
     assert first_line(path, FileError, "rows") == ""

@@ -45,7 +45,9 @@ def refused(parse: Any, text: str) -> str:
     return message
 
 
-BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefghij", "bcdefghijk", strict=True))
+BOMB = "a: &a [x, x]\n" + "".join(
+    f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefghij", "bcdefghijk", strict=True)
+)
 """Nested aliases: 2^10 values."""
 
 
@@ -135,8 +137,12 @@ def test_many_empty_objects(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_json_values() -> None:
-    assert json_value('{"a": [1, -2.5e3, true, null, "\\u00e9"]}') == {"a": [1, -2500.0, True, None, "é"]}
-    assert json_value("[" * MAX_DEPTH + "]" * MAX_DEPTH) == json.loads("[" * MAX_DEPTH + "]" * MAX_DEPTH)
+    assert json_value('{"a": [1, -2.5e3, true, null, "\\u00e9"]}') == {
+        "a": [1, -2500.0, True, None, "é"]
+    }
+    assert json_value("[" * MAX_DEPTH + "]" * MAX_DEPTH) == json.loads(
+        "[" * MAX_DEPTH + "]" * MAX_DEPTH
+    )
 
 
 def test_files(tmp_path: Path) -> None:
@@ -156,8 +162,14 @@ def test_written_yaml_has_no_aliases() -> None:
 
 
 _PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False, allow_infinity=False),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("abcxyz<=", max_size=3), inner, max_size=4),
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False, allow_infinity=False),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.text("abcxyz<=", max_size=3), inner, max_size=4)
+    ),
     max_leaves=6,
 )
 
@@ -183,7 +195,9 @@ def test_any_text(text: str) -> None:
         assert message.isprintable()
 
 
-@pytest.mark.parametrize(("text", "word"), [("a: &x 1\nb: &x 2\n", "duplicate anchor"), ("--- 1\n--- 2\n", "document")])
+@pytest.mark.parametrize(
+    ("text", "word"), [("a: &x 1\nb: &x 2\n", "duplicate anchor"), ("--- 1\n--- 2\n", "document")]
+)
 def test_errors_with_a_context(text, word):
     with pytest.raises(UserError, match=word):
         parse_yaml(text, "a.yaml", UserError, "settings")

@@ -17,10 +17,13 @@ def gpx_text(speeds_mps, *, start_s=START_S, field=None, factor=1.0):
     for i, speed in enumerate(speeds_mps):
         time = datetime.fromtimestamp(start_s + i, UTC).isoformat().replace("+00:00", "Z")
         extension = f"<extensions><{field}>{speed * factor}</{field}></extensions>" if field else ""
-        points.append(f'<trkpt lat="{latitude:.8f}" lon="{LONGITUDE}"><time>{time}</time>{extension}</trkpt>')
+        points.append(
+            f'<trkpt lat="{latitude:.8f}" lon="{LONGITUDE}"><time>{time}</time>{extension}</trkpt>'
+        )
         latitude += speed * DEG_PER_M
     return (
-        '<?xml version="1.0"?><gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+        '<?xml version="1.0"?><gpx version="1.1" '
+        'xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
         + "".join(points)
         + "</trkseg></trk></gpx>"
     )
@@ -36,7 +39,15 @@ def rmc(second, speed_kn, *, status="A", day="030526", course="90.0", hour=10):
     return f"${content}*{total:02X}"
 
 
-def part(path="drive.mp4", *, duration_s=20.0, start_s=START_S, uncertainty_s=1.0, is_local=False, source="test"):
+def part(
+    path="drive.mp4",
+    *,
+    duration_s=20.0,
+    start_s=START_S,
+    uncertainty_s=1.0,
+    is_local=False,
+    source="test",
+):
     """A video file that starts at `start_s`, None = unknown."""
     utc = None if start_s is None else UtcStart(start_s, source, uncertainty_s, is_local)
     return VideoPart(Path(path), 0.0, duration_s, utc)

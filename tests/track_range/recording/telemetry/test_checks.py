@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from tests.track_range.recording.telemetry.telemetry_files import DEG_PER_M, LATITUDE, LONGITUDE, START_S
+from tests.track_range.recording.telemetry.telemetry_files import (
+    DEG_PER_M,
+    LATITUDE,
+    LONGITUDE,
+    START_S,
+)
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
@@ -53,7 +58,13 @@ def jumping_clock():
         (track(clock="utc", time_s=jumping_clock()), "jumps by 3 h"),
         (track(clock="utc", time_s=START_S - np.arange(N) * 10.0), "back"),
         (track(latitude_deg=np.full(N, 200.0), longitude_deg=np.full(N, 9.0)), "Earth"),
-        (track(latitude_deg=np.random.default_rng(0).uniform(-80, 80, N), longitude_deg=np.full(N, 9.0)), "positions"),
+        (
+            track(
+                latitude_deg=np.random.default_rng(0).uniform(-80, 80, N),
+                longitude_deg=np.full(N, 9.0),
+            ),
+            "positions",
+        ),
         (track(200.0), "432 km/h"),
         (track(np.where(np.arange(N) % 2, 60.0, 5.0)), "jump"),
     ],
@@ -67,20 +78,27 @@ def test_unusable_track(given, word):
 def at_mps(position_mps, speed_mps, *, decimals=9, **given):
     """A track to the north, with speeds of its positions and its own speeds."""
     lat = np.round(LATITUDE + np.arange(N) * position_mps * DEG_PER_M, decimals)
-    return track(speed_mps, latitude_deg=lat, longitude_deg=np.full(N, round(LONGITUDE, decimals)), **given)
+    return track(
+        speed_mps, latitude_deg=lat, longitude_deg=np.full(N, round(LONGITUDE, decimals)), **given
+    )
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(3.6, "km/h"), (2.23694, "mph"), (1.94384, "kn")])
 def test_stated_unit_that_positions_contradict(factor, unit):
     result = usable(at_mps(15.0, 15.0 * factor))
     assert result.speed_mps == pytest.approx([15.0] * N, rel=1e-4)
-    assert result.notes == (f"its speeds are in {unit} instead of m/s, as the positions show; they were converted.",)
+    assert result.notes == (
+        f"its speeds are in {unit} instead of m/s, as the positions show; they were converted.",
+    )
 
 
 def test_speeds_that_no_unit_explains():
-    with pytest.raises(TelemetryError, match=r"8 m/s in the median, contradict its positions, which show 37 m/s"):
+    with pytest.raises(
+        TelemetryError, match=r"8 m/s in the median, contradict its positions, which show 37 m/s"
+    ):
         usable(at_mps(37.0, 8.0))
-    assert usable(at_mps(0.0, 8.0)).speed_mps.max() == 8.0  # one position for a whole drive shows nothing
+    # one position for a whole drive shows nothing
+    assert usable(at_mps(0.0, 8.0)).speed_mps.max() == 8.0
 
 
 def test_speedometer_that_is_fast():
@@ -92,7 +110,9 @@ def test_speedometer_that_is_fast():
 @pytest.mark.parametrize(("decimals", "sigma_mps"), [(7, 0.5), (5, 0.68), (4, 1.04)])
 def test_speed_of_rounded_positions(decimals, sigma_mps):
     rounded = at_mps(14.0, np.nan, decimals=decimals)
-    derived = speed_from_positions(rounded.time_s, rounded.latitude_deg, rounded.longitude_deg, rounded.utc_s)
+    derived = speed_from_positions(
+        rounded.time_s, rounded.latitude_deg, rounded.longitude_deg, rounded.utc_s
+    )
     assert derived.speed_sigma_mps == pytest.approx(sigma_mps, abs=0.03)
     error = derived.speed_mps - 14.0
     assert np.sqrt(np.mean(error**2)) < 1.2 * sigma_mps
@@ -116,7 +136,11 @@ def test_pause_is_no_jump():
 
 def cold_start(n_void=4, n_fixed=12, stale_s=-3 * 3600):
     """A receiver that sets its clock when it gets its fix."""
-    utc_s = START_S + np.arange(n_void + n_fixed) + np.where(np.arange(n_void + n_fixed) < n_void, stale_s, 0)
+    utc_s = (
+        START_S
+        + np.arange(n_void + n_fixed)
+        + np.where(np.arange(n_void + n_fixed) < n_void, stale_s, 0)
+    )
     speed_mps = np.where(np.arange(n_void + n_fixed) < n_void, np.nan, 10.0)
     return speed_mps, utc_s
 

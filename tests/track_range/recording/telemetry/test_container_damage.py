@@ -34,10 +34,14 @@ from track_range.recording.telemetry.found import embedded
 from track_range.recording.telemetry.track import TelemetryError
 
 LINE = b"2026/08/03 11:34:53 N:48.1 W:002.1 19.0 km/h A:212.0"
-TRAILER = b"SKIPLIGOGPSINFO     " + struct.pack(">I", 2) + (b"\0\0\0\1" + LINE.ljust(128, b"\0")) * 2
+TRAILER = (
+    b"SKIPLIGOGPSINFO     " + struct.pack(">I", 2) + (b"\0\0\0\1" + LINE.ljust(128, b"\0")) * 2
+)
 
 SEEDS = {
-    "gpmf": mp4([VIDEO, MadeTrack(b"meta", b"gpmd", [gps5_payload([1.0, 2.0]), gps9_payload(3.0)])]),
+    "gpmf": mp4(
+        [VIDEO, MadeTrack(b"meta", b"gpmd", [gps5_payload([1.0, 2.0]), gps9_payload(3.0)])]
+    ),
     "bare gpmf": gps5_payload([1.0]) + gps9_payload(3.0),
     "fragments": fragmented_mp4([VIDEO, MadeTrack(b"camm", b"camm", [camm_gps(3, 4)] * 3)]),
     "camm": mp4([VIDEO, MadeTrack(b"camm", b"camm", [camm_gps(3, 4)] * 3)]),
@@ -46,7 +50,11 @@ SEEDS = {
     "subtitles": mp4([VIDEO, MadeTrack(b"text", b"tx3g", [rmc(20.0)] * 3)]),
     "blackvue": mp4([VIDEO], top=box(b"free", box(b"gps ", b"[1751900000250]" + rmc(48.0)))),
     "ligo": mp4(
-        [VIDEO], end=struct.pack(">I", len(TRAILER) + 12) + TRAILER + b"####" + struct.pack(">I", len(TRAILER) + 12)
+        [VIDEO],
+        end=struct.pack(">I", len(TRAILER) + 12)
+        + TRAILER
+        + b"####"
+        + struct.pack(">I", len(TRAILER) + 12),
     ),
     "tesla": mp4([MadeTrack(b"vide", b"avc1", [tesla_frame(1.5)] * 3)]),
 }
@@ -59,7 +67,9 @@ def test_seeds_have_telemetry(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SEEDS)
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_damaged_file(tmp_path: Path, name: str, data: st.DataObject) -> None:
     content = bytearray(SEEDS[name])
@@ -76,7 +86,10 @@ def test_damaged_file(tmp_path: Path, name: str, data: st.DataObject) -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(noise=st.binary(max_size=400), seed=st.sampled_from([short_record(), long_record(), b"LIGOGPSINFO\0", b"$S"]))
+@given(
+    noise=st.binary(max_size=400),
+    seed=st.sampled_from([short_record(), long_record(), b"LIGOGPSINFO\0", b"$S"]),
+)
 def test_damaged_records(noise: bytes, seed: bytes) -> None:
     for record in (noise, seed + noise, noise[:32] + seed):
         parse_free_gps(free_gps(record))

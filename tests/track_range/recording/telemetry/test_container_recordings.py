@@ -30,14 +30,20 @@ def points(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "n"), [("fusion", 275), ("hero05", 618), ("hero06", 417), ("hero06+ble", 199), ("hero11", 1358)]
+    ("name", "n"),
+    [("fusion", 275), ("hero05", 618), ("hero06", 417), ("hero06+ble", 199), ("hero11", 1358)],
 )
 def test_gopro_points(shared_data: Path, name: str, n: int) -> None:
     folder = shared_data / "telemetry" / "gopro"
     rows = points(folder / f"{name}.csv")
     read_rows = list(gps_rows((folder / f"{name}.bin").read_bytes()))
     values = np.concatenate([part.values for part in read_rows])
-    expected = np.array([[float(row[key]) for key in ("latitude", "longitude", "elevation", "speed")] for row in rows])
+    expected = np.array(
+        [
+            [float(row[key]) for key in ("latitude", "longitude", "elevation", "speed")]
+            for row in rows
+        ]
+    )
     assert len(values) == len(expected) == n
     assert np.abs(values[:, :4] - expected).max() < 1e-6
     keys = [part.key for part in read_rows for _ in part.values]
@@ -49,7 +55,9 @@ def test_gopro_dates(shared_data: Path, name: str) -> None:
     rows = points(shared_data / "telemetry" / "gopro" / f"{name}.csv")
     track = read(shared_data, f"gopro/{name}.bin")
     key = "GPS9" if name == "hero11" else "GPS5"
-    expected = [datetime.fromisoformat(row["time"]).timestamp() for row in rows if row["name"] == key]
+    expected = [
+        datetime.fromisoformat(row["time"]).timestamp() for row in rows if row["name"] == key
+    ]
     assert track.clock == "utc"
     # the rows of a payload are spread over its true duration here, and at 18 Hz there
     assert np.abs(track.time_s - expected).max() < 0.06
@@ -65,9 +73,12 @@ def test_gopro_without_fix(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "n", "first_mps", "last_s"), [("hero5-trimmed", 36, 0.167, 2), ("max-heromode", 191, 1.046, 10.5)]
+    ("name", "n", "first_mps", "last_s"),
+    [("hero5-trimmed", 36, 0.167, 2), ("max-heromode", 191, 1.046, 10.5)],
 )
-def test_gopro_videos(shared_data: Path, name: str, n: int, first_mps: float, last_s: float) -> None:
+def test_gopro_videos(
+    shared_data: Path, name: str, n: int, first_mps: float, last_s: float
+) -> None:
     track = read(shared_data, f"gopro/{name}.mp4")
     assert (len(track), track.clock) == (n, "video")
     assert track.speed_mps[0] == pytest.approx(first_mps)
@@ -130,8 +141,14 @@ def test_tables_agree_with_pyav(shared_data: Path) -> None:
         packets = {index: [] for index in range(len(container.streams))}
         for packet in container.demux():
             if packet.size:
-                packets[packet.stream.index].append((float(packet.pts * packet.time_base), packet.size, packet.pos))
-    compared = [(track, content) for track, content in zip(movie.tracks, packets.values(), strict=True) if content]
+                packets[packet.stream.index].append(
+                    (float(packet.pts * packet.time_base), packet.size, packet.pos)
+                )
+    compared = [
+        (track, content)
+        for track, content in zip(movie.tracks, packets.values(), strict=True)
+        if content
+    ]
     assert len(compared) >= 3
     for track, content in compared:
         time_s, sizes, offsets = np.array(content).T
@@ -157,8 +174,19 @@ def test_refused_recordings(shared_data: Path, name: str, reason: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("gopro/fusion.bin", "gopro/hero05.bin", "gopro/hero06.bin", "gopro/hero11.bin", "gopro/hero5-trimmed.mp4"),
-        *("gopro/max-heromode.mp4", "dashcams/70mai-a810.mp4", "dashcams/ligogps.mp4", "dashcams/novatek-2e.mp4"),
+        *(
+            "gopro/fusion.bin",
+            "gopro/hero05.bin",
+            "gopro/hero06.bin",
+            "gopro/hero11.bin",
+            "gopro/hero5-trimmed.mp4",
+        ),
+        *(
+            "gopro/max-heromode.mp4",
+            "dashcams/70mai-a810.mp4",
+            "dashcams/ligogps.mp4",
+            "dashcams/novatek-2e.mp4",
+        ),
         *("dashcams/thinkware.mp4", "dashcams/vantrue-n2x.mp4", "dashcams/viofo-a119v3.TS"),
     ],
 )

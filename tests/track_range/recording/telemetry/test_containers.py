@@ -1,4 +1,5 @@
-"""Telemetry inside video files that are made from the published formats: no recording of these cameras is available."""
+"""Telemetry inside video files that are made from the published formats: no recording of these
+cameras is available."""
 
 from __future__ import annotations
 
@@ -45,7 +46,9 @@ def read(tmp_path: Path) -> Callable[[bytes], TelemetryTrack | None]:
     return read_content
 
 
-def test_video_without_telemetry(read: Callable[[bytes], TelemetryTrack | None], tmp_path: Path) -> None:
+def test_video_without_telemetry(
+    read: Callable[[bytes], TelemetryTrack | None], tmp_path: Path
+) -> None:
     assert read(mp4([VIDEO])) is None
     assert read(b"") is None
     assert read(b"RIFF, not an MP4 file") is None
@@ -91,10 +94,14 @@ def test_camm(read: Callable[[bytes], TelemetryTrack | None]) -> None:
 
 
 @pytest.mark.parametrize("with_gps", [False, True])
-def test_camm_positions_only(read: Callable[[bytes], TelemetryTrack | None], with_gps: bool) -> None:
+def test_camm_positions_only(
+    read: Callable[[bytes], TelemetryTrack | None], with_gps: bool
+) -> None:
     step_deg = 10 / 111_195  # 10 m of latitude
     made = [
-        camm_gps(0, 0, latitude_deg=50 + i * step_deg) if with_gps else camm_position(50 + i * step_deg)
+        camm_gps(0, 0, latitude_deg=50 + i * step_deg)
+        if with_gps
+        else camm_position(50 + i * step_deg)
         for i in range(9)
     ]
     track = read(mp4([VIDEO, MadeTrack(b"camm", b"camm", made)]))
@@ -103,7 +110,9 @@ def test_camm_positions_only(read: Callable[[bytes], TelemetryTrack | None], wit
     assert track.speed_mps == pytest.approx(10, abs=0.01)
 
 
-@pytest.mark.parametrize("record", [short_record(), long_record(), short_record(order=">"), long_record(order=">")])
+@pytest.mark.parametrize(
+    "record", [short_record(), long_record(), short_record(order=">"), long_record(order=">")]
+)
 def test_free_gps_layouts(record: bytes) -> None:
     content = parse_free_gps(free_gps(record))
     assert content is not None
@@ -130,15 +139,32 @@ def test_free_gps_missing_status() -> None:
 def test_free_gps_further_layouts() -> None:
     date = (14, 39, 44, 2019, 5, 29)
     kenwood = bytes(48) + short_record()
-    iqs = b"IQS".ljust(32, b"\0") + struct.pack("<6I3sxiiif", *date, b"ANE", 500000000, 300000000, 2500, 0)
+    iqs = b"IQS".ljust(32, b"\0") + struct.pack(
+        "<6I3sxiiif", *date, b"ANE", 500000000, 300000000, 2500, 0
+    )
     doubles = struct.pack(
-        "<IIIcxxxdcxxxxxxxdcxxxxxxxdd3I", 13, 22, 30, b"A", 5000.0, b"N", 3000.0, b"E", 48.59, 7.0, 22, 12, 14
+        "<IIIcxxxdcxxxxxxxdcxxxxxxxdd3I",
+        13,
+        22,
+        30,
+        b"A",
+        5000.0,
+        b"N",
+        3000.0,
+        b"E",
+        48.59,
+        7.0,
+        22,
+        12,
+        14,
     )
     s1 = bytes(32) + b"horsontech".ljust(16, b"\0")
     s1 += struct.pack("<3sx6I5f", b"ANE", 21, 7, 2, 3, 53, 5, 3000.0, 5000.0, 48.59, 7.0, 141.0)
     innovv = struct.pack("<3sx4f12x", b"ANE", 5000.0, 3000.0, 48.59, 7.0) * 2
     nextbase = (
-        bytes(32) + b"$S" + struct.pack(">HhHBBBBHBii", 2500, 700, 2018, 10, 8, 6, 42, 465, 2, 500000000, 300000000)
+        bytes(32)
+        + b"$S"
+        + struct.pack(">HhHBBBBHBii", 2500, 700, 2018, 10, 8, 6, 42, 465, 2, 500000000, 300000000)
     )
     mask = bytes.fromhex("aaaaf2e1f0ee5454")
     text = b"20180924224928.5567GP" + b" " * 9 + b"N50000000E030000000" + b"00000090"
@@ -161,7 +187,9 @@ def test_free_gps_further_layouts() -> None:
 
 
 def test_free_gps_unknown_unit(read: Callable[[bytes], TelemetryTrack | None]) -> None:
-    record = bytes(32) + struct.pack("<6I3s5xdd2f", 14, 39, 44, 2019, 5, 29, b"ANE", 1e300, 1e-300, 25.1, 7.0)
+    record = bytes(32) + struct.pack(
+        "<6I3s5xdd2f", 14, 39, 44, 2019, 5, 29, b"ANE", 1e300, 1e-300, 25.1, 7.0
+    )
     track = read(mp4([VIDEO], top=box(b"free", free_gps(record)[4:]) * 3))
     assert track is not None
     assert np.isnan(track.speed_mps).all()
@@ -172,11 +200,28 @@ def test_free_gps_unit_from_positions(read: Callable[[bytes], TelemetryTrack | N
     step = 20 * KNOT / 1852  # minutes of latitude in a second at 20 kn
     blocks = [
         struct.pack(
-            "<3IcxxxfcxxxfcxxxffIII", 18, 47, i, b"A", 5000 + i * step, b"N", 3000.0, b"E", 20.0, 0.0, 2020, 1, 12
+            "<3IcxxxfcxxxfcxxxffIII",
+            18,
+            47,
+            i,
+            b"A",
+            5000 + i * step,
+            b"N",
+            3000.0,
+            b"E",
+            20.0,
+            0.0,
+            2020,
+            1,
+            12,
         )
         for i in range(20)
     ]
-    track = read(mp4([VIDEO], top=b"".join(box(b"free", free_gps(bytes(32) + block)[4:]) for block in blocks)))
+    track = read(
+        mp4(
+            [VIDEO], top=b"".join(box(b"free", free_gps(bytes(32) + block)[4:]) for block in blocks)
+        )
+    )
     assert track is not None
     assert np.median(track.speed_mps) == pytest.approx(20 * KNOT, rel=0.001)
     assert track.notes == ()
@@ -184,7 +229,9 @@ def test_free_gps_unit_from_positions(read: Callable[[bytes], TelemetryTrack | N
 
 def test_free_gps_encrypted_positions(read: Callable[[bytes], TelemetryTrack | None]) -> None:
     blocks = [
-        struct.pack("<6I3sx4f", 15, 37, i, 21, 10, 13, b"ANE", 4000 + 97 * i % 13, 700 * (i % 5), 48.59, 7.0)
+        struct.pack(
+            "<6I3sx4f", 15, 37, i, 21, 10, 13, b"ANE", 4000 + 97 * i % 13, 700 * (i % 5), 48.59, 7.0
+        )
         for i in range(9)
     ]
     track = read(mp4([VIDEO], top=b"".join(box(b"free", free_gps(block)[4:]) for block in blocks)))
@@ -210,14 +257,18 @@ def test_free_gps_between_frames(read: Callable[[bytes], TelemetryTrack | None])
 def test_free_gps_index(read: Callable[[bytes], TelemetryTrack | None]) -> None:
     content = mp4([VIDEO], between=free_gps(short_record()))
     places = [i for i in range(len(content)) if content.startswith(b"freeGPS ", i)][:3]
-    index = struct.pack(">II", 0x101, 3) + b"".join(struct.pack(">II", place - 4, 0x200) for place in places)
+    index = struct.pack(">II", 0x101, 3) + b"".join(
+        struct.pack(">II", place - 4, 0x200) for place in places
+    )
     track = read(mp4([VIDEO], between=free_gps(short_record()), inner=box(b"gps ", index)))
     assert track is not None
     assert len(track) == 3
 
 
 @pytest.mark.parametrize(("stream_id", "packet_bytes"), [(0xBF, 188), (0xBD, 188), (0xBF, 192)])
-def test_transport_stream(read: Callable[[bytes], TelemetryTrack | None], stream_id: int, packet_bytes: int) -> None:
+def test_transport_stream(
+    read: Callable[[bytes], TelemetryTrack | None], stream_id: int, packet_bytes: int
+) -> None:
     records = [short_record(10 + i).ljust(500, b"\0") for i in range(6)]
     track = read(transport_stream(records, stream_id=stream_id, packet_bytes=packet_bytes))
     assert track is not None
@@ -257,12 +308,20 @@ def test_shifted_subtitles(read: Callable[[bytes], TelemetryTrack | None]) -> No
 
 
 def test_makers_own_texts(read: Callable[[bytes], TelemetryTrack | None]) -> None:
-    garmin = b"PNDM" + bytes(4) + struct.pack(">Hxxii", 60, int(50 * 2**31 / 180), int(8 * 2**31 / 180))
+    garmin = (
+        b"PNDM" + bytes(4) + struct.pack(">Hxxii", 60, int(50 * 2**31 / 180), int(8 * 2**31 / 180))
+    )
     dji = b"F/3.5, SS 1000, GPS (8.6499, 53.1665, 18), D 24.26m, H 6.00m, H.S 2.10m/s, V.S 0.00m/s"
     kingslim = short_record()
     rove = struct.pack("<ddiH6BB3x", 5000.0, 800.0, 100, 30, 24, 5, 20, 18, 45, 27, 122)
-    vantrue = b"FMAS".ljust(0x50, b"\0") + b"SAMM".ljust(16, b"\0") + struct.pack("<H5B", 2021, 9, 24, 8, 0, 34)
-    vantrue = vantrue.ljust(0x78, b"\0") + struct.pack("<cccBBBHBBHHH", b"A", b"E", b"N", 8, 0, 0, 0, 50, 0, 0, 60, 82)
+    vantrue = (
+        b"FMAS".ljust(0x50, b"\0")
+        + b"SAMM".ljust(16, b"\0")
+        + struct.pack("<H5B", 2021, 9, 24, 8, 0, 34)
+    )
+    vantrue = vantrue.ljust(0x78, b"\0") + struct.pack(
+        "<cccBBBHBBHHH", b"A", b"E", b"N", 8, 0, 0, 0, 50, 0, 0, 60, 82
+    )
     for format_, sample, speed_mps in (
         (b"text", garmin, 60 * 0.44704),
         (b"tx3g", dji, 2.1),
@@ -284,12 +343,16 @@ def test_blackvue(read: Callable[[bytes], TelemetryTrack | None]) -> None:
     assert track is not None
     assert track.speed_mps == pytest.approx(48 * KNOT)
     assert track.time_s == pytest.approx(0.25 + np.arange(5))
-    without_start = read(mp4([VIDEO], top=box(b"free", box(b"cprt", b"Pittasoft"), box(b"gps ", lines))))
+    without_start = read(
+        mp4([VIDEO], top=box(b"free", box(b"cprt", b"Pittasoft"), box(b"gps ", lines)))
+    )
     assert without_start is not None
     assert without_start.time_s[0] == 0
 
 
-def test_blackvue_sidecar_as_box(shared_data: Path, read: Callable[[bytes], TelemetryTrack | None]) -> None:
+def test_blackvue_sidecar_as_box(
+    shared_data: Path, read: Callable[[bytes], TelemetryTrack | None]
+) -> None:
     lines = (shared_data / "telemetry" / "sidecars" / "blackvue.gps").read_bytes()
     track = read(mp4([VIDEO], top=box(b"free", box(b"gps ", lines))))
     assert track is not None
@@ -318,9 +381,8 @@ def _encrypted(four: bytes) -> bytes:
 
 
 def test_ligo_json(read: Callable[[bytes], TelemetryTrack | None]) -> None:
-    fields = (
-        b'"Hour": "23", "Minute": "10", "Second": "%02d", "Year": "2023", "Month": "12", "Day": "28", "status": "A", '
-    )
+    fields = b'"Hour": "23", "Minute": "10", "Second": "%02d", "Year": "2023", "Month": "12", '
+    fields += b'"Day": "28", "status": "A", '
     fields += b'"NS": "N", "EW": "W", "Latitude": "50.1", "Longitude": "8.1", "Speed": "20.0"'
     rows = b"".join((b"LIGOGPSINFO {" + fields % i + b"}").ljust(512, b"\0") for i in range(3))
     track = read(mp4([VIDEO], top=box(b"skip", rows)))
@@ -330,7 +392,9 @@ def test_ligo_json(read: Callable[[bytes], TelemetryTrack | None]) -> None:
 
 
 def test_seventymai_table(read: Callable[[bytes], TelemetryTrack | None]) -> None:
-    rows = b"".join(struct.pack("<4IcIcI10x", 1, 1, i, 36000, b"N", 5000000, b"E", 800000) for i in range(4))
+    rows = b"".join(
+        struct.pack("<4IcIcI10x", 1, 1, i, 36000, b"N", 5000000, b"E", 800000) for i in range(4)
+    )
     track = read(mp4([VIDEO], end=box(b"GPS ", rows)))
     assert track is not None
     assert track.speed_mps == pytest.approx(10)

@@ -10,7 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.track_range.recording.telemetry.telemetry_files import LATITUDE, LONGITUDE, START_S, gpx_text, rmc
+from tests.track_range.recording.telemetry.telemetry_files import (
+    LATITUDE,
+    LONGITUDE,
+    START_S,
+    gpx_text,
+    rmc,
+)
 from track_range.fleet.inputs.clip import Clip
 from track_range.ranging.world.ego_speed import EgoSpeedError
 from track_range.recording.recording import open_recording
@@ -20,7 +26,9 @@ from track_range.recording.telemetry.track import TelemetryError
 
 TIMES_S = [0.2 * i for i in range(16)]
 N = len(TIMES_S)
-BOXES = "".join(f"{i} 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n" for i in range(N))
+BOXES = "".join(
+    f"{i} 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n" for i in range(N)
+)
 DATE = datetime.fromtimestamp(START_S, UTC).isoformat()
 
 
@@ -36,8 +44,19 @@ def drive(tmp_path, film):
 def run(cli, video, *options, out="out", succeeds=True):
     """Summary, printed text and rows of a run."""
     folder = video.parents[1] / out
-    inputs = ("--mono", video, "--detections", video.parent / "boxes.txt", "--focal-px", 60, "--start-utc", DATE)
-    status, printed, errors = cli(*inputs, "--lanes", "off", "--no-overlay", *options, "--out", folder)
+    inputs = (
+        "--mono",
+        video,
+        "--detections",
+        video.parent / "boxes.txt",
+        "--focal-px",
+        60,
+        "--start-utc",
+        DATE,
+    )
+    status, printed, errors = cli(
+        *inputs, "--lanes", "off", "--no-overlay", *options, "--out", folder
+    )
     if not succeeds:
         assert status == 1
         return errors
@@ -55,11 +74,15 @@ def test_nothing_found(cli, drive):
     assert "Ego speed" not in printed
     without = run(cli, drive, "--ego-speed", "off", out="off")
     assert without[2] == speeds
-    assert (drive.parents[1] / "out/tracks.csv").read_bytes() == (drive.parents[1] / "off/tracks.csv").read_bytes()
+    assert (drive.parents[1] / "out/tracks.csv").read_bytes() == (
+        drive.parents[1] / "off/tracks.csv"
+    ).read_bytes()
 
 
 def test_gpx_beside_the_video(cli, drive):
-    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    (drive.parent / "drive.gpx").write_text(
+        gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
+    )
     summary, printed, speeds = run(cli, drive)
     assert summary["ego_speed"]["source"] == "drive.gpx"
     assert summary["ego_speed"]["median_mps"] == 8.0
@@ -71,7 +94,9 @@ def test_gpx_beside_the_video(cli, drive):
 
 def test_region_of_the_positions(cli, drive):
     assert run(cli, drive, out="without")[0]["region"] == "unknown"
-    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    (drive.parent / "drive.gpx").write_text(
+        gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
+    )
     assert run(cli, drive, out="europe")[0]["region"] == "europe"
     assert run(cli, drive, "--region", "east-asia", out="given")[0]["region"] == "east-asia"
     assert run(cli, drive, "--region", "unknown", out="unknown")[0]["region"] == "unknown"
@@ -82,7 +107,9 @@ def test_order_of_preference(drive):
         with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
             return open_speed("auto", recording).ego
 
-    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    (drive.parent / "drive.gpx").write_text(
+        gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
+    )
     (drive.parent / "drive.NMEA").write_text("\n".join(rmc(i, 10) for i in range(5)))
     assert source().source == "drive.gpx"
     (drive.parent / "ego_speed.csv").write_text("time_s,speed_mps\n0,5\n10,5\n")
@@ -135,11 +162,15 @@ def test_unusable_telemetry_does_not_stop_a_run(cli, drive):
 
 def test_camera_at_rest_against_the_telemetry(cli, tmp_path, film):
     rng = np.random.default_rng(0)
-    image = cv2.resize(rng.integers(0, 255, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC)
+    image = cv2.resize(
+        rng.integers(0, 255, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC
+    )
     (tmp_path / "in").mkdir()
     video = film(tmp_path / "in/drive.mp4", TIMES_S, images=[image] * N)
     (tmp_path / "in/boxes.txt").write_text(BOXES)
-    (tmp_path / "in/drive.csv").write_text("time_s,speed_kmh,note\n" + "".join(f"{i},120,\n" for i in range(5)))
+    (tmp_path / "in/drive.csv").write_text(
+        "time_s,speed_kmh,note\n" + "".join(f"{i},120,\n" for i in range(5))
+    )
     summary, _, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
@@ -147,11 +178,15 @@ def test_camera_at_rest_against_the_telemetry(cli, tmp_path, film):
 
 
 def texts_of(folder: Path) -> str:
-    return "".join(path.read_bytes().decode("latin-1") for path in folder.rglob("*") if path.is_file())
+    return "".join(
+        path.read_bytes().decode("latin-1") for path in folder.rglob("*") if path.is_file()
+    )
 
 
 def test_positions_only_if_requested(cli, drive):
-    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    (drive.parent / "drive.gpx").write_text(
+        gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
+    )
     run(cli, drive, "--write", "csv,mot,parquet,kitti", out="plain")
     shown = texts_of(drive.parents[1] / "plain")
     assert not (drive.parents[1] / "plain/telemetry.csv").exists()

@@ -1,4 +1,5 @@
-"""Telemetry that ExifTool finds. The program of these tests is a stand-in with output in the real one's JSON format."""
+"""Telemetry that ExifTool finds. The program of these tests is a stand-in with output in the real
+one's JSON format."""
 
 import json
 import os
@@ -92,9 +93,16 @@ def test_program_that_hangs(program, video, monkeypatch):
         read_with_exiftool(video)
 
 
-@pytest.mark.parametrize(("unit", "mps"), [("K", 10 / 3.6), ("M", 4.4704), ("N", 5.1444), (None, 10 / 3.6)])
+@pytest.mark.parametrize(
+    ("unit", "mps"), [("K", 10 / 3.6), ("M", 4.4704), ("N", 5.1444), (None, 10 / 3.6)]
+)
 def test_units(unit, mps):
-    given = {"Doc1:SampleTime": 0, "Doc1:GPSSpeed": 10, "Doc1:GPSLatitude": 50, "Doc1:GPSLongitude": 8}
+    given = {
+        "Doc1:SampleTime": 0,
+        "Doc1:GPSSpeed": 10,
+        "Doc1:GPSLatitude": 50,
+        "Doc1:GPSLongitude": 8,
+    }
     telemetry = track_of_records(given | ({"Doc1:GPSSpeedRef": unit} if unit else {}))
     assert telemetry.speed_mps == pytest.approx([mps], rel=1e-4)
     assert telemetry.unit == (unit and "m/s")
@@ -118,7 +126,9 @@ def test_clock_that_was_never_set():
     assert track_of_records(given).utc_s.tolist() == [86_400.0]
 
 
-@pytest.mark.parametrize("void", [{"GPSLatitude": 0, "GPSLongitude": 0}, {"GPSMeasureMode": 0}, {"GPSStatus": "V"}])
+@pytest.mark.parametrize(
+    "void", [{"GPSLatitude": 0, "GPSLongitude": 0}, {"GPSMeasureMode": 0}, {"GPSStatus": "V"}]
+)
 def test_record_without_a_fix(void):
     tags = {"SampleTime": 0, "GPSSpeed": 10, "GPSLatitude": 50, "GPSLongitude": 8} | void
     telemetry = track_of_records({f"Doc1:{tag}": value for tag, value in tags.items()})

@@ -1,4 +1,5 @@
-"""Fragmented MP4 files: made ones with telemetry, and one that FFmpeg writes, against its own reader."""
+"""Fragmented MP4 files: made ones with telemetry, and one that FFmpeg writes, against its own
+reader."""
 
 from __future__ import annotations
 
@@ -23,7 +24,9 @@ from track_range.recording.telemetry.found import embedded
 TRACKS = {
     "GoPro GPMF": MadeTrack(b"meta", b"gpmd", [gps5_payload([speed]) for speed in (1.0, 2.0, 3.0)]),
     "CAMM": MadeTrack(b"camm", b"camm", [camm_gps(speed, 0) for speed in (1.0, 2.0, 3.0)]),
-    "subtitles": MadeTrack(b"text", b"tx3g", [rmc(speed / 0.514444, i) for i, speed in enumerate((1.0, 2.0, 3.0))]),
+    "subtitles": MadeTrack(
+        b"text", b"tx3g", [rmc(speed / 0.514444, i) for i, speed in enumerate((1.0, 2.0, 3.0))]
+    ),
 }
 
 
@@ -39,7 +42,8 @@ def test_telemetry_in_fragments(tmp_path: Path, name: str, per_fragment: int) ->
 
 
 @pytest.mark.parametrize(
-    "flags", ["frag_keyframe+empty_moov", "frag_keyframe+empty_moov+default_base_moof", "frag_keyframe"]
+    "flags",
+    ["frag_keyframe+empty_moov", "frag_keyframe+empty_moov+default_base_moof", "frag_keyframe"],
 )
 def test_samples_of_ffmpeg(tmp_path: Path, flags: str) -> None:
     path = tmp_path / "a.mp4"

@@ -19,7 +19,8 @@ EXPANSION_HZ = 0.3
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Writes a video of 7 s that zooms by 0.3 per second, with a number of frames between key frames."""
+    """Writes a video of 7 s that zooms by 0.3 per second, with a number of frames between key
+    frames."""
     noise = np.random.default_rng(0).integers(0, 255, (60, 80), np.uint8)
     scene = cv2.resize(noise, (8 * WIDTH_PX, 8 * HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
 
@@ -31,10 +32,17 @@ def written(tmp_path_factory):
             stream.time_base, stream.gop_size = Fraction(1, FPS), gop
             for i in range(N):
                 scale = 0.25 * np.exp(EXPANSION_HZ * i / FPS)
-                middle = np.array([[scale, 0, 159.5 - scale * 4 * WIDTH_PX], [0, scale, 119.5 - scale * 4 * HEIGHT_PX]])
+                middle = np.array(
+                    [
+                        [scale, 0, 159.5 - scale * 4 * WIDTH_PX],
+                        [0, scale, 119.5 - scale * 4 * HEIGHT_PX],
+                    ]
+                )
                 image = cv2.warpAffine(scene, middle, (WIDTH_PX, HEIGHT_PX), flags=cv2.INTER_AREA)
                 container.mux(
-                    stream.encode(av.VideoFrame.from_ndarray(image, format="gray").reformat(format="yuv420p"))
+                    stream.encode(
+                        av.VideoFrame.from_ndarray(image, format="gray").reformat(format="yuv420p")
+                    )
                 )
             container.mux(stream.encode())
         return path

@@ -42,7 +42,8 @@ def test_gpx_that_contradicts_itself(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("speeds", "factor", "n_notes"), [([8.0] * 5, 3.6, 1), ([2.0] * 20, 3.6, 1), ([2.0] * 20, 1.0, 0)]
+    ("speeds", "factor", "n_notes"),
+    [([8.0] * 5, 3.6, 1), ([2.0] * 20, 3.6, 1), ([2.0] * 20, 1.0, 0)],
 )
 def test_gpx_with_an_unknown_unit(tmp_path, speeds, factor, n_notes):
     track = usable(read(tmp_path, "a.gpx", gpx_text(speeds, field="speed", factor=factor)))
@@ -73,7 +74,11 @@ def test_gpx_that_cannot_be_read(tmp_path, text, word):
 
 
 def test_nmea(tmp_path):
-    track = read(tmp_path, "a.nmea", "\n".join([rmc(0, 10), "$GPGGA,1,2", rmc(1, 20), rmc(2, "", status="V")]))
+    track = read(
+        tmp_path,
+        "a.nmea",
+        "\n".join([rmc(0, 10), "$GPGGA,1,2", rmc(1, 20), rmc(2, "", status="V")]),
+    )
     assert track.speed_mps[:2] == pytest.approx([5.144, 10.289], abs=1e-3)
     assert math.isnan(track.speed_mps[2])
     assert track.time_s.tolist() == [START_S, START_S + 1, START_S + 2]
@@ -103,13 +108,20 @@ def test_files_without_telemetry(tmp_path):
 
 
 def srt(*texts):
-    return "\n\n".join(f"{i + 1}\n00:00:{i:02d},000 --> 00:00:{i + 1:02d},000\n{text}" for i, text in enumerate(texts))
+    return "\n\n".join(
+        f"{i + 1}\n00:00:{i:02d},000 --> 00:00:{i + 1:02d},000\n{text}"
+        for i, text in enumerate(texts)
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "expected_mps"),
     [
-        ("F/2.8, SS 206, ISO 150, GPS (-122.3699, 37.5929, 14), D 2.75m, H 2.5m, H.S 5.00m/s, V.S 9.00m/s", 5.0),
+        (
+            "F/2.8, SS 206, ISO 150, GPS (-122.3699, 37.5929, 14), D 2.75m, H 2.5m, H.S 5.00m/s, "
+            "V.S 9.00m/s",
+            5.0,
+        ),
         ("2026-05-03 10:00:00 N48.1 E9.6 36 km/h", 10.0),
         ("Speed: 10 MPH", 4.4704),
         ("43,2 km/h", 12.0),
@@ -127,7 +139,10 @@ def test_srt_speeds(tmp_path, text, expected_mps):
 
 
 def test_srt_with_positions_only(tmp_path):
-    texts = [f"[latitude: {LATITUDE + i * 10 / 111_195.08:.8f}] [longitude: 9.654321] [rel_alt: 1.0]" for i in range(5)]
+    texts = [
+        f"[latitude: {LATITUDE + i * 10 / 111_195.08:.8f}] [longitude: 9.654321] [rel_alt: 1.0]"
+        for i in range(5)
+    ]
     assert read(tmp_path, "a.srt", srt(*texts)).speed_mps == pytest.approx([10.0] * 4, abs=0.01)
 
 
@@ -141,10 +156,22 @@ def test_srt_without_unit(tmp_path):
     [
         ("time_s,Speed (km/h)", ["0,36", "1,36"], "video"),
         ("time_s,max_speed_kmh,lead_speed_mps,speed_kmh", ["0,90,9,36", "1,90,9,36"], "video"),
-        ("timestamp,speed_mps,lat,lon", [f"{START_S:.0f},10,1,1", f"{START_S + 1:.0f},10,1,1"], "utc"),
-        ("utc,GPS speed [kn]", ["2026-05-03T10:00:00Z,19.4384", "2026-05-03T10:00:01Z,19.4384"], "utc"),
+        (
+            "timestamp,speed_mps,lat,lon",
+            [f"{START_S:.0f},10,1,1", f"{START_S + 1:.0f},10,1,1"],
+            "utc",
+        ),
+        (
+            "utc,GPS speed [kn]",
+            ["2026-05-03T10:00:00Z,19.4384", "2026-05-03T10:00:01Z,19.4384"],
+            "utc",
+        ),
         ("date,speed_mph", ["2026/05/03 10:00:00,22.3694", "2026/05/03 10:00:01,22.3694"], "local"),
-        ("cts,date,GPS (2D speed) [m/s]", ["0,2026-05-03T10:00:00Z,10", "1000,2026-05-03T10:00:01Z,10"], "utc"),
+        (
+            "cts,date,GPS (2D speed) [m/s]",
+            ["0,2026-05-03T10:00:00Z,10", "1000,2026-05-03T10:00:01Z,10"],
+            "utc",
+        ),
     ],
 )
 def test_csv_headings(tmp_path, header, rows, clock):
@@ -165,7 +192,10 @@ def test_csv_without_unit(tmp_path):
 
 def test_seventymai_rows_of_one_video(tmp_path):
     first, second = "NO20260503-100000-000001F.MP4", "NO20260503-100100-000002F.MP4"
-    rows = [f"{1777802400 + i},A,48.1,9.6,9000,{1000 + i},0,0,0,{first if i < 3 else second},0,0,0" for i in range(6)]
+    rows = [
+        f"{1777802400 + i},A,48.1,9.6,9000,{1000 + i},0,0,0,{first if i < 3 else second},0,0,0"
+        for i in range(6)
+    ]
     text = "\n".join(["$V02", *rows])
     track = read(tmp_path, "GPSData000001.txt", text, video=second, duration_s=3.0)
     assert track.speed_mps == pytest.approx([10.03, 10.04, 10.05])
@@ -177,7 +207,9 @@ def test_seventymai_rows_of_one_video(tmp_path):
 
 def test_names_of_sidecars():
     names = sidecar_names("20260718_060329_NF.mp4")
-    assert {"20260718_060329_NF.gpx", "20260718_060329_N.gps", "20260718_060329_NF.NMEA"} <= set(names)
+    assert {"20260718_060329_NF.gpx", "20260718_060329_N.gps", "20260718_060329_NF.NMEA"} <= set(
+        names
+    )
     assert names.index("20260718_060329_NF.gpx") < names.index("20260718_060329_NF.srt")
 
 

@@ -1,4 +1,5 @@
-"""Logs of one simulated drive in the layouts of loggers and apps: the right column, unit and time, or a refusal."""
+"""Logs of one simulated drive in the layouts of loggers and apps: the right column, unit and time,
+or a refusal."""
 
 import struct
 from dataclasses import replace
@@ -14,7 +15,12 @@ from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
-from track_range.recording.telemetry.speed_source import SpeedSource, _checked, _is_table, open_ego_speed
+from track_range.recording.telemetry.speed_source import (
+    SpeedSource,
+    _checked,
+    _is_table,
+    open_ego_speed,
+)
 from track_range.recording.telemetry.track import TelemetryError
 from track_range.recording.telemetry.video_clock import on_video_clock
 
@@ -36,7 +42,9 @@ def cells(values, decimals=4):
 
 def table(columns, separator=","):
     if separator != ",":
-        columns = {name: [cell.replace(".", ",") for cell in values] for name, values in columns.items()}
+        columns = {
+            name: [cell.replace(".", ",") for cell in values] for name, values in columns.items()
+        }
     rows = [columns, *zip(*columns.values(), strict=True)]
     return "\n".join(separator.join(row) for row in rows)
 
@@ -50,8 +58,11 @@ def read(tmp_path, text, name="log.csv"):
 
 
 def check(track, *, tolerance=0.02):
-    """The speed of a track is that of the drive, which starts at START_S in the clock of the track, if it has one."""
-    start_s = START_S if track.clock != "video" else track.time_s[0] - (0 if track.has_own_speed else 0.5)
+    """The speed of a track is that of the drive, which starts at START_S in the clock of the track,
+    if it has one."""
+    start_s = (
+        START_S if track.clock != "video" else track.time_s[0] - (0 if track.has_own_speed else 0.5)
+    )
     expected = np.interp(track.time_s - start_s, T, V)
     assert len(track) >= 55
     assert track.speed_mps == pytest.approx(expected, rel=tolerance, abs=0.1)
@@ -60,24 +71,45 @@ def check(track, *, tolerance=0.02):
 NORTH_MPS, EAST_MPS = V * np.cos(COURSE), V * np.sin(COURSE)
 LEAD = np.full(60, 26.4)
 LAYOUTS = {
-    "ins": EPOCH | POSITIONS | {"velocity_north (m/s)": cells(NORTH_MPS), "velocity_east (m/s)": cells(EAST_MPS)},
+    "ins": EPOCH
+    | POSITIONS
+    | {"velocity_north (m/s)": cells(NORTH_MPS), "velocity_east (m/s)": cells(EAST_MPS)},
     "ins without unit": EPOCH
     | POSITIONS
     | {"vel_n": cells(NORTH_MPS), "vel_e": cells(EAST_MPS), "vel_d": cells(V * 0)},
-    "vx vy vz": EPOCH | {"vx_mps": cells(NORTH_MPS), "vy_mps": cells(EAST_MPS), "vz_mps": cells(0 * V)},
+    "vx vy vz": EPOCH
+    | {"vx_mps": cells(NORTH_MPS), "vy_mps": cells(EAST_MPS), "vz_mps": cells(0 * V)},
     "twist": EPOCH
-    | {"twist.linear.x (m/s)": cells(V), "twist.linear.y (m/s)": cells(0 * V), "twist.angular.z": cells(V)},
+    | {
+        "twist.linear.x (m/s)": cells(V),
+        "twist.linear.y (m/s)": cells(0 * V),
+        "twist.angular.z": cells(V),
+    },
     "forward": EPOCH | {"forward_velocity_mps": cells(V), "lateral_velocity_mps": cells(V * 0.01)},
-    "microseconds": {"timestamp": [f"{(START_S + t) * 1e6:.0f}" for t in T.tolist()], "speed_mps": cells(V)},
+    "microseconds": {
+        "timestamp": [f"{(START_S + t) * 1e6:.0f}" for t in T.tolist()],
+        "speed_mps": cells(V),
+    },
     "lead first": EPOCH
-    | {"front_vehicle_speed_kmh": cells(LEAD), "relative speed (m/s)": cells(V), "ego_speed_kmh": cells(V * 3.6)},
-    "lead and object": EPOCH | {"object_speed_mps": cells(LEAD), "speed_limit_kmh": cells(LEAD), "speed_mps": cells(V)},
-    "GPS and OBD": EPOCH | {"GPS Speed (km/h)": cells(V * 3.5), "Speed (OBD)(km/h)": cells(V * 3.6)},
-    "evidence": EPOCH | POSITIONS | {"ego_speed_mps": cells(LEAD * 0 + 3), "gps_speed_kmh": cells(V * 3.6)},
+    | {
+        "front_vehicle_speed_kmh": cells(LEAD),
+        "relative speed (m/s)": cells(V),
+        "ego_speed_kmh": cells(V * 3.6),
+    },
+    "lead and object": EPOCH
+    | {"object_speed_mps": cells(LEAD), "speed_limit_kmh": cells(LEAD), "speed_mps": cells(V)},
+    "GPS and OBD": EPOCH
+    | {"GPS Speed (km/h)": cells(V * 3.5), "Speed (OBD)(km/h)": cells(V * 3.6)},
+    "evidence": EPOCH
+    | POSITIONS
+    | {"ego_speed_mps": cells(LEAD * 0 + 3), "gps_speed_kmh": cells(V * 3.6)},
     "wrong unit": EPOCH | POSITIONS | {"speed_mps": cells(V * 3.6)},
     "no unit": EPOCH | POSITIONS | {"speed": cells(V / 0.44704)},
     "no speed": EPOCH | POSITIONS,
-    "milliseconds": {"elapsed": [f"{1000 * t:.0f}" for t in T.tolist()], "speed_kmh": cells(V * 3.6)},
+    "milliseconds": {
+        "elapsed": [f"{1000 * t:.0f}" for t in T.tolist()],
+        "speed_kmh": cells(V * 3.6),
+    },
     "Torque": {
         "GPS Time": [date.strftime("%a %b %d %H:%M:%S GMT+00:00 %Y") for date in DATES],
         "Device Time": [date.strftime("%d-%b-%Y %H:%M:%S.000") for date in DATES],
@@ -86,7 +118,10 @@ LAYOUTS = {
         "GPS Speed (Meters/second)": cells(V),
         "Speed (OBD)(km/h)": cells(V * 3.6, 0),
     },
-    "AM and PM": {"Date": [date.strftime("%m/%d/%Y %I:%M:%S %p") for date in DATES], "Speed (mph)": cells(V / 0.44704)},
+    "AM and PM": {
+        "Date": [date.strftime("%m/%d/%Y %I:%M:%S %p") for date in DATES],
+        "Speed (mph)": cells(V / 0.44704),
+    },
     "date and time": {
         "date": [date.strftime("%d.%m.%Y") for date in DATES],
         "time": [date.strftime("%H:%M:%S.000") for date in DATES],
@@ -104,10 +139,13 @@ def test_layouts_of_tables(tmp_path, name):
 
 def test_the_note_names_column_unit_and_reason(tmp_path):
     for name, expected in {
-        "evidence": "the speed is gps_speed_kmh in km/h, as stated and as the positions show; not ego_speed_mps.",
-        "wrong unit": "the speed is speed_mps in km/h, as the positions show, not in m/s as stated.",
+        "evidence": "the speed is gps_speed_kmh in km/h, as stated and as the positions show; not "
+        "ego_speed_mps.",
+        "wrong unit": "the speed is speed_mps in km/h, as the positions show, not in m/s as "
+        "stated.",
         "GPS and OBD": (
-            "the speed is speed (obd)(km/h) in km/h, as stated; no positions confirm the unit; not gps speed (km/h)."
+            "the speed is speed (obd)(km/h) in km/h, as stated; no positions confirm the unit; not "
+            "gps speed (km/h)."
         ),
     }.items():
         assert read(tmp_path, table(LAYOUTS[name])).notes[0] == expected
@@ -141,12 +179,24 @@ def test_one_value_per_row(tmp_path):
 
 
 REFUSED = {
-    "one component": (EPOCH | {"velocity_east (m/s)": cells(V)}, "only the component 'velocity_east .* add the rest"),
+    "one component": (
+        EPOCH | {"velocity_east (m/s)": cells(V)},
+        "only the component 'velocity_east .* add the rest",
+    ),
     "only a lead car": (EPOCH | {"lead_speed_kmh": cells(V)}, None),
-    "two that differ": (EPOCH | {"speed_a_kmh": cells(V), "speed_b_kmh": cells(3 * V)}, "which differ"),
+    "two that differ": (
+        EPOCH | {"speed_a_kmh": cells(V), "speed_b_kmh": cells(3 * V)},
+        "which differ",
+    ),
     "no unit, no positions": (EPOCH | {"speed": cells(V)}, "expected a unit"),
-    "noise": (EPOCH | POSITIONS | {"speed_mps": cells(np.random.default_rng(1).uniform(1, 40, 60))}, "contradict|jump"),
-    "day or month": ({"date": ["05/06/2026 10:00:01"] * 60, "speed_kmh": cells(V)}, "day and month"),
+    "noise": (
+        EPOCH | POSITIONS | {"speed_mps": cells(np.random.default_rng(1).uniform(1, 40, 60))},
+        "contradict|jump",
+    ),
+    "day or month": (
+        {"date": ["05/06/2026 10:00:01"] * 60, "speed_kmh": cells(V)},
+        "day and month",
+    ),
 }
 
 
@@ -176,35 +226,48 @@ def log_of(kind):
     if kind == "nmea":
         lines = []
         for date, lat, lon, v in zip(DATES, LAT, LON, V, strict=True):
-            lines += [nmea(f"GPGGA,{date:%H%M%S}.00,{ddmm(lat, 2)},N,{ddmm(lon, 3)},E,1,09,0.9,520.0,M,47.0,M,,")]
+            lines += [
+                nmea(
+                    f"GPGGA,{date:%H%M%S}.00,{ddmm(lat, 2)},N,{ddmm(lon, 3)},E,1,09,0.9,520.0,M,"
+                    "47.0,M,,"
+                )
+            ]
             lines += [nmea(f"GPVTG,90.0,T,,M,{v * 1.94384:.3f},N,{v * 3.6:.3f},K,A")]
             lines += [nmea(f"GPZDA,{date:%H%M%S}.00,{date:%d,%m,%Y},00,00")]
         return "\n".join(lines)
     if kind == "vbo":
         rows = [
-            f"009 {date:%H%M%S}.00 {lat * 60:+013.6f} {-lon * 60:+013.6f} {v * 3.6:07.3f} 090.00 +0520.00"
+            f"009 {date:%H%M%S}.00 {lat * 60:+013.6f} {-lon * 60:+013.6f} {v * 3.6:07.3f} 090.00 "
+            "+0520.00"
             for date, lat, lon, v in zip(DATES, LAT, LON, V, strict=True)
         ]
-        header = f"File created on {DATES[0]:%d/%m/%Y} at 10:00:00\n\n[header]\ntime\nvelocity kmh\n\n[column names]\n"
+        header = (
+            f"File created on {DATES[0]:%d/%m/%Y} at 10:00:00\n\n[header]\ntime\nvelocity "
+            "kmh\n\n[column names]\n"
+        )
         return header + "sats time lat long velocity heading height\n\n[data]\n" + "\n".join(rows)
     if kind == "tcx":
         points = [
-            f"<Trackpoint><Time>{date:%Y-%m-%dT%H:%M:%SZ}</Time><Position><LatitudeDegrees>{lat}</LatitudeDegrees>"
-            f"<LongitudeDegrees>{lon}</LongitudeDegrees></Position><Extensions><ns3:TPX xmlns:ns3='x'><ns3:Speed>{v}"
-            "</ns3:Speed></ns3:TPX></Extensions></Trackpoint>"
+            f"<Trackpoint><Time>{date:%Y-%m-%dT%H:%M:%SZ}</Time><Position><LatitudeDegrees>"
+            f"{lat}</LatitudeDegrees><LongitudeDegrees>{lon}</LongitudeDegrees></Position>"
+            f"<Extensions><ns3:TPX xmlns:ns3='x'><ns3:Speed>{v}</ns3:Speed></ns3:TPX></Extensions>"
+            "</Trackpoint>"
             for date, lat, lon, v in zip(DATES, LAT, LON, V, strict=True)
         ]
         outer = ("TrainingCenterDatabase", "Activities", "Activity", "Lap", "Track")
         return f"<{'><'.join(outer)}>{''.join(points)}</{'></'.join(outer[::-1])}>"
     whens = "".join(f"<when>{date:%Y-%m-%dT%H:%M:%SZ}</when>" for date in DATES)
-    coords = "".join(f"<gx:coord>{lon} {lat} 520</gx:coord>" for lat, lon in zip(LAT, LON, strict=True))
+    coords = "".join(
+        f"<gx:coord>{lon} {lat} 520</gx:coord>" for lat, lon in zip(LAT, LON, strict=True)
+    )
     if kind == "kml":
         return (
-            f"<kml xmlns:gx='x'><Document><Placemark><gx:Track>{whens}{coords}</gx:Track></Placemark></Document></kml>"
+            f"<kml xmlns:gx='x'><Document><Placemark><gx:Track>{whens}{coords}</gx:Track>"
+            "</Placemark></Document></kml>"
         )
     places = "".join(
-        f"<Placemark><TimeStamp><when>{date:%Y-%m-%dT%H:%M:%SZ}</when></TimeStamp><Point><coordinates>{lon},{lat},0"
-        "</coordinates></Point></Placemark>"
+        f"<Placemark><TimeStamp><when>{date:%Y-%m-%dT%H:%M:%SZ}</when></TimeStamp><Point>"
+        f"<coordinates>{lon},{lat},0</coordinates></Point></Placemark>"
         for date, lat, lon in zip(DATES, LAT, LON, strict=True)
     )
     return f"<kml><Document>{places}</Document></kml>"
@@ -247,9 +310,13 @@ def test_ros_topics(tmp_path):
     types = store.types
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         names = {"/fix": "sensor_msgs/msg/NavSatFix", "/vel": "geometry_msgs/msg/TwistStamped"}
-        topics = {name: writer.add_connection(name, kind, typestore=store) for name, kind in names.items()}
+        topics = {
+            name: writer.add_connection(name, kind, typestore=store) for name, kind in names.items()
+        }
         for t, lat, lon, n, e in zip(T.tolist(), LAT, LON, NORTH_MPS, EAST_MPS, strict=True):
-            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](int(START_S + t), 0), "gps")
+            header = types["std_msgs/msg/Header"](
+                types["builtin_interfaces/msg/Time"](int(START_S + t), 0), "gps"
+            )
             vector = types["geometry_msgs/msg/Vector3"]
             twist = types["geometry_msgs/msg/Twist"](vector(n, e, 0.0), vector(0.0, 0.0, 0.0))
             fix = types[names["/fix"]](
@@ -284,9 +351,13 @@ def test_comma2k19(tmp_path):
 
 
 def test_oxts_in_another_unit(tmp_path):
-    (tmp_path / "timestamps.txt").write_text("\n".join(date.strftime("%Y-%m-%d %H:%M:%S.000000000") for date in DATES))
+    (tmp_path / "timestamps.txt").write_text(
+        "\n".join(date.strftime("%Y-%m-%d %H:%M:%S.000000000") for date in DATES)
+    )
     for i, (lat, lon, v) in enumerate(zip(LAT, LON, V * 3.6, strict=True)):
-        (tmp_path / f"{i:010d}.txt").write_text(" ".join(map(str, [lat, lon, *[0] * 6, v, *[0] * 21])))
+        (tmp_path / f"{i:010d}.txt").write_text(
+            " ".join(map(str, [lat, lon, *[0] * 6, v, *[0] * 21]))
+        )
     ego, notes = _checked(open_ego_speed(str(tmp_path)), [part(duration_s=60.0)])
     assert ego.speed_mps == pytest.approx(V, rel=1e-3)
     assert "km/h instead of m/s" in notes[0]
@@ -330,18 +401,29 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_damaged_logs(tmp_path, name, data):
     content = DAMAGED[name]
     damaged_content = data.draw(damaged(content[: len(content) // 4]))
-    check_damaged(lambda path: named_telemetry(path, [part(duration_s=60.0)]), tmp_path / name, damaged_content)
+    check_damaged(
+        lambda path: named_telemetry(path, [part(duration_s=60.0)]),
+        tmp_path / name,
+        damaged_content,
+    )
 
 
 def test_origin_and_covered_part_are_one_note() -> None:
     ego = EgoSpeed(np.array([2.0, 3.0]), np.array([10.0, 10.0]), source="drive.gpx")
-    found = SpeedSource(ego=ego, origin="The ego speed comes from drive.gpx; --ego-speed off ignores this source.")
-    covered = "covers 2.0-3.0 s of the video; elsewhere closing speeds are estimated from distances alone."
+    found = SpeedSource(
+        ego=ego, origin="The ego speed comes from drive.gpx; --ego-speed off ignores this source."
+    )
+    covered = (
+        "covers 2.0-3.0 s of the video; elsewhere closing speeds are estimated from distances "
+        "alone."
+    )
     assert found.note(9.0) == f"{found.origin} The speed {covered}"
     assert replace(found, ego=None).note(9.0) == found.origin
     assert SpeedSource(ego=ego).note(9.0) == f"The ego speed from drive.gpx {covered}"

@@ -20,7 +20,9 @@ def course_rad(time_s):
 def motion(*, seed=0, speed=speed_mps, has_turn=True):
     """Motion of images with noise and a typical depth that changes by 20 %."""
     rng = np.random.default_rng(seed)
-    depth = np.exp(np.convolve(rng.normal(0, 0.2, len(T) + 40), np.ones(20) / np.sqrt(20), "same")[: len(T)])
+    depth = np.exp(
+        np.convolve(rng.normal(0, 0.2, len(T) + 40), np.ones(20) / np.sqrt(20), "same")[: len(T)]
+    )
     expansion = speed(T) / (25 * depth) + rng.normal(0, 0.01, len(T))
     yaw = np.gradient(course_rad(T), T) if has_turn else np.zeros(len(T))
     return MotionSeries(
@@ -49,17 +51,24 @@ def test_steady_drive_has_no_certain_offset():
         return np.full(len(time_s), 10.0)
 
     at_s = np.arange(0.0, 30)
-    offset = estimated_offset(motion(speed=steady, has_turn=False), at_s, steady(at_s), np.zeros(30))
+    offset = estimated_offset(
+        motion(speed=steady, has_turn=False), at_s, steady(at_s), np.zeros(30)
+    )
     assert not offset.is_certain
     assert offset.sigma_s > 0.5
 
 
 def test_too_short_for_an_offset():
-    assert estimated_offset(motion(), np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.full(2, np.nan)) is None
+    assert (
+        estimated_offset(motion(), np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.full(2, np.nan))
+        is None
+    )
 
 
 def ego(speeds):
-    return EgoSpeed(np.arange(0.0, 30), np.broadcast_to(np.asarray(speeds, float), (30,)).copy(), "test")
+    return EgoSpeed(
+        np.arange(0.0, 30), np.broadcast_to(np.asarray(speeds, float), (30,)).copy(), "test"
+    )
 
 
 def test_speed_of_a_camera_at_rest_is_a_contradiction():

@@ -7,7 +7,12 @@ from track_range.recording.telemetry.video_clock import on_video_clock
 
 
 def track(first_s, *, n=21, clock="utc"):
-    return TelemetryTrack(time_s=first_s + np.arange(float(n)), speed_mps=np.full(n, 10.0), source="a.gpx", clock=clock)
+    return TelemetryTrack(
+        time_s=first_s + np.arange(float(n)),
+        speed_mps=np.full(n, 10.0),
+        source="a.gpx",
+        clock=clock,
+    )
 
 
 def test_times_of_the_video():
@@ -35,7 +40,9 @@ def test_no_time_zone_where_the_user_states_the_time():
 
 
 def test_local_time_of_the_video():
-    result, _ = on_video_clock(track(START_S + 1), part(start_s=START_S + 7200, is_local=True, uncertainty_s=50400))
+    result, _ = on_video_clock(
+        track(START_S + 1), part(start_s=START_S + 7200, is_local=True, uncertainty_s=50400)
+    )
     assert result.time_s[0] == 1.0
 
 

@@ -38,7 +38,8 @@ def event(**changes: Any) -> Event:
 
 
 class SeenFinder:
-    """Finds an event of each track that has been seen: it ends after `n_frames`, or with the drive."""
+    """Finds an event of each track that has been seen: it ends after `n_frames`, or with the
+    drive."""
 
     def __init__(self, n_frames: int = 3) -> None:
         self._n_frames = n_frames
@@ -63,4 +64,10 @@ class SeenFinder:
 
     def _event(self, track_id: int) -> Event:
         times = self._seen[track_id]
-        return event(track_id=track_id, start_s=times[0], peak_s=times[0], end_s=times[-1], warning_s=math.nan)
+        return event(
+            track_id=track_id,
+            start_s=times[0],
+            peak_s=times[0],
+            end_s=times[-1],
+            warning_s=math.nan,
+        )

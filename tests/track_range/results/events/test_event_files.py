@@ -24,14 +24,16 @@ from track_range.results.events.files import (
 )
 
 CONTRACT = (
-    "kind,start_s,peak_s,end_s,warning_s,frame,track_id,class,min_distance_m,min_distance_sigma_m,min_ttc_s,"
-    "closing_mps,ego_mps,probability,reason"
+    "kind,start_s,peak_s,end_s,warning_s,frame,track_id,class,min_distance_m,min_distance_sigma_m,"
+    "min_ttc_s,closing_mps,ego_mps,probability,reason"
 )
 
 
 def values(one):
     """Attributes of an event, with None for NaN."""
-    return {key: None if value != value else value for key, value in dataclasses.asdict(one).items()}
+    return {
+        key: None if value != value else value for key, value in dataclasses.asdict(one).items()
+    }
 
 
 def test_columns_begin_as_promised():
@@ -78,7 +80,10 @@ def test_file_grows_and_ends_sorted(tmp_path):
         growing.add([later])
         assert [one.kind for one in read_events(tmp_path / EVENTS_FILE)] == ["forward_collision"]
         growing.finish([earlier, later])
-    assert [one.kind for one in read_events(tmp_path / EVENTS_FILE)] == ["cut_in", "forward_collision"]
+    assert [one.kind for one in read_events(tmp_path / EVENTS_FILE)] == [
+        "cut_in",
+        "forward_collision",
+    ]
     assert len(read_events(tmp_path / EVENTS_PARQUET)) == 2
 
 
@@ -171,7 +176,10 @@ events = st.builds(
     numbers,
     st.one_of(st.just(math.nan), st.floats(0, 1)),
     st.sampled_from(["car", "person", "traffic light"]),
-    st.text(st.characters(min_codepoint=32, max_codepoint=1000, exclude_categories=["Cc", "Cs"]), max_size=40),
+    st.text(
+        st.characters(min_codepoint=32, max_codepoint=1000, exclude_categories=["Cc", "Cs"]),
+        max_size=40,
+    ),
 )
 
 

@@ -79,7 +79,9 @@ def kinds(events: Iterable[Event]) -> list[str]:
     return [event.kind for event in events]
 
 
-@pytest.mark.parametrize(("class_id", "kind"), [(CAR, "forward_collision"), (PERSON, "pedestrian_on_path")])
+@pytest.mark.parametrize(
+    ("class_id", "kind"), [(CAR, "forward_collision"), (PERSON, "pedestrian_on_path")]
+)
 def test_alarm_is_an_event(class_id: int, kind: str) -> None:
     events = events_of(approach(class_id=class_id))
     assert kinds(events) == [kind]
@@ -95,7 +97,8 @@ def test_alarm_is_an_event(class_id: int, kind: str) -> None:
 
 
 def test_measures_of_an_event() -> None:
-    """Extremes during the event, exposure from its first frame on, and the state at its peak, the last frame."""
+    """Extremes during the event, exposure from its first frame on, and the state at its peak, the
+    last frame."""
     (event,) = events_of(approach())
     assert (event.gap_m, event.headway_s) == (pytest.approx(11.0), pytest.approx(1.1))
     assert event.drac_mps2 == pytest.approx(10.0**2 / (2 * 11.0))
@@ -108,10 +111,13 @@ def test_measures_of_an_event() -> None:
 
 
 def test_pet_of_an_event_is_known_at_the_end() -> None:
-    """A person leaves the path of 2 x 1.2 m at 40 m after 2.6 s; the front is there after 3.85 s."""
+    """A person leaves the path of 2 x 1.2 m at 40 m after 2.6 s; the front is there after 3.85
+    s."""
     finder, nan = EventFinder(), np.full(1, NAN)
     for i in range(61):
-        person = Seen(distance_m=40.0 - min(i, 30), class_id=PERSON, closing_mps=10.0, active=5 <= i < 20)
+        person = Seen(
+            distance_m=40.0 - min(i, 30), class_id=PERSON, closing_mps=10.0, active=5 <= i < 20
+        )
         motion = ObjectMotion(nan, nan, nan, np.array([40.0]), np.array([-4.0 + 0.2 * i]), nan)
         pose = EgoPose(float(i), 0.0, 0.0, np.zeros((3, 3)))
         for event in finder.update(replace(frame(i, person), motion=motion, ego_pose=pose)):
@@ -135,7 +141,9 @@ def test_gaps_and_new_tracks_are_merged() -> None:
             if i in (18, 19, 20):
                 yield frame(i)
             elif i > 20:
-                again = Seen(distance_m=41.5 - i, track_id=8, closing_mps=10.0, probability=0.9, active=True)
+                again = Seen(
+                    distance_m=41.5 - i, track_id=8, closing_mps=10.0, probability=0.9, active=True
+                )
                 yield frame(i, again, ego_mps=10.0)
             else:
                 yield result
@@ -146,12 +154,23 @@ def test_gaps_and_new_tracks_are_merged() -> None:
 
 def test_two_objects_are_two_events() -> None:
     pair = [
-        frame(i, *(Seen(distance_m=20.0, track_id=k, closing_mps=8.0, probability=0.9, active=True) for k in (1, 2)))
+        frame(
+            i,
+            *(
+                Seen(distance_m=20.0, track_id=k, closing_mps=8.0, probability=0.9, active=True)
+                for k in (1, 2)
+            ),
+        )
         for i in range(10)
     ]
     assert kinds(events_of(pair)) == ["forward_collision"] * 2
     apart = [
-        frame(i, Seen(distance_m=20.0 + 30 * (i > 5), track_id=1 + (i > 5), closing_mps=8.0, active=True))
+        frame(
+            i,
+            Seen(
+                distance_m=20.0 + 30 * (i > 5), track_id=1 + (i > 5), closing_mps=8.0, active=True
+            ),
+        )
         for i in range(10)
     ]
     assert len(events_of(apart)) == 2
@@ -163,7 +182,11 @@ def test_close_following() -> None:
         return [frame(i, behind, ego_mps=ego_mps) for i in range(n)]
 
     (event,) = events_of(following(40))
-    assert (event.kind, event.headway_s, event.class_name) == ("close_following", pytest.approx(0.6), "truck")
+    assert (event.kind, event.headway_s, event.class_name) == (
+        "close_following",
+        pytest.approx(0.6),
+        "truck",
+    )
     assert math.isnan(event.warning_s)
     assert "0.6 s behind a truck at 90 km/h" in event.reason
     assert events_of(following(8)) == ()  # too short
@@ -203,7 +226,8 @@ def test_alarm_during_a_cut_in() -> None:
 
 
 def test_hard_approach_and_near_miss() -> None:
-    """Braking from 10 m/s with 6 m/s2 in the last 8.3 m, without an alarm; at the end 1.5 m are left."""
+    """Braking from 10 m/s with 6 m/s2 in the last 8.3 m, without an alarm; at the end 1.5 m are
+    left."""
 
     def results() -> Iterable[FrameResult]:
         gap_m, v = 12.0, 10.0
@@ -228,10 +252,16 @@ def test_hard_approach_and_near_miss() -> None:
         (30.0, 20.0, 10, 10.0),  # oncoming, 7 m/s2
     ],
 )
-def test_no_hard_approach(distance_m: float, closing_mps: float, n_frames: int, ego_mps: float) -> None:
+def test_no_hard_approach(
+    distance_m: float, closing_mps: float, n_frames: int, ego_mps: float
+) -> None:
     def results() -> Iterable[FrameResult]:
         for i in range(30):
-            car = Seen(distance_m=distance_m, closing_mps=closing_mps, probability=0.9 if i < n_frames else 0.0)
+            car = Seen(
+                distance_m=distance_m,
+                closing_mps=closing_mps,
+                probability=0.9 if i < n_frames else 0.0,
+            )
             yield frame(i, car, ego_mps=ego_mps)
 
     assert "hard_approach" not in kinds(events_of(results()))
@@ -239,12 +269,17 @@ def test_no_hard_approach(distance_m: float, closing_mps: float, n_frames: int, 
 
 @pytest.mark.parametrize(("closing_mps", "n_frames"), [(12.0, 2), (95.0, 10)])
 def test_no_near_miss_of_one_frame_or_at_a_wrong_speed(closing_mps: float, n_frames: int) -> None:
-    seen = [Seen(distance_m=10.0, closing_mps=closing_mps, probability=0.9 * (i < n_frames)) for i in range(30)]
+    seen = [
+        Seen(distance_m=10.0, closing_mps=closing_mps, probability=0.9 * (i < n_frames))
+        for i in range(30)
+    ]
     assert "near_miss" not in kinds(events_of(frame(i, car) for i, car in enumerate(seen)))
 
 
 def test_contact_is_no_near_miss() -> None:
-    crash = [frame(i, Seen(distance_m=11.5 - i, closing_mps=10.0, probability=0.9)) for i in range(11)]
+    crash = [
+        frame(i, Seen(distance_m=11.5 - i, closing_mps=10.0, probability=0.9)) for i in range(11)
+    ]
     assert "near_miss" not in kinds(events_of(crash))
 
 
@@ -254,7 +289,9 @@ def test_unproven_near_miss(n_known: int, n_seen: int) -> None:
 
     def results() -> Iterable[FrameResult]:
         for i in range(40):
-            car = Seen(distance_m=11.5 - i, closing_mps=10.0 if i < n_known else NAN, probability=0.9)
+            car = Seen(
+                distance_m=11.5 - i, closing_mps=10.0 if i < n_known else NAN, probability=0.9
+            )
             yield frame(i, *([car] if i < n_seen else []))
 
     assert "near_miss" not in kinds(events_of(results()))
@@ -278,7 +315,10 @@ def test_near_miss_of_a_person_who_leaves_the_path() -> None:
 def test_nothing_happens() -> None:
     assert events_of([]) == ()
     assert events_of(frame(i) for i in range(5)) == ()
-    assert events_of(frame(i, Seen(distance_m=NAN, offset_m=NAN, probability=NAN)) for i in range(5)) == ()
+    assert (
+        events_of(frame(i, Seen(distance_m=NAN, offset_m=NAN, probability=NAN)) for i in range(5))
+        == ()
+    )
 
 
 def test_settings() -> None:

@@ -18,7 +18,9 @@ from track_range.views.report.run_folders import report
 
 
 def recorded(drive, **options):
-    run = tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options)
+    run = tr.Run.stereo(
+        drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options
+    )
     run.session.rows.finder = SeenFinder()
     return run
 
@@ -33,7 +35,9 @@ def test_events_grow_and_are_complete_at_the_end(small_drive, tmp_path):
     assert 0 < counts[-2][0] == counts[-2][1]
     events = read_events(out / "events.csv")
     assert [one.track_id for one in events] == [one.track_id for one in run.events]
-    assert [one.start_s for one in read_events(out / "events.parquet")] == [one.start_s for one in run.events]
+    assert [one.start_s for one in read_events(out / "events.parquet")] == [
+        one.start_s for one in run.events
+    ]
     section = json.loads((out / "summary.json").read_text())["events"]
     assert section == run.summary["events"]
     assert section["n"] == section["by_kind"]["forward_collision"] == len(events) > 0
@@ -53,7 +57,12 @@ def test_stopped_run_has_open_events(small_drive, tmp_path):
 
 def test_run_without_events_has_both_files(small_drive, tmp_path):
     run = tr.Run.stereo(
-        small_drive.left, small_drive.right, detections=small_drive.detections, overlay=False, align="off", duration=0.2
+        small_drive.left,
+        small_drive.right,
+        detections=small_drive.detections,
+        overlay=False,
+        align="off",
+        duration=0.2,
     )
     run.write(tmp_path)
     header = (tmp_path / "events.csv").read_text()
@@ -110,7 +119,12 @@ def test_worst_event():
     quiet = event(warning_s=math.nan, probability=0.99)
     likely, near = event(probability=0.9, min_ttc_s=2.0), event(probability=0.9, min_ttc_s=1.0)
     unknown = event(probability=math.nan)
-    assert sorted([quiet, unknown, likely, near], key=severity_key) == [near, likely, unknown, quiet]
+    assert sorted([quiet, unknown, likely, near], key=severity_key) == [
+        near,
+        likely,
+        unknown,
+        quiet,
+    ]
     section = events_section([quiet, near], 7200.0)
     assert section["worst"]["min_ttc_s"] == 1.0
     assert (section["hours"], section["by_kind"]["cut_in"]) == (2.0, 0)

@@ -20,7 +20,12 @@ def rows(*lengths, state="moving", sigma_m=1.0):
     n = len(given["frame"])
     number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths])
     placed = {"world_x_m": 20.0 + number, "world_y_m": 2.0 - number, "state": np.full(n, state)}
-    return {**given, **placed, "fused_kf_m": np.full(n, 30.0), "fused_kf_sigma_m": np.full(n, sigma_m)}
+    return {
+        **given,
+        **placed,
+        "fused_kf_m": np.full(n, 30.0),
+        "fused_kf_sigma_m": np.full(n, sigma_m),
+    }
 
 
 def unpacked(text):

@@ -10,7 +10,12 @@ import pytest
 
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
-from track_range.views.report.comparison import ComparedRun, event_differences, event_grids, event_sentence
+from track_range.views.report.comparison import (
+    ComparedRun,
+    event_differences,
+    event_grids,
+    event_sentence,
+)
 from track_range.views.report.content.events import (
     clips_of,
     event_details,
@@ -26,8 +31,20 @@ def event(**changes: Any) -> Event:
     values: dict[str, Any] = dict.fromkeys(
         ("warning_s", "min_ttc_s", "closing_mps", "ego_mps", "probability", "headway_s"), math.nan
     )
-    values |= {"kind": "near_miss", "start_s": 1.0, "peak_s": 1.5, "end_s": 2.0, "frame": 15, "track_id": 1}
-    values |= {"class_name": "car", "min_distance_m": 4.0, "min_distance_sigma_m": 0.2, "reason": ""}
+    values |= {
+        "kind": "near_miss",
+        "start_s": 1.0,
+        "peak_s": 1.5,
+        "end_s": 2.0,
+        "frame": 15,
+        "track_id": 1,
+    }
+    values |= {
+        "class_name": "car",
+        "min_distance_m": 4.0,
+        "min_distance_sigma_m": 0.2,
+        "reason": "",
+    }
     return Event(**{**values, **changes})
 
 
@@ -45,11 +62,17 @@ def rows(*tracks: tuple[int, float], n: int = 40) -> dict[str, Any]:
     return columns | {"x2_px": columns["x1_px"] + 100.0}
 
 
-def differences(a: list[Event], b: list[Event], a_rows: Any = None, b_rows: Any = None) -> list[tuple[str, str]]:
+def differences(
+    a: list[Event], b: list[Event], a_rows: Any = None, b_rows: Any = None
+) -> list[tuple[str, str]]:
     usual_rows = rows((1, 300.0), (2, 700.0))
     listed = event_differences(a, a_rows or usual_rows, b, b_rows or usual_rows)
     return [
-        ("changed" if item.changes else "first" if item.first else "second", "; ".join(item.changes)) for item in listed
+        (
+            "changed" if item.changes else "first" if item.first else "second",
+            "; ".join(item.changes),
+        )
+        for item in listed
     ]
 
 
@@ -58,7 +81,9 @@ def test_equal_events_do_not_differ() -> None:
     assert differences([], []) == []
 
 
-@pytest.mark.parametrize("change", [{"kind": "cut_in"}, {"track_id": 2}, {"start_s": 5.0, "peak_s": 5.0, "end_s": 6.0}])
+@pytest.mark.parametrize(
+    "change", [{"kind": "cut_in"}, {"track_id": 2}, {"start_s": 5.0, "peak_s": 5.0, "end_s": 6.0}]
+)
 def test_other_kind_place_or_time(change: dict[str, Any]) -> None:
     assert sorted(differences([event()], [event(**change)])) == [("first", ""), ("second", "")]
 
@@ -102,7 +127,12 @@ def test_nearest_peaks_match_first() -> None:
 def compared(name: str, events: Any, video: str = "a.mp4") -> ComparedRun:
     summary = {"inputs": {"mono": video}}
     return ComparedRun(
-        name=name, summary=summary, settings={}, link=f"{name}/r.html", events=events, rows=rows((1, 3.0))
+        name=name,
+        summary=summary,
+        settings={},
+        link=f"{name}/r.html",
+        events=events,
+        rows=rows((1, 3.0)),
     )
 
 
@@ -121,7 +151,11 @@ def test_grids_of_events_come_first() -> None:
 
 @pytest.mark.parametrize(
     ("second", "word"),
-    [(compared("b", (event(),)), "same"), (compared("b", None), "not compared"), (compared("b", (), "x.mp4"), "not")],
+    [
+        (compared("b", (event(),)), "same"),
+        (compared("b", None), "not compared"),
+        (compared("b", (), "x.mp4"), "not"),
+    ],
 )
 def test_sentence_without_differences(second: ComparedRun, word: str) -> None:
     assert word in event_sentence([compared("a", (event(),)), second])
@@ -134,8 +168,14 @@ def test_run_without_events_file() -> None:
 
 
 def test_event_in_words() -> None:
-    text = event_details(event(min_ttc_s=1.25, closing_mps=3.0, ego_mps=10.0, probability=0.5, headway_s=0.75))
-    assert text == "4.0 ± 0.2 m · collision in 1.2 s · closing 3.0 m/s · headway 0.8 s · ego 36 km/h · contact 50 %"
+    text = event_details(
+        event(min_ttc_s=1.25, closing_mps=3.0, ego_mps=10.0, probability=0.5, headway_s=0.75)
+    )
+    assert (
+        text
+        == "4.0 ± 0.2 m · collision in 1.2 s · closing 3.0 m/s · headway 0.8 s · ego 36 km/h · "
+        "contact 50 %"
+    )
     assert event_details(event(min_distance_m=math.nan)) == ""
     assert kind_counts([event(), event(), event(kind="cut_in")]) == [
         "1 \N{MULTIPLICATION SIGN} cut-in",
@@ -157,7 +197,9 @@ def test_most_severe_events_are_shown() -> None:
     assert shown[0].start_s == 100.0
 
 
-@pytest.mark.parametrize(("sigma_m", "words"), [(0.0, "0.01"), (0.019, "0.02"), (0.0951, "0.1"), (2.34, "2.3")])
+@pytest.mark.parametrize(
+    ("sigma_m", "words"), [(0.0, "0.01"), (0.019, "0.02"), (0.0951, "0.1"), (2.34, "2.3")]
+)
 def test_small_sigmas_are_not_zero(sigma_m: float, words: str) -> None:
     assert sigma_words(sigma_m) == words
 
@@ -168,9 +210,15 @@ def shown(columns: dict[str, Any], events: list[Event] | None) -> list[dict[str,
 
 def test_headlines_of_events() -> None:
     columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": 20.0 - np.arange(40) / 10}
-    columns |= {"ttc_front_s": np.full(40, np.nan), "fused_sigma_m": np.full(40, 0.5), "ttc_s": np.full(40, 1.0)}
+    columns |= {
+        "ttc_front_s": np.full(40, np.nan),
+        "fused_sigma_m": np.full(40, 0.5),
+        "ttc_s": np.full(40, 1.0),
+    }
     columns["ttc_front_s"][7] = 2.5
-    first, nearest, collision = shown(columns, [event(), event(kind="forward_collision", warning_s=1.5)])
+    first, nearest, collision = shown(
+        columns, [event(), event(kind="forward_collision", warning_s=1.5)]
+    )
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
     assert nearest == {
         "figure": "16.1 m",
@@ -184,7 +232,12 @@ def test_headlines_of_events() -> None:
 
 
 def test_headline_of_a_probability() -> None:
-    columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": np.full(40, 20.0), "ttc_s": np.full(40, np.nan)}
+    columns = {
+        **rows((1, 300.0)),
+        "observed": np.ones(40),
+        "fused_m": np.full(40, 20.0),
+        "ttc_s": np.full(40, np.nan),
+    }
     columns["contact_probability"] = np.where(np.arange(40) == 7, 0.6, 0.1)
     figure = shown(columns, [])[2]
     assert (figure["figure"], figure["time_s"]) == ("60 %", 0.7)
@@ -199,6 +252,10 @@ def test_links_to_clips() -> None:
 
 
 def test_headlines_without_road_users() -> None:
-    columns = {**rows((1, 300.0)), "class": np.full(40, "traffic sign"), "fused_m": np.full(40, 3.0)}
+    columns = {
+        **rows((1, 300.0)),
+        "class": np.full(40, "traffic sign"),
+        "fused_m": np.full(40, 3.0),
+    }
     figures = [headline["figure"] for headline in shown(columns, None)]
     assert figures == ["No road user", "No distance", "No collision course"]

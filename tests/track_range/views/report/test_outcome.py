@@ -5,7 +5,13 @@ import math
 from tests.track_range.results.events.event_builder import event
 from tests.track_range.results.test_approaches import COLUMNS
 from track_range.results.approaches import closest_approaches
-from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines, html_table, user_grid
+from track_range.views.report.outcome import (
+    accuracy_lines,
+    class_grid,
+    event_lines,
+    html_table,
+    user_grid,
+)
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 USERS = closest_approaches(COLUMNS)
@@ -45,7 +51,9 @@ def test_events_in_lines():
     assert len(lines) == 5
     assert more.strip().startswith("and 2 events more")
     assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss, without a warning."
-    assert next(event_lines(others[2:3])) == "1 event: near miss, car 7 at 2.0 s, without a warning."
+    assert (
+        next(event_lines(others[2:3])) == "1 event: near miss, car 7 at 2.0 s, without a warning."
+    )
 
 
 def test_accuracy_in_lines():

@@ -50,7 +50,9 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.counts[tag] = self.counts.get(tag, 0) + 1
-        self.addresses += [value or "" for name, value in attrs if name.split(":")[-1] in ("src", "href", "action")]
+        self.addresses += [
+            value or "" for name, value in attrs if name.split(":")[-1] in ("src", "href", "action")
+        ]
         self.handlers += [name for name, _ in attrs if name.startswith("on")]
         if tag not in VOID:
             self.open.append(tag)
@@ -70,11 +72,16 @@ class Page(HTMLParser):
             self.scripts.append(data)
 
 
-def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[str, npt.NDArray[Any]]:
-    """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused measured."""
+def columns(
+    *lengths: int, class_name: str = "car", truth: bool = True
+) -> dict[str, npt.NDArray[Any]]:
+    """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused
+    measured."""
     n = sum(lengths)
     changed: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in column_names()}
-    time_s = np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
+    time_s = (
+        np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
+    )
     distance_m = 40.0 - time_s
     changed |= {
         "time_s": time_s,
@@ -105,7 +112,11 @@ def summary(**more: Any) -> dict[str, Any]:
         "tracks": {"n": 3, "mota": 88.1, "idf1": 91.4, "idsw": 0},
         "notes": ["The rig was taken from calib.txt."],
         "truth": "the visible surface",
-        "inputs": {"left": "drive/left.mp4", "right": "drive/right.mp4", "rig": {"file": "calib.txt", "note": None}},
+        "inputs": {
+            "left": "drive/left.mp4",
+            "right": "drive/right.mp4",
+            "rig": {"file": "calib.txt", "note": None},
+        },
         "versions": {"numpy": "2.4.6"},
         "files": {"overlay": "overlay.mp4"},
         **more,
@@ -131,7 +142,8 @@ def test_page_shows_the_summary() -> None:
 def test_page_is_self_contained() -> None:
     text = report_page(summary(), columns(700, 5, 7))
     page = Page(text)
-    assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}  # the name of the SVG language
+    # the name of the SVG language
+    assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}
     assert "@import" not in text
     assert "url(" not in text
     assert "link" not in page.counts
@@ -191,15 +203,36 @@ def test_run_without_truth() -> None:
 
 
 def event(**changes: Any) -> Event:
-    values: dict[str, Any] = {"kind": "cut_in", "start_s": 0.2, "peak_s": 0.3, "end_s": 0.4, "warning_s": 0.25}
-    values |= {"frame": 3, "track_id": 1, "class_name": "car", "min_distance_m": 12.0, "min_distance_sigma_m": 0.5}
-    values |= {"min_ttc_s": 2.0, "closing_mps": 6.0, "ego_mps": 14.0, "probability": 0.8, "headway_s": math.nan}
+    values: dict[str, Any] = {
+        "kind": "cut_in",
+        "start_s": 0.2,
+        "peak_s": 0.3,
+        "end_s": 0.4,
+        "warning_s": 0.25,
+    }
+    values |= {
+        "frame": 3,
+        "track_id": 1,
+        "class_name": "car",
+        "min_distance_m": 12.0,
+        "min_distance_sigma_m": 0.5,
+    }
+    values |= {
+        "min_ttc_s": 2.0,
+        "closing_mps": 6.0,
+        "ego_mps": 14.0,
+        "probability": 0.8,
+        "headway_s": math.nan,
+    }
     return Event(**{**values, "reason": "A car moved into the lane.", **changes})
 
 
 def test_first_screen_precedes_tables() -> None:
     text = report_page(summary(), columns(9, 5), [event()])
-    places = [text.index(f'id="{name}"') for name in ("stage", "timeline", "events", "tracks", "accuracy", "settings")]
+    places = [
+        text.index(f'id="{name}"')
+        for name in ("stage", "timeline", "events", "tracks", "accuracy", "settings")
+    ]
     assert places == sorted(places)
     page = Page(text)
     assert "cut-in warning at 0.2 s car 1" in page.text
@@ -223,7 +256,9 @@ def test_run_without_events() -> None:
 
 
 def test_many_events_stay_small() -> None:
-    text = report_page(summary(), columns(50), [event(start_s=i / 1000, end_s=1.0) for i in range(3000)])
+    text = report_page(
+        summary(), columns(50), [event(start_s=i / 1000, end_s=1.0) for i in range(3000)]
+    )
     assert len(Page(text).content["events"]) == 500
     assert "2500 more" in text
     assert len(text) < 1_000_000
@@ -240,7 +275,12 @@ def test_texts_of_events_are_escaped() -> None:
 def test_positions_are_in_the_page() -> None:
     changed = columns(9)
     left_px = np.linspace(100, 900, 9)
-    changed |= {"x1_px": left_px, "y1_px": np.full(9, 10.0), "x2_px": left_px + 50, "y2_px": np.full(9, 60.0)}
+    changed |= {
+        "x1_px": left_px,
+        "y1_px": np.full(9, 10.0),
+        "x2_px": left_px + 50,
+        "y2_px": np.full(9, 60.0),
+    }
     changed["x_m"] = (left_px + 25 - 600) / 1000 * changed["fused_m"]
     text = report_page(summary(), changed)
     page = Page(text)
@@ -267,7 +307,9 @@ def test_run_of_one_frame() -> None:
 
 def test_single_camera_without_distances() -> None:
     changed = columns(4, truth=False)
-    changed |= {name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")}
+    changed |= {
+        name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")
+    }
     page = Page(report_page(summary(truth=None, methods={}, inputs={"video": "dash.mp4"}), changed))
     assert "dash.mp4" in page.text
     assert page.content["tracks"][0]["m"] == {}
@@ -281,7 +323,11 @@ def test_two_thousand_tracks_stay_small() -> None:
 
 
 def test_colours_of_methods_and_hidden_filtered_ones() -> None:
-    changed = columns(9) | {"fused_kf_m": np.full(9, 30.0), "radar_m": np.full(9, 30.0), "only_kf_m": np.full(9, 30.0)}
+    changed = columns(9) | {
+        "fused_kf_m": np.full(9, 30.0),
+        "radar_m": np.full(9, 30.0),
+        "only_kf_m": np.full(9, 30.0),
+    }
     methods = {method["name"]: method for method in run_content(summary(), changed)["methods"]}
     assert [name for name, method in methods.items() if not method["shown"]] == ["fused_kf"]
     assert methods["fused"]["colour"] == methods["fused_kf"]["colour"] != methods["radar"]["colour"]
@@ -301,10 +347,18 @@ def test_data_cannot_end_its_element() -> None:
 def test_comparison_page() -> None:
     runs = [
         ComparedRun(name="a", summary=summary(), settings={"size_px": 640}, link="a b/report.html"),
-        ComparedRun(name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)),
+        ComparedRun(
+            name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)
+        ),
     ]
     page = Page(comparison_page(runs, []))
-    for words in ("Comparison of 2 runs", "a 16 8.2 3", "<b> gone", "size_px 640 320", "same kind of ground truth"):
+    for words in (
+        "Comparison of 2 runs",
+        "a 16 8.2 3",
+        "<b> gone",
+        "size_px 640 320",
+        "same kind of ground truth",
+    ):
         assert words in page.text
     assert page.addresses.count("a%20b/report.html") == 1
     assert page.content == {"lines": []}
@@ -312,7 +366,9 @@ def test_comparison_page() -> None:
 
 def test_comparison_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"c\.html: cannot be written"):
-        write_comparison(tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})], [])
+        write_comparison(
+            tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})], []
+        )
 
 
 def test_report_replaces_an_earlier_one(tmp_path: Path) -> None:

@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from track_range.views.report.content.errors import SCATTER_POINTS, calibration_curves, error_curves, median_by_distance
+from track_range.views.report.content.errors import (
+    SCATTER_POINTS,
+    calibration_curves,
+    error_curves,
+    median_by_distance,
+)
 
 BANDS = [
     {"from_m": 5.0, "to_m": 10.0, "mean_relative_error_pct": 3.0},
@@ -41,13 +46,20 @@ def test_errors_are_relative_to_the_truth() -> None:
     columns = {
         "time_s": np.zeros(4),
         "mono_m": np.array([11.0, np.nan, 19.0, 7.0]),
-        "truth_m": np.array([10.0, 10.0, 20.0, 0.0]),  # a truth of no distance has no relative error
+        # a truth of no distance has no relative error
+        "truth_m": np.array([10.0, 10.0, 20.0, 0.0]),
     }
-    assert error_curves(columns, {}) == {"mono": {"points": [[10.0, 20.0], [10.0, -5.0]], "line": [[], []]}}
+    assert error_curves(columns, {}) == {
+        "mono": {"points": [[10.0, 20.0], [10.0, -5.0]], "line": [[], []]}
+    }
 
 
 def test_errors_of_scored_truth_only() -> None:
-    columns = {"time_s": np.zeros(2), "mono_m": np.array([11.0, 30.0]), "truth_m": np.array([10.0, 20.0])}
+    columns = {
+        "time_s": np.zeros(2),
+        "mono_m": np.array([11.0, 30.0]),
+        "truth_m": np.array([10.0, 20.0]),
+    }
     columns["scored_truth_m"] = np.array([10.0, np.nan])
     assert error_curves(columns, {})["mono"]["points"] == [[10.0], [10.0]]
 
@@ -69,7 +81,9 @@ def test_bands_of_the_summary_without_truth() -> None:
 @pytest.mark.parametrize(
     ("sigma", "within_1", "within_2"), [(0.02, 68.3, 95.5), (0.04, 95.5, 99.9), (0.01, 38.3, 68.3)]
 )
-def test_calibrated_sigmas_lie_on_the_diagonal(sigma: float, within_1: float, within_2: float) -> None:
+def test_calibrated_sigmas_lie_on_the_diagonal(
+    sigma: float, within_1: float, within_2: float
+) -> None:
     curves = calibration_curves(drive(20_000, sigma=sigma), {})
     assert set(curves) == {"fused"}  # fused_kf has no sigma here
     expected, observed = (np.array(part) for part in curves["fused"]["line"])
@@ -80,5 +94,7 @@ def test_calibrated_sigmas_lie_on_the_diagonal(sigma: float, within_1: float, wi
 
 def test_fractions_of_the_summary_without_truth() -> None:
     row = {"within_1_sigma": 0.7, "within_2_sigma": 0.9, "n": 12}
-    curves = calibration_curves(drive(9, truth=False), {"methods": {"fused": row, "mono": {"within_1_sigma": None}}})
+    curves = calibration_curves(
+        drive(9, truth=False), {"methods": {"fused": row, "mono": {"within_1_sigma": None}}}
+    )
     assert curves == {"fused": {"line": [[68.27, 95.45], [70.0, 90.0]], "n": 12}}

@@ -1,6 +1,7 @@
 """The report in a headless Chromium; skipped, with the reason, if there is none.
 
-The brightness of each frame of the small overlay encodes its number, so that a screenshot shows which one is displayed.
+The brightness of each frame of the small overlay encodes its number, so that a screenshot shows
+which one is displayed.
 """
 
 from __future__ import annotations
@@ -22,10 +23,15 @@ from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import write_comparison, write_report
 from track_range.views.video_writer import VideoWriter
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed (extra dev)"
+)
 
 STEP_S, N_FRAMES = 0.1, 25
-EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+EVIL = (
+    "<img src=x "
+    "onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+)
 
 
 @pytest.fixture
@@ -39,7 +45,10 @@ def page_of(browser: Any) -> Iterator[Callable[..., Any]]:
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on(
-            "request", lambda asked: None if asked.url.startswith(("file:", "data:")) else complaints.append(asked.url)
+            "request",
+            lambda asked: (
+                None if asked.url.startswith(("file:", "data:")) else complaints.append(asked.url)
+            ),
         )
         page.goto(path.as_uri())
         return page
@@ -50,10 +59,17 @@ def page_of(browser: Any) -> Iterator[Callable[..., Any]]:
     assert complaints == []
 
 
-def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0.0) -> dict[str, Any]:
-    """tracks.csv with one track of each length; the distance of each falls by a metre per frame, the truth likewise."""
+def rows(
+    *lengths: int, name: str = "car", truth: bool = True, from_s: float = 0.0
+) -> dict[str, Any]:
+    """tracks.csv with one track of each length; the distance of each falls by a metre per frame,
+    the truth likewise."""
     n = sum(lengths)
-    number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths]) if lengths else np.zeros(0)
+    number = (
+        np.concatenate([np.arange(length, dtype=np.float64) for length in lengths])
+        if lengths
+        else np.zeros(0)
+    )
     changed: dict[str, Any] = {column: np.full(n, np.nan) for column in column_names()}
     changed |= {
         "frame": number,
@@ -68,23 +84,52 @@ def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0
     for method, factor in (("mono", 1.1), ("stereo", 0.99), ("sgbm", 1.01)):
         changed |= {f"{method}_m": (60.0 - number) * factor, f"{method}_sigma_m": np.full(n, 1.0)}
     u_px = 300 + 20 * number + 100 * changed["track_id"]  # at f = 1000 px and cx = 600 px
-    changed |= {"x1_px": u_px - 20, "y1_px": np.full(n, 100.0), "x2_px": u_px + 20, "y2_px": np.full(n, 140.0)}
-    changed |= {"x_m": (u_px - 600) / 1000 * changed["fused_m"], "ttc_s": np.where(number > 0, 5.0, np.nan)}
+    changed |= {
+        "x1_px": u_px - 20,
+        "y1_px": np.full(n, 100.0),
+        "x2_px": u_px + 20,
+        "y2_px": np.full(n, 140.0),
+    }
+    changed |= {
+        "x_m": (u_px - 600) / 1000 * changed["fused_m"],
+        "ttc_s": np.where(number > 0, 5.0, np.nan),
+    }
     return changed | ({"truth_m": 60.0 - number} if truth else {})
 
 
 def event(kind: Any, start_s: float, end_s: float, **changes: Any) -> Event:
-    values: dict[str, Any] = {"kind": kind, "start_s": start_s, "peak_s": end_s, "end_s": end_s, "warning_s": start_s}
-    values |= {"frame": round(end_s / STEP_S), "track_id": 1, "class_name": "car", "min_distance_m": 40.0}
+    values: dict[str, Any] = {
+        "kind": kind,
+        "start_s": start_s,
+        "peak_s": end_s,
+        "end_s": end_s,
+        "warning_s": start_s,
+    }
+    values |= {
+        "frame": round(end_s / STEP_S),
+        "track_id": 1,
+        "class_name": "car",
+        "min_distance_m": 40.0,
+    }
     values |= {"min_distance_sigma_m": 0.5, "min_ttc_s": 2.0, "closing_mps": 6.0, "ego_mps": 14.0}
     return Event(**{**values, "probability": 0.8, "reason": EVIL, "headway_s": 1.5, **changes})
 
 
-EVENTS = (event("forward_collision", 0.5, 0.9), event("cut_in", 1.2, 1.6, track_id=2), event("near_miss", 2.0, 2.2))
+EVENTS = (
+    event("forward_collision", 0.5, 0.9),
+    event("cut_in", 1.2, 1.6, track_id=2),
+    event("near_miss", 2.0, 2.2),
+)
 
 
 def summary(**more: Any) -> dict[str, Any]:
-    row = {"coverage": 1.0, "n": 25, "median_relative_error_pct": 2.0, "within_1_sigma": 0.7, "within_2_sigma": 0.9}
+    row = {
+        "coverage": 1.0,
+        "n": 25,
+        "median_relative_error_pct": 2.0,
+        "within_1_sigma": 0.7,
+        "within_2_sigma": 0.9,
+    }
     bands = [{"from_m": 20.0, "to_m": 30.0, "mean_relative_error_pct": 1.0}]
     return {
         "frames": N_FRAMES,
@@ -118,14 +163,19 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def frame_shown(page: Any) -> float:
     """Number of the displayed overlay frame, from the brightness above the player controls."""
     page.mouse.move(2, 2)
-    picture = cv2.imdecode(np.frombuffer(page.locator("#video").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    picture = cv2.imdecode(
+        np.frombuffer(page.locator("#video").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE
+    )
     height, width = picture.shape
-    return float(np.median(picture[height // 8 : height // 3, width * 4 // 10 : width * 6 // 10])) / 10
+    return (
+        float(np.median(picture[height // 8 : height // 3, width * 4 // 10 : width * 6 // 10])) / 10
+    )
 
 
 def wait_for_video(page: Any) -> None:
     page.wait_for_function(
-        "() => { const v = document.getElementById('video'); return v.readyState >= 2 && !v.seeking; }"
+        "() => { const v = document.getElementById('video'); return v.readyState >= 2 && "
+        "!v.seeking; }"
     )
 
 
@@ -137,7 +187,9 @@ def first_chart(page: Any) -> Any:
     return chart
 
 
-def click_at(page: Any, time_s: float, *, first_s: float = 0.0, last_s: float = (N_FRAMES - 1) * STEP_S) -> None:
+def click_at(
+    page: Any, time_s: float, *, first_s: float = 0.0, last_s: float = (N_FRAMES - 1) * STEP_S
+) -> None:
     """Click in the first chart at a time."""
     chart = first_chart(page)
     plot = chart.locator("> svg > svg").bounding_box()
@@ -153,7 +205,8 @@ def test_click_in_a_chart_moves_the_video(page_of: Callable[..., Any], run: Path
         click_at(page, number * STEP_S)
         wait_for_video(page)
         page.wait_for_function(
-            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < 0.01"
+            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < "
+            "0.01"
         )
         assert abs(frame_shown(page) - number) < 0.5
         readout = page.locator(".readout").first.inner_text()
@@ -165,14 +218,19 @@ def test_cursor_follows_the_video(page_of: Callable[..., Any], run: Path) -> Non
     page = page_of(run / "report.html")
     wait_for_video(page)
     first_chart(page)
-    lines = "() => [...document.querySelectorAll('.cursor')].map((line) => +line.getAttribute('x1'))"
+    lines = (
+        "() => [...document.querySelectorAll('.cursor')].map((line) => +line.getAttribute('x1'))"
+    )
     before = page.evaluate(lines)
     page.evaluate("() => document.getElementById('video').play()")
     page.wait_for_function("() => document.getElementById('video').ended")
-    page.wait_for_function("() => document.querySelector('.readout').textContent.startsWith('2.40 s')")
+    page.wait_for_function(
+        "() => document.querySelector('.readout').textContent.startsWith('2.40 s')"
+    )
     after = page.evaluate(lines)
     assert after[0] > before[0] + 500
-    assert "no box at this time" in page.locator(".readout").nth(1).inner_text()  # its track ended before
+    # its track ended before
+    assert "no box at this time" in page.locator(".readout").nth(1).inner_text()
     assert page.locator("#now button").all_inner_texts() == ["car 1 36.0 m"]
 
 
@@ -180,7 +238,12 @@ def test_keys_of_the_page(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)
     starts_s = sorted({one.start_s for one in EVENTS if one.start_s > 0.05})
-    for key, time_s in (("j", starts_s[0]), ("j", starts_s[1]), ("k", starts_s[0]), ("ArrowRight", starts_s[0] + 1)):
+    for key, time_s in (
+        ("j", starts_s[0]),
+        ("j", starts_s[1]),
+        ("k", starts_s[0]),
+        ("ArrowRight", starts_s[0] + 1),
+    ):
         page.keyboard.press(key)
         assert page.locator("#clock").inner_text().startswith(f"{time_s:.2f} s")
     page.keyboard.press("Home")  # scrolls the page, and leaves the time
@@ -193,7 +256,9 @@ def test_keys_of_the_page(page_of: Callable[..., Any], run: Path) -> None:
     assert page.locator("#find").input_value() == "jk "
 
 
-def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., Any], run: Path) -> None:
+def test_keys_step_through_a_chart_and_start_the_video(
+    page_of: Callable[..., Any], run: Path
+) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)
     chart = page.get_by_role("slider", name="Distance over time of car 1")
@@ -210,7 +275,8 @@ def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., An
         assert float(str(chart.get_attribute("aria-valuenow"))) == pytest.approx(number * STEP_S)
         assert f"fused {60 - number:.1f} ± 0.5 m" in str(chart.get_attribute("aria-valuetext"))
         page.wait_for_function(
-            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < 0.01"
+            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < "
+            "0.01"
         )
     page.keyboard.press("Enter")
     page.wait_for_function("() => document.getElementById('video').currentTime > 0.15")
@@ -227,8 +293,12 @@ def test_timeline_and_play_button(page_of: Callable[..., Any], run: Path) -> Non
     page.mouse.move(2, 2)
     assert not has_controls()
     box = timeline.bounding_box()
-    timeline.click(position={"x": box["width"] * 1.2 / (N_FRAMES * STEP_S), "y": box["height"] - 25})
-    page.wait_for_function("() => Math.abs(document.getElementById('video').currentTime - 1.2) < 0.05")
+    timeline.click(
+        position={"x": box["width"] * 1.2 / (N_FRAMES * STEP_S), "y": box["height"] - 25}
+    )
+    page.wait_for_function(
+        "() => Math.abs(document.getElementById('video').currentTime - 1.2) < 0.05"
+    )
     assert page.locator("#clock").inner_text().startswith("1.2")
     timeline.focus()
     for key, time_s in (
@@ -239,7 +309,9 @@ def test_timeline_and_play_button(page_of: Callable[..., Any], run: Path) -> Non
         ("End", 2.5),
     ):
         page.keyboard.press(key)
-        assert float(str(timeline.get_attribute("aria-valuenow"))) == pytest.approx(time_s, abs=0.02)
+        assert float(str(timeline.get_attribute("aria-valuenow"))) == pytest.approx(
+            time_s, abs=0.02
+        )
         wait_for_video(page)
     assert "road user" in str(timeline.get_attribute("aria-valuetext"))
     page.keyboard.press("Home")
@@ -288,7 +360,14 @@ def test_keys_in_the_list_of_events(page_of: Callable[..., Any], run: Path) -> N
     wait_for_video(page)
     page.locator("#events .event").first.focus()
     focused = "() => [...document.querySelectorAll('.event')].indexOf(document.activeElement)"
-    for key, index in (("ArrowDown", 1), ("ArrowDown", 2), ("ArrowDown", 2), ("ArrowUp", 1), ("Home", 0), ("End", 2)):
+    for key, index in (
+        ("ArrowDown", 1),
+        ("ArrowDown", 2),
+        ("ArrowDown", 2),
+        ("ArrowUp", 1),
+        ("Home", 0),
+        ("End", 2),
+    ):
         page.keyboard.press(key)
         assert page.evaluate(focused) == index
     page.keyboard.press("Enter")
@@ -302,12 +381,22 @@ def test_focus_order_and_visible_focus(page_of: Callable[..., Any], run: Path) -
     names = []
     for _ in range(60):
         page.keyboard.press("Tab")
-        names.append(page.evaluate("() => document.activeElement.id || document.activeElement.classList[0] || ''"))
+        names.append(
+            page.evaluate(
+                "() => document.activeElement.id || document.activeElement.classList[0] || ''"
+            )
+        )
         if names[-1] == "event":
             break
-    order = [names.index(name) for name in ("skip", "theme", "headline", "zoom-in", "play", "timeline", "event")]
+    order = [
+        names.index(name)
+        for name in ("skip", "theme", "headline", "zoom-in", "play", "timeline", "event")
+    ]
     assert order == sorted(order)
-    assert page.evaluate("() => parseFloat(getComputedStyle(document.activeElement).outlineWidth)") >= 2
+    assert (
+        page.evaluate("() => parseFloat(getComputedStyle(document.activeElement).outlineWidth)")
+        >= 2
+    )
 
 
 def test_birds_eye_view_follows_the_video(page_of: Callable[..., Any], run: Path) -> None:
@@ -333,7 +422,8 @@ def test_birds_eye_view_follows_the_video(page_of: Callable[..., Any], run: Path
     page.locator("#zoom-out").click()
     assert page.evaluate(dot) != nearer
     page.locator("#timeline").press("End")
-    page.wait_for_function("() => document.querySelectorAll('.user').length === 1")  # the other track has ended
+    # the other track has ended
+    page.wait_for_function("() => document.querySelectorAll('.user').length === 1")
 
 
 def test_ended_tracks_are_not_shown(page_of: Callable[..., Any], run: Path) -> None:
@@ -351,17 +441,22 @@ def test_link_to_a_moment(page_of: Callable[..., Any], run: Path) -> None:
     page.goto((run / "report.html").as_uri() + "#t=1.5")
     wait_until(page, 1.5)
     page.locator(".headline[data-time]").last.click()
-    page.wait_for_function("() => Math.abs(document.querySelector('#road-view > svg').dataset.time - 1.5) > 0.05")
+    page.wait_for_function(
+        "() => Math.abs(document.querySelector('#road-view > svg').dataset.time - 1.5) > 0.05"
+    )
 
 
 def test_run_without_video_plays(page_of: Callable[..., Any], tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", summary(files={}), rows(N_FRAMES, 12), EVENTS)
     page = page_of(tmp_path / "report.html")
     page.locator("#events .event").nth(1).click()
-    page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time === '1.200'")
+    page.wait_for_function(
+        "() => document.querySelector('#road-view > svg').dataset.time === '1.200'"
+    )
     page.locator("#play").press("Enter")
     page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time > 1.5")
-    page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")  # at the end
+    # at the end
+    page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")
     assert shown_time(page) == pytest.approx(2.5, abs=0.01)
 
 
@@ -369,16 +464,25 @@ def test_map_follows_the_time_and_moves_it(page_of: Callable[..., Any], tmp_path
     step = np.arange(N_FRAMES, dtype=np.float64)
     poses = Poses(step, STEP_S * step, 2.0 * step, 0 * step, 0 * step, np.zeros((N_FRAMES, 3)))
     given = rows(N_FRAMES, 12)
-    given |= {"world_x_m": 30 + given["frame"], "world_y_m": 3.0 * given["track_id"], "state": given["class"]}
+    given |= {
+        "world_x_m": 30 + given["frame"],
+        "world_y_m": 3.0 * given["track_id"],
+        "state": given["class"],
+    }
     write_report(tmp_path / "report.html", summary(files={}), given, EVENTS, poses=poses)
     page = page_of(tmp_path / "report.html")
     page.locator("#map-chart").scroll_into_view_if_needed()
     page.wait_for_selector("#map-chart .map-camera")
     assert page.locator("#map-chart path[data-track]").count() == 2
     assert page.locator("#map-chart .map-now circle").count() == 3
-    start, width = float(page.locator(".map-camera").get_attribute("cx")), page.locator(".map-ego").bounding_box()
+    start, width = (
+        float(page.locator(".map-camera").get_attribute("cx")),
+        page.locator(".map-ego").bounding_box(),
+    )
     page.mouse.click(width["x"] + width["width"] - 2, width["y"])
-    page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time === '2.400'")
+    page.wait_for_function(
+        "() => document.querySelector('#road-view > svg').dataset.time === '2.400'"
+    )
     assert float(page.locator(".map-camera").get_attribute("cx")) > start + 100
     assert page.locator("#map-chart .map-now circle").count() == 2  # the shorter track has ended
 
@@ -397,7 +501,11 @@ def test_small_video_beside_the_charts(page_of: Callable[..., Any], run: Path) -
 @pytest.mark.parametrize("happened", [(), EVENTS[:1]])
 @pytest.mark.parametrize(("width_px", "height_px"), [(1400, 900), (1920, 1080)])
 def test_video_is_in_its_place_at_the_top_of_the_page(
-    page_of: Callable[..., Any], run: Path, happened: tuple[Event, ...], width_px: int, height_px: int
+    page_of: Callable[..., Any],
+    run: Path,
+    happened: tuple[Event, ...],
+    width_px: int,
+    height_px: int,
 ) -> None:
     long = summary(notes=["A long note. " * 500])  # the charts are out of view at first
     write_report(run / "top.html", long, rows(N_FRAMES, 12), happened)
@@ -419,10 +527,17 @@ def test_video_is_in_its_place_at_the_top_of_the_page(
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width_px", [360, 800, 1280])
-def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path, width_px: int, scheme: Any) -> None:
-    page = page_of(run / "report.html", viewport={"width": width_px, "height": 800}, color_scheme=scheme)
+def test_first_screen_contains_its_parts(
+    page_of: Callable[..., Any], run: Path, width_px: int, scheme: Any
+) -> None:
+    page = page_of(
+        run / "report.html", viewport={"width": width_px, "height": 800}, color_scheme=scheme
+    )
     wait_for_video(page)
-    boxes = {name: page.locator(f"#{name}").bounding_box() for name in ("video", "timeline", "road", "events")}
+    boxes = {
+        name: page.locator(f"#{name}").bounding_box()
+        for name in ("video", "timeline", "road", "events")
+    }
     assert all(box["x"] >= 0 and box["x"] + box["width"] <= width_px for box in boxes.values())
     assert boxes["video"]["y"] + boxes["video"]["height"] <= boxes["timeline"]["y"]
     if width_px > 1000:
@@ -432,7 +547,10 @@ def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path,
         assert boxes["timeline"]["y"] < 800
     assert page.evaluate("() => document.documentElement.scrollWidth") == width_px
     if width_px > 700:
-        is_cut = "() => [...document.querySelectorAll('.wide')].some((box) => box.scrollWidth > box.clientWidth)"
+        is_cut = (
+            "() => [...document.querySelectorAll('.wide')].some((box) => box.scrollWidth > "
+            "box.clientWidth)"
+        )
         assert not page.evaluate(is_cut)
 
 
@@ -448,7 +566,8 @@ def test_button_below_the_video_leads_to_its_chart(page_of: Callable[..., Any], 
     write_report(run / "many.html", summary(), rows(*([N_FRAMES] * 30), 9))
     page = page_of(run / "many.html")
     first_chart(page)
-    assert page.locator("#track-list figure[data-track='24']").count() == 0  # the list begins with twenty
+    # the list begins with twenty
+    assert page.locator("#track-list figure[data-track='24']").count() == 0
     page.locator("#now button").last.click()
     assert page.locator("#track-list figure").first.get_attribute("data-track") == "24"
     chart = page.locator("#track-list .chart:focus")
@@ -496,7 +615,9 @@ def test_methods_are_switched_in_all_charts(page_of: Callable[..., Any], run: Pa
     assert method_colours()["mono"] in page.evaluate(strokes)
     page.locator("#legend").get_by_role("button", name="mono", exact=True).click()
     assert method_colours()["mono"] not in page.evaluate(strokes)
-    pressed = page.locator(".legend button[data-method=mono]").evaluate_all("all => all.map((b) => b.ariaPressed)")
+    pressed = page.locator(".legend button[data-method=mono]").evaluate_all(
+        "all => all.map((b) => b.ariaPressed)"
+    )
     assert pressed == ["false"] * 3
     assert "mono" not in page.locator(".readout").first.inner_text()
 
@@ -540,9 +661,13 @@ def test_two_thousand_tracks_in_the_browser(page_of: Callable[..., Any], tmp_pat
 
 
 def test_names_cannot_become_markup(page_of: Callable[..., Any], tmp_path: Path) -> None:
-    changed = summary(notes=[EVIL], truth=EVIL, inputs={"left": EVIL, EVIL: EVIL}, files={}, stages_ms={EVIL: 3.0})
+    changed = summary(
+        notes=[EVIL], truth=EVIL, inputs={"left": EVIL, EVIL: EVIL}, files={}, stages_ms={EVIL: 3.0}
+    )
     write_report(
-        tmp_path / "report.html", {**changed, "methods": {EVIL: changed["methods"]["mono"]}}, rows(9, name=EVIL)
+        tmp_path / "report.html",
+        {**changed, "methods": {EVIL: changed["methods"]["mono"]}},
+        rows(9, name=EVIL),
     )
     page = page_of(tmp_path / "report.html")
     first_chart(page)
@@ -564,11 +689,19 @@ def test_missing_video(page_of: Callable[..., Any], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("changed", "lengths", "truth"),
-    [({}, (1,), True), ({"truth": None, "methods": {}}, (5, 3), False), ({"truth": None, "methods": {}}, (), False)],
+    [
+        ({}, (1,), True),
+        ({"truth": None, "methods": {}}, (5, 3), False),
+        ({"truth": None, "methods": {}}, (), False),
+    ],
     ids=["one frame", "no truth", "no track"],
 )
-def test_incomplete_runs(page_of: Callable[..., Any], tmp_path: Path, changed: Any, lengths: Any, truth: bool) -> None:
-    write_report(tmp_path / "report.html", summary(files={}, **changed), rows(*lengths, truth=truth))
+def test_incomplete_runs(
+    page_of: Callable[..., Any], tmp_path: Path, changed: Any, lengths: Any, truth: bool
+) -> None:
+    write_report(
+        tmp_path / "report.html", summary(files={}, **changed), rows(*lengths, truth=truth)
+    )
     page = page_of(tmp_path / "report.html")
     assert page.locator("h1").inner_text() == "drive/left.mp4"
     if lengths:
@@ -581,15 +714,20 @@ def test_incomplete_runs(page_of: Callable[..., Any], tmp_path: Path, changed: A
 
 def test_several_runs_are_compared(page_of: Callable[..., Any], tmp_path: Path) -> None:
     runs = [
-        ComparedRun(name=name, summary=summary(), settings={}, link=f"{name}/report.html") for name in ("one", EVIL)
+        ComparedRun(name=name, summary=summary(), settings={}, link=f"{name}/report.html")
+        for name in ("one", EVIL)
     ]
     write_comparison(tmp_path / "comparison.html", runs, [])
     page = page_of(tmp_path / "comparison.html")
     page.locator("#run-chart").scroll_into_view_if_needed()
     page.locator("#run-chart .chart svg svg path").first.wait_for(state="attached")
-    assert [text.strip() for text in page.locator("#run-chart .legend > span").all_inner_texts()] == ["one", EVIL]
+    assert [
+        text.strip() for text in page.locator("#run-chart .legend > span").all_inner_texts()
+    ] == ["one", EVIL]
     assert json.loads(page.locator("#run-content").inner_text())["lines"][0]["x"] == [25.0]
-    assert page.get_by_role("link", name="one", exact=True).get_attribute("href") == "one/report.html"
+    assert (
+        page.get_by_role("link", name="one", exact=True).get_attribute("href") == "one/report.html"
+    )
 
 
 def test_known_distance_gives_a_command(page_of: Callable[..., Any], tmp_path: Path) -> None:
@@ -605,6 +743,10 @@ def test_known_distance_gives_a_command(page_of: Callable[..., Any], tmp_path: P
     assert "--known-distance '0.200,420,100,460,140,car=12.4'" in command
     page.click("#known-list button")
     assert not page.is_visible("#known-result")
-    write_report(tmp_path / "report.html", summary(calibration="rig", inputs={"mono": "a.mp4"}, files={}), rows(10))
+    write_report(
+        tmp_path / "report.html",
+        summary(calibration="rig", inputs={"mono": "a.mp4"}, files={}),
+        rows(10),
+    )
     page.reload()
     assert page.query_selector("#known") is None

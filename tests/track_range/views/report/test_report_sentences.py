@@ -20,7 +20,14 @@ def row(median_pct: float | None, **more: Any) -> dict[str, Any]:
 
 
 def alignment(**more: Any) -> dict[str, Any]:
-    values = {"offset_px": 0.2, "bow_px": 0.0, "row_offset_px": 0.1, "residual_px": 0.1, "source": "this drive", **more}
+    values = {
+        "offset_px": 0.2,
+        "bow_px": 0.0,
+        "row_offset_px": 0.1,
+        "residual_px": 0.1,
+        "source": "this drive",
+        **more,
+    }
     return {"calibration": "rig", "alignment": {"is_applied": True, **values}}
 
 
@@ -30,13 +37,19 @@ def texts(grid: Any) -> list[list[str]]:
 
 def test_run_name() -> None:
     assert (
-        run_name({"inputs": {"left": "/long/way/drive/left.mp4", "right": "right.mp4"}}) == "drive/left.mp4 + right.mp4"
+        run_name({"inputs": {"left": "/long/way/drive/left.mp4", "right": "right.mp4"}})
+        == "drive/left.mp4 "
+        "+ "
+        "right.mp4"
     )
     assert run_name({}) == "A run"
 
 
 def test_sigma_verdict_depends_on_sample_size() -> None:
-    verdicts = [sigma_sentences({"methods": {"a": row(1.0, within_1_sigma=0.86) | {"n": n}}})[0] for n in (7, 70)]
+    verdicts = [
+        sigma_sentences({"methods": {"a": row(1.0, within_1_sigma=0.86) | {"n": n}}})[0]
+        for n in (7, 70)
+    ]
     assert "about right" in verdicts[0]
     assert "too large" in verdicts[1]
     assert "70 errors" in verdicts[1]
@@ -107,7 +120,10 @@ def test_flattened_settings() -> None:
 
 
 def test_errors_by_class() -> None:
-    by_class = {"Car": {"median_relative_error_pct": 2.0}, "Van": {"median_relative_error_pct": 9.0}}
+    by_class = {
+        "Car": {"median_relative_error_pct": 2.0},
+        "Van": {"median_relative_error_pct": 9.0},
+    }
     methods = {
         "mono": row(3.0, by_class=by_class),
         "stereo": row(1.0, by_class={"Car": {"median_relative_error_pct": 1.0}}),
@@ -115,7 +131,9 @@ def test_errors_by_class() -> None:
     grid = accuracy_grids({"methods": methods})[-1]
     assert grid.columns == ("method", "Car %", "Van %")
     assert texts(grid) == [["mono", "2.0", "9.0"], ["stereo", "1.0", "-"]]
-    assert [grid.title for grid in accuracy_grids({"methods": {"mono": row(None)}})] == ["Coverage of each method"]
+    assert [grid.title for grid in accuracy_grids({"methods": {"mono": row(None)}})] == [
+        "Coverage of each method"
+    ]
 
 
 def test_tracking_metrics() -> None:
@@ -128,4 +146,7 @@ def test_name_of_a_run_on_several_files() -> None:
         run_name({"inputs": {"mono": ["/drives/a/1.mp4", "/drives/a/2.mp4", "/drives/a/3.mp4"]}})
         == "a/1.mp4 and 2 more"
     )
-    assert run_name({"inputs": {"left": "/drives/l.mp4", "right": ["/drives/r.mp4"]}}) == "drives/l.mp4 + drives/r.mp4"
+    assert (
+        run_name({"inputs": {"left": "/drives/l.mp4", "right": ["/drives/r.mp4"]}})
+        == "drives/l.mp4 + drives/r.mp4"
+    )

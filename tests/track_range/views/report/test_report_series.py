@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.results.columns import methods_measured
-from track_range.views.report.content.series import LINE_POINTS, MOST_CELLS, packed, thinned, track_records
+from track_range.views.report.content.series import (
+    LINE_POINTS,
+    MOST_CELLS,
+    packed,
+    thinned,
+    track_records,
+)
 
 
 def unpacked(text: str, ticks_per_unit: float) -> list[float]:
@@ -56,7 +62,10 @@ def test_smallest_distance_is_rounded_once() -> None:
 def test_track_record() -> None:
     truth_m = np.array([40.0, np.nan, 48.0])
     columns = drive(
-        3, truth_m=truth_m, ttc_front_s=np.array([9.0, 7.5, np.nan]), closing_mps=np.array([np.nan, 1.25, 3.0])
+        3,
+        truth_m=truth_m,
+        ttc_front_s=np.array([9.0, 7.5, np.nan]),
+        closing_mps=np.array([np.nan, 1.25, 3.0]),
     )
     columns |= {"observed": np.array([1.0, 0.0, 1.0]), "class": np.array(["van", "car", "car"])}
     assert list(track_records(columns)) == [
@@ -85,7 +94,10 @@ def test_rows_of_several_tracks_interleaved() -> None:
     columns = drive(2, 3)
     order = np.array([2, 0, 3, 1, 4])
     records = list(track_records({name: values[order] for name, values in columns.items()}))
-    assert [(track["id"], track["n"], track["t"]) for track in records] == [(2, 3, "0,100,100"), (1, 2, "0,100")]
+    assert [(track["id"], track["n"], track["t"]) for track in records] == [
+        (2, 3, "0,100,100"),
+        (1, 2, "0,100"),
+    ]
 
 
 def test_no_track_no_record() -> None:
@@ -94,7 +106,9 @@ def test_no_track_no_record() -> None:
 
 def test_measured_methods_in_column_order() -> None:
     empty = np.full(2, np.nan)
-    columns = drive(2, sgbm_m=empty, mono_m=np.ones(2), truth_m=np.ones(2), x_m=np.ones(2), y_m=np.ones(2))
+    columns = drive(
+        2, sgbm_m=empty, mono_m=np.ones(2), truth_m=np.ones(2), x_m=np.ones(2), y_m=np.ones(2)
+    )
     assert methods_measured(columns) == ["fused", "mono"]
 
 
@@ -111,7 +125,9 @@ def test_long_line_is_thinned() -> None:
 def test_only_long_tracks_are_thinned() -> None:
     records = list(track_records(drive(*[1000] * 900, 20)))
     cells = sum(
-        len(text.split(",")) for track in records for text in (track["t"], track["m"]["fused"], track["s"]["fused"])
+        len(text.split(","))
+        for track in records
+        for text in (track["t"], track["m"]["fused"], track["s"]["fused"])
     )
     assert 0.3 * MOST_CELLS < cells <= MOST_CELLS
     assert len(records[-1]["t"].split(",")) == 20

@@ -1,4 +1,5 @@
-"""Positions and courses for the bird's-eye view, by hand: a camera with f = 1000 px and cx = 600 px."""
+"""Positions and courses for the bird's-eye view, by hand: a camera with f = 1000 px and cx = 600
+px."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ def test_camera_from_rows() -> None:
 def test_no_camera_without_positions() -> None:
     columns = rows(np.linspace(40, 20, 20), np.linspace(-3, 3, 20))
     assert camera_of_rows({**columns, "x_m": np.full(20, np.nan)}) is None
-    assert camera_of_rows({name: values for name, values in columns.items() if name != "x_m"}) is None
+    assert (
+        camera_of_rows({name: values for name, values in columns.items() if name != "x_m"}) is None
+    )
     assert road_columns({name: values[:0] for name, values in columns.items()}) == {}
     noise_m = np.random.default_rng(0).normal(0, 5, 20)
     assert camera_of_rows({**columns, "x_m": noise_m}) is None  # not of one camera
@@ -76,9 +79,14 @@ def test_crossing_object() -> None:
 
 
 def test_offsets_of_the_warning_are_used() -> None:
-    """A vehicle ahead in a bend stays in the ego path, although it moves to the right of the camera's axis."""
+    """A vehicle ahead in a bend stays in the ego path, although it moves to the right of the
+    camera's axis."""
     z_m = 40.0 - np.arange(30)
-    columns = rows(z_m, 0.004 * z_m**2 / 2, path_offset_m=np.where(np.arange(30) < 5, np.nan, 0.01 * np.arange(30)))
+    columns = rows(
+        z_m,
+        0.004 * z_m**2 / 2,
+        path_offset_m=np.where(np.arange(30) < 5, np.nan, 0.01 * np.arange(30)),
+    )
     passing = road_columns(columns)["passing"]
     assert np.isnan(passing[:8]).all()
     assert passing[-1] == pytest.approx(0.29 + 0.1 * columns["ttc_s"][-1], abs=0.01)
@@ -93,7 +101,10 @@ def test_predicted_boxes_are_no_positions() -> None:
 
 
 def test_timeline_counts_road_users() -> None:
-    columns = {"time_s": np.array([0.0, 0.0, 0.0, 0.1, 0.3]), "frame": np.array([0.0, 0.0, 0.0, 1.0, 3.0])}
+    columns = {
+        "time_s": np.array([0.0, 0.0, 0.0, 0.1, 0.3]),
+        "frame": np.array([0.0, 0.0, 0.0, 1.0, 3.0]),
+    }
     columns["class"] = np.array(["car", "person", "traffic light", "car", "car"])
     data = timeline(columns, {"frames": 5})
     assert (data["from_s"], data["to_s"]) == (0.0, 0.5)
@@ -102,20 +113,29 @@ def test_timeline_counts_road_users() -> None:
 
 
 def test_timeline_of_each_third_frame() -> None:
-    columns = {"time_s": np.array([0.0, 0.3, 0.9]), "frame": np.array([0.0, 3.0, 9.0]), "class": np.full(3, "car")}
+    columns = {
+        "time_s": np.array([0.0, 0.3, 0.9]),
+        "frame": np.array([0.0, 3.0, 9.0]),
+        "class": np.full(3, "car"),
+    }
     data = timeline(columns, {"frames": 5, "settings": {"every": 3}})
     assert (data["frame_s"], data["to_s"], data["n"]) == (0.3, 1.5, "1,0,-1,1,-1")
 
 
 def test_timeline_with_ego_speed() -> None:
-    columns = {"time_s": np.arange(3) / 10, "frame": np.arange(3.0), "ego_mps": np.array([10.0, np.nan, 12.0])}
+    columns = {
+        "time_s": np.arange(3) / 10,
+        "frame": np.arange(3.0),
+        "ego_mps": np.array([10.0, np.nan, 12.0]),
+    }
     columns["class"] = np.full(3, "car")
     assert timeline(columns, {})["ego"] == "100,,20"
 
 
 def test_timeline_without_rows() -> None:
     data = timeline(
-        {"time_s": np.zeros(0), "frame": np.zeros(0), "class": np.zeros(0, np.str_)}, {"frames": 20, "starts_s": 3.0}
+        {"time_s": np.zeros(0), "frame": np.zeros(0), "class": np.zeros(0, np.str_)},
+        {"frames": 20, "starts_s": 3.0},
     )
     assert (data["from_s"], data["to_s"]) == (3.0, 5.0)
 

@@ -53,12 +53,29 @@ def test_medians_of_all_common_frames():
 
 def test_road_users_of_one_run_are_named():
     runs = [
-        ComparedRun(name="stereo", summary={"inputs": INPUTS}, settings={}, rows=measured((1, 300.0), (2, 700.0))),
-        ComparedRun(name="mono", summary={"inputs": {"mono": INPUTS["left"]}}, settings={}, rows=measured((5, 300.0))),
+        ComparedRun(
+            name="stereo",
+            summary={"inputs": INPUTS},
+            settings={},
+            rows=measured((1, 300.0), (2, 700.0)),
+        ),
+        ComparedRun(
+            name="mono",
+            summary={"inputs": {"mono": INPUTS["left"]}},
+            settings={},
+            rows=measured((5, 300.0)),
+        ),
     ]
     (pair,) = compared_tracks(runs)
-    assert pair["sentences"] == ["1 road user in both runs.", "Only in stereo: car 2 (20.0 m at 0.0 s)."]
-    assert [cell.text for cell in pair["grid"].rows[0]][:3] == ["car 1 / car 5", "0.0", "20.0 ±1.0 m → 20.0 ±1.0 m"]
+    assert pair["sentences"] == [
+        "1 road user in both runs.",
+        "Only in stereo: car 2 (20.0 m at 0.0 s).",
+    ]
+    assert [cell.text for cell in pair["grid"].rows[0]][:3] == [
+        "car 1 / car 5",
+        "0.0",
+        "20.0 ±1.0 m → 20.0 ±1.0 m",
+    ]
     assert pair["pictures"] == []  # no disagreement
     other = replace(runs[1], summary={"inputs": {"mono": "other/left.mp4"}})
     assert compared_tracks([runs[0], other]) == []
@@ -85,7 +102,13 @@ def test_pictures_of_disagreements(tmp_path):
     with VideoWriter(overlay, width_px=640, height_px=360, fps=10) as writer:
         for number in range(9):
             writer.write(np.full((360, 640, 3), 10 * number, np.uint8), number / 10)
-    first = ComparedRun(name="a", summary={"inputs": INPUTS}, settings={}, rows=measured((1, 300.0)), overlay=overlay)
+    first = ComparedRun(
+        name="a",
+        summary={"inputs": INPUTS},
+        settings={},
+        rows=measured((1, 300.0)),
+        overlay=overlay,
+    )
     second = replace(first, name="b", rows=farther(measured((1, 300.0))), overlay=None)
     page = comparison_page([first, second], compared_tracks([first, second]))
     assert page.count('src="data:image/jpeg;base64,') == 1

@@ -1,4 +1,6 @@
-"""`track-range evaluate`: errors of tracks, distances, motion, events, detectors and stereo matchers against labels."""
+"""`track-range evaluate`: errors of tracks, distances, motion, events, detectors and stereo
+matchers against labels.
+"""
 
 from track_range.cli.lazy import Lazy, lazy_app
 
@@ -7,7 +9,8 @@ app = lazy_app(
         "tracks": Lazy(
             "track_range.cli.commands.evaluate.tracks",
             "HOTA, MOTA, IDF1 and related metrics of tracks.",
-            "The evaluation follows the rules of KITTI or MOTChallenge, depending on the format of the ground truth.",
+            "The evaluation follows the rules of KITTI or MOTChallenge, depending on the format of "
+            "the ground truth.",
             (
                 "track-range evaluate tracks --truth MOT17/train --results tracks",
                 "track-range evaluate tracks --truth label_02/ --results tracks --class person",
@@ -21,8 +24,9 @@ app = lazy_app(
         "detections": Lazy(
             "track_range.cli.commands.evaluate.detections",
             "Average precision, calibration of scores, and speed of detectors.",
-            "The metrics are computed on labelled images, over all objects and by their size. Exits with status 1 if "
-            "a detector could not be evaluated or an image could not be read.",
+            "The metrics are computed on labelled images, over all objects and by their size. "
+            "Exits with status 1 if a detector could not be evaluated or an image could not be "
+            "read.",
             (
                 "track-range evaluate detections --model road --model yolov5n.onnx \\\n"
                 "      --images images/ --labels labels/",
@@ -41,8 +45,9 @@ app = lazy_app(
         "motion": Lazy(
             "track_range.cli.commands.evaluate.motion",
             "Errors of closing speed, speed over ground and time to collision, and false alarms.",
-            "Motion is measured from labelled boxes of drives with poses, without a video. A speed is evaluated if "
-            "its sigma is below 1.5 m/s; each alarm on a drive without a contact is a false alarm.",
+            "Motion is measured from labelled boxes of drives with poses, without a video. A speed "
+            "is evaluated if its sigma is below 1.5 m/s; each alarm on a drive without a contact "
+            "is a false alarm.",
             (
                 "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/",
                 "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/ \\\n"
@@ -52,10 +57,11 @@ app = lazy_app(
         "events": Lazy(
             "track_range.cli.commands.evaluate.events",
             "Hits, misses, false alarms and lead times of collision warnings.",
-            "The ground truth is contacts or labelled events. A contact is a hit if its object caused a warning at "
-            "least 0.8 s before the contact.",
+            "The ground truth is contacts or labelled events. A contact is a hit if its object "
+            "caused a warning at least 0.8 s before the contact.",
             (
-                "track-range evaluate events --events drive-1/events.csv \\\n      --truth drive/contacts.csv",
+                "track-range evaluate events --events drive-1/events.csv \\\n      --truth "
+                "drive/contacts.csv",
                 "track-range evaluate events --events drive-1 --truth labels.csv",
             ),
         ),

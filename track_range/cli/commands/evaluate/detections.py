@@ -1,4 +1,6 @@
-"""`track-range evaluate detections`: accuracy, calibration and speed of detectors on labelled images."""
+"""`track-range evaluate detections`: accuracy, calibration and speed of detectors on labelled
+images.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -32,14 +34,16 @@ class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
     figure: Annotated[
-        Path | None, option("SVG or PNG file for the reliability diagrams of the scores.", metavar="FILE.svg")
+        Path | None,
+        option("SVG or PNG file for the reliability diagrams of the scores.", metavar="FILE.svg"),
     ] = None
     json_file: JsonField = None
 
 
 def _detections(options: DetectionsOptions) -> None:
     check_result_files(options)
-    detector = replace(DetectorOptions.of(options), min_score=None, classes=())  # these two apply to the evaluation
+    # these two apply to the evaluation
+    detector = replace(DetectorOptions.of(options), min_score=None, classes=())
     source = LabelledSource.of(options)
     candidates = open_candidates(options.models, detector, lambda name: ready_model(name, console))
     figures = evaluate_source(
@@ -52,16 +56,23 @@ def _detections(options: DetectionsOptions) -> None:
     print_figures(figures, measure=options.by)
     write_json(options.json_file, figures, allow_nan=True)
     if options.figure is not None:
-        from track_range.views.report.figures import reliability_chart  # imports matplotlib: a third of a second
+        # imports matplotlib: a third of a second
+        from track_range.views.report.figures import reliability_chart
 
-        reliability_chart({name: row["calibration"] for name, row in figures["models"].items()}, options.figure)
+        reliability_chart(
+            {name: row["calibration"] for name, row in figures["models"].items()}, options.figure
+        )
         print_line(console, f"Written: {options.figure}")
     raise typer.Exit(0 if figures["is_complete"] else 1)
 
 
 def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None) -> None:
-    """Print the tables and notes of an evaluation of detectors; `measure` adds tables by size and of calibration."""
-    details = [] if measure is None else [*size_grids(figures, measure), *calibration_grids(figures)]
+    """Print the tables and notes of an evaluation of detectors; `measure` adds tables by size and
+    of calibration.
+    """
+    details = (
+        [] if measure is None else [*size_grids(figures, measure), *calibration_grids(figures)]
+    )
     print_grid(console, accuracy_grid(figures), class_grid(figures), *details, speed_grid(figures))
     for note in figures["notes"]:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)

@@ -10,7 +10,15 @@ from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.output_files import write_json
-from track_range.views.report.tables import NOTHING, Cell, Column, ColumnSpec, Grid, columns_of, grid_of
+from track_range.views.report.tables import (
+    NOTHING,
+    Cell,
+    Column,
+    ColumnSpec,
+    Grid,
+    columns_of,
+    grid_of,
+)
 
 _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
@@ -37,7 +45,9 @@ def _events(options: EventsOptions) -> None:
 
 def _score_grid(figures: Mapping[str, Any]) -> Grid:
     counts = ("hits", "misses", "false_alarms")
-    by_kind = {kind: row for kind, row in figures["by_kind"].items() if any(row[name] for name in counts)}
+    by_kind = {
+        kind: row for kind, row in figures["by_kind"].items() if any(row[name] for name in counts)
+    }
     sections = {"all": figures["overall"], **by_kind}
     rows = list(sections.values())
     leads_s = [row["lead_s"] for row in rows]
@@ -48,8 +58,15 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
         Column("shortest s", [min(leads, default=None) for leads in leads_s], "{:.2f}"),
     ]
     hours = figures["overall"]["hours"]
-    duration = "" if hours is None else f", {hours:.2f} h" if hours >= 1 else f", {3600 * hours:.0f} s"
-    return grid_of(f"Warnings{duration}" if "contacts" in figures else f"Events{duration}", "", list(sections), columns)
+    duration = (
+        "" if hours is None else f", {hours:.2f} h" if hours >= 1 else f", {3600 * hours:.0f} s"
+    )
+    return grid_of(
+        f"Warnings{duration}" if "contacts" in figures else f"Events{duration}",
+        "",
+        list(sections),
+        columns,
+    )
 
 
 def _contact_grid(figures: Mapping[str, Any]) -> Grid:

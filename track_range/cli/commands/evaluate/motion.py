@@ -1,4 +1,6 @@
-"""`track-range evaluate motion`: closing speed, speed over ground, time to collision, warnings on labelled drives."""
+"""`track-range evaluate motion`: closing speed, speed over ground, time to collision, warnings on
+labelled drives.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -56,10 +58,13 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
             rows |= {f"{name}, {band} m": row for band, row in by_band.items() if row["n"]}
         yield tables.grid_of(title, "objects", list(rows), tables.columns_of(rows.values(), _SPEED))
     ttc = {key.replace("_", " "): row for key, row in figures["ttc"].items()}
-    yield tables.grid_of("Time to collision", "true time", list(ttc), tables.columns_of(ttc.values(), _TTC))
+    yield tables.grid_of(
+        "Time to collision", "true time", list(ttc), tables.columns_of(ttc.values(), _TTC)
+    )
     if score := figures.get("velocity_score"):
         columns = [
-            tables.Column(f"{name} (m/s)\N{SUPERSCRIPT TWO}", [value], "{:.2f}") for name, value in score.items()
+            tables.Column(f"{name} (m/s)\N{SUPERSCRIPT TWO}", [value], "{:.2f}")
+            for name, value in score.items()
         ]
         yield tables.grid_of("TuSimple's velocity score", "", ["all"], columns)
     causes = figures["warnings"]["by_cause"]

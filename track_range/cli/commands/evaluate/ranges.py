@@ -26,7 +26,11 @@ def _ranges(options: RangesOptions) -> None:
     result_files.check_result_files(options)
     figures = evaluate_ranges(options)
     curves = _curves(figures)
-    grids = [*_grids(figures), *_literature_grids(figures), *(result_files.risk_grids(curves) if curves else ())]
+    grids = [
+        *_grids(figures),
+        *_literature_grids(figures),
+        *(result_files.risk_grids(curves) if curves else ()),
+    ]
     print_grid(console, *grids)
     print_notes(console, figures["notes"])
     result_files.draw_risk(curves, options.figure)
@@ -42,8 +46,20 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
-    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
-    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
+    (
+        tables.WITHIN_1_HEADING,
+        "within_1_sigma",
+        "{:.0f}",
+        100.0,
+        tables.from_normal(tables.WITHIN_1_SIGMA),
+    ),
+    (
+        tables.WITHIN_2_HEADING,
+        "within_2_sigma",
+        "{:.0f}",
+        100.0,
+        tables.from_normal(tables.WITHIN_2_SIGMA),
+    ),
     ("rear %", "rear_view_pct", "{:.2f}", 1.0, abs),
     ("far %", "far_pct", "{:.2f}", 1.0, abs),
     ("rear,far %", "rear_view_far_pct", "{:.2f}", 1.0, abs),
@@ -77,11 +93,16 @@ _LITERATURE: tuple[tables.ColumnSpec, ...] = (  # metrics of published evaluatio
 
 
 def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
-    """A table per class; for frames, objects or distances of published evaluations also over all classes.
+    """A table per class; for frames, objects or distances of published evaluations also over all
+    classes.
 
     The JSON file always has these metrics.
     """
-    is_published = figures["frames"] is not None or figures["objects"] != "visible" or figures["truth"] != "surface"
+    is_published = (
+        figures["frames"] is not None
+        or figures["objects"] != "visible"
+        or figures["truth"] != "surface"
+    )
     by_method: Mapping[str, Mapping[str, Any]] = figures["literature"] if is_published else {}
     grids = []
     for kind in next(iter(by_method.values()), {}):

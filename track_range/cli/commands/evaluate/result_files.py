@@ -11,15 +11,19 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.options import option
 from track_range.views.report import tables
 
-JsonField = Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")]
+JsonField = Annotated[
+    Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+]
 RiskFigureField = Annotated[
-    Path | None, option("SVG or PNG file for the chart of the risk-coverage curves.", metavar="FILE.svg")
+    Path | None,
+    option("SVG or PNG file for the chart of the risk-coverage curves.", metavar="FILE.svg"),
 ]
 
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""
 
-_INPUT_FLAGS = {"models": "--model"}  # options that name inputs, by field, if the name of the field differs
+# options that name inputs, by field, if the name of the field differs
+_INPUT_FLAGS = {"models": "--model"}
 
 CHART_SUFFIXES = (".svg", ".png")  # accepted endings of a chart's file name
 
@@ -27,35 +31,52 @@ CHART_SUFFIXES = (".svg", ".png")  # accepted endings of a chart's file name
 def check_result_files(options: Any) -> None:
     """Check the files of results before the evaluation, so that no result is lost afterwards.
 
-    `options` have `json_file` and perhaps `table`, `figure` and `out`; all other paths in them, and the files in
-    folders, are inputs. UsageError: a chart's name has another ending than `CHART_SUFFIXES`; OutputError: a file is an
-    input or given twice, its folder does not exist, or it cannot be written.
+    `options` have `json_file` and perhaps `table`, `figure` and `out`; all other paths in them, and
+    the files in folders, are inputs. UsageError: a chart's name has another ending than
+    `CHART_SUFFIXES`; OutputError: a file is an input or given twice, its folder does not exist, or
+    it cannot be written.
     """
-    files = {flag: file for name, flag in _OUTPUTS.items() if (file := getattr(options, name, None)) is not None}
+    files = {
+        flag: file
+        for name, flag in _OUTPUTS.items()
+        if (file := getattr(options, name, None)) is not None
+    }
     for flag, file in files.items():
         if flag == "--figure" and file.suffix.lower() not in CHART_SUFFIXES:
-            raise UsageError(f"--figure {file}: expected a name that ends in {' or '.join(CHART_SUFFIXES)}.")
+            raise UsageError(
+                f"--figure {file}: expected a name that ends in {' or '.join(CHART_SUFFIXES)}."
+            )
         _check_is_no_input(flag, file, options)
         _check_can_be_written(file)
     replaced = [os.path.realpath(file) for file in files.values() if _is_replaced(file)]
     if len(set(replaced)) < len(replaced):
-        raise OutputError(f"{' and '.join(files)}: expected different files; choose another name for one of them.")
+        raise OutputError(
+            f"{' and '.join(files)}: expected different files; choose another name for one of them."
+        )
 
 
 def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
     for name, value in vars(options).items() if file.exists() else ():
-        # an existing file in the folder of an option may be one of the inputs, and not an earlier result
-        is_input = file.suffix != ".json" if flag == "--json" else name == "images" and file.suffix.lower() == ".png"
+        # an existing file in the folder of an option may be one of the inputs, and not an earlier
+        # result
+        is_input = (
+            file.suffix != ".json"
+            if flag == "--json"
+            else name == "images" and file.suffix.lower() == ".png"
+        )
         for path in _paths(value) if name not in _OUTPUTS else ():
             if path.samefile(file) or (is_input and path.is_dir() and path.samefile(file.parent)):
                 source = _INPUT_FLAGS.get(name, f"--{name.replace('_', '-')}")
                 raise OutputError(
-                    f"{file}: expected a new file for {flag}, got the file of {source}; choose another name."
+                    f"{file}: expected a new file for {flag}, got the file of {source}; choose "
+                    "another name."
                 )
 
 
 def _paths(value: object) -> Iterator[Path]:
-    """The existing paths of an option; a text counts if it names a file, such as a model and its `MODEL.yaml`."""
+    """The existing paths of an option; a text counts if it names a file, such as a model and its
+    `MODEL.yaml`.
+    """
     values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     for item in values:
         if isinstance(item, Path) and item.exists():
@@ -68,9 +89,14 @@ def _paths(value: object) -> Iterator[Path]:
 
 def _check_can_be_written(file: Path) -> None:
     if file.is_dir():
-        raise OutputError(f"{file}: cannot be written (it is a folder); give the path of a file in it.")
+        raise OutputError(
+            f"{file}: cannot be written (it is a folder); give the path of a file in it."
+        )
     if not file.parent.is_dir():
-        raise OutputError(f"{file}: cannot be written (no folder {file.parent}); create the folder, or choose another.")
+        raise OutputError(
+            f"{file}: cannot be written (no folder {file.parent}); create the "
+            "folder, or choose another."
+        )
     if not os.access(file.parent if _is_replaced(file) else file, os.W_OK):
         raise OutputError(f"{file}: cannot be written (permission denied); choose another file.")
 
@@ -80,7 +106,8 @@ def _is_replaced(file: Path) -> bool:
     return file.is_file() or not file.exists()
 
 
-ANSWERED_PCT = (100, 95, 90, 80, 50)  # answered fractions of the boxes in the risk-coverage tables, per cent
+# answered fractions of the boxes in the risk-coverage tables, per cent
+ANSWERED_PCT = (100, 95, 90, 80, 50)
 
 _Curves = Mapping[str, Mapping[str, Any]]
 
@@ -88,22 +115,39 @@ _Curves = Mapping[str, Mapping[str, Any]]
 def draw_risk(curves: _Curves, path: Path | None) -> None:
     """Draw curves by name, if a file is given."""
     if path is not None:
-        from track_range.views.report.figures import risk_coverage_chart  # imports matplotlib: a third of a second
+        # imports matplotlib: a third of a second
+        from track_range.views.report.figures import risk_coverage_chart
 
         risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
         print_line(console, f"Written: {path}")
 
 
 def risk_grids(curves: _Curves) -> list[tables.Grid]:
-    """Failures, mean and 95th percentile of the error among the most certain boxes, by the answered fraction."""
+    """Failures, mean and 95th percentile of the error among the most certain boxes, by the answered
+    fraction.
+    """
     grids = []
     for title, key, area in (
-        ("Failures (%) when only the most certain boxes have a distance", "failures_pct", "area_failures_pct"),
-        ("Mean error (%) of the boxes with a distance", "mean_relative_error_pct", "area_error_pct"),
-        ("95th percentile of the error (%) of the boxes with a distance", "p95_relative_error_pct", None),
+        (
+            "Failures (%) when only the most certain boxes have a distance",
+            "failures_pct",
+            "area_failures_pct",
+        ),
+        (
+            "Mean error (%) of the boxes with a distance",
+            "mean_relative_error_pct",
+            "area_error_pct",
+        ),
+        (
+            "95th percentile of the error (%) of the boxes with a distance",
+            "p95_relative_error_pct",
+            None,
+        ),
     ):
         columns = [
-            tables.Column(f"{pct} %", [_at(curve, pct, key) for curve in curves.values()], "{:.2f}", cost=abs)
+            tables.Column(
+                f"{pct} %", [_at(curve, pct, key) for curve in curves.values()], "{:.2f}", cost=abs
+            )
             for pct in ANSWERED_PCT
         ]
         if area is not None:

@@ -1,4 +1,6 @@
-"""`track-range evaluate stereo`: distance errors of stereo matchers on pairs with true disparities."""
+"""`track-range evaluate stereo`: distance errors of stereo matchers on pairs with true
+disparities.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -43,8 +45,20 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
 )
 _MORE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
-    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
-    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
+    (
+        tables.WITHIN_1_HEADING,
+        "within_1_sigma",
+        "{:.0f}",
+        100.0,
+        tables.from_normal(tables.WITHIN_1_SIGMA),
+    ),
+    (
+        tables.WITHIN_2_HEADING,
+        "within_2_sigma",
+        "{:.0f}",
+        100.0,
+        tables.from_normal(tables.WITHIN_2_SIGMA),
+    ),
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
 _INTERVALS = (  # heading, key and format of each column
@@ -56,9 +70,14 @@ _INTERVALS = (  # heading, key and format of each column
 
 
 def _print(figures: Mapping[str, Any]) -> None:
-    title = f"{figures['n_objects']} objects in {figures['n_pairs']} pairs, alignment {figures['align']}"
+    title = (
+        f"{figures['n_objects']} objects in {figures['n_pairs']} pairs, alignment "
+        f"{figures['align']}"
+    )
     matchers, common = figures["matchers"], figures["common"]
-    print_grid(console, _grid(title, matchers, _COLUMNS), _more_grid(matchers), _interval_grid(matchers))
+    print_grid(
+        console, _grid(title, matchers, _COLUMNS), _more_grid(matchers), _interval_grid(matchers)
+    )
     if common:
         n_common = next(iter(common.values()))["n"]
         title = f"On common coverage ({n_common} objects measured by all matchers)"
@@ -68,7 +87,9 @@ def _print(figures: Mapping[str, Any]) -> None:
 
 
 def _grid(title: str, matchers: _Rows, specs: Sequence[tables.ColumnSpec]) -> tables.Grid:
-    return tables.grid_of(title, "matcher", list(matchers), tables.columns_of(matchers.values(), specs))
+    return tables.grid_of(
+        title, "matcher", list(matchers), tables.columns_of(matchers.values(), specs)
+    )
 
 
 def _more_grid(matchers: _Rows) -> tables.Grid:
@@ -79,11 +100,15 @@ def _more_grid(matchers: _Rows) -> tables.Grid:
         heading = f"{band['from_m']:g}-{band['to_m']:g} m (n={band['n']})"
         columns.append(tables.Column(heading, medians, "{:.2f}", cost=abs))
     title = "Median error (%) by true distance, calibration of sigma, run time"
-    return tables.grid_of(title, "matcher", list(matchers), [*columns, *tables.columns_of(rows, _MORE_COLUMNS)])
+    return tables.grid_of(
+        title, "matcher", list(matchers), [*columns, *tables.columns_of(rows, _MORE_COLUMNS)]
+    )
 
 
 def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Risk-coverage curves by the name of matcher and measure, only for sigma and the best other measure."""
+    """Risk-coverage curves by the name of matcher and measure, only for sigma and the best other
+    measure.
+    """
     curves = {}
     for matcher, by_measure in figures["risk_coverage"].items():
         best = figures["best_confidence"].get(matcher)
@@ -96,11 +121,15 @@ def _interval_grid(matchers: _Rows) -> tables.Grid:
     lines = []
     for name, row in matchers.items():
         ends = [(pattern, row["intervals"].get(key)) for _, key, pattern in _INTERVALS]
-        texts = [tables.NOTHING if pair is None else pattern.format(*pair) for pattern, pair in ends]
+        texts = [
+            tables.NOTHING if pair is None else pattern.format(*pair) for pattern, pair in ends
+        ]
         lines.append((tables.Cell(name), *(tables.Cell(text) for text in texts)))
     heads = ("matcher", *(heading for heading, _, _ in _INTERVALS))
     return tables.Grid(
-        "95 % confidence intervals (bootstrap over pairs, or over the tracks of a drive)", heads, tuple(lines)
+        "95 % confidence intervals (bootstrap over pairs, or over the tracks of a drive)",
+        heads,
+        tuple(lines),
     )
 
 

@@ -1,4 +1,6 @@
-"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against ground truth."""
+"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against ground
+truth.
+"""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +15,8 @@ from track_range.foundation.files.output_files import write_json
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
 from track_range.views.report.tables import Column, Grid, columns_of, figure, grid_of
 
-_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()  # in lower case the keys of results
+# in lower case the keys of results
+_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 
 
 class TracksOptions(TrackEvaluationSettings):
@@ -33,16 +36,22 @@ def _tracks(options: TracksOptions) -> None:
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:
-    """Print the results of motmetrics beside track-range's results, with reasons for differences."""
+    """Print the results of motmetrics beside track-range's results, with reasons for
+    differences.
+    """
     rows: dict[str, Mapping[str, Any]] = {
         "track-range": figures["combined"],
         "motmetrics": figures["motmetrics"]["combined"],
     }
     compared = {
-        head: [figure(row, head.lower()) for row in rows.values()] for head in _HEADS if head.lower() in REASONS
+        head: [figure(row, head.lower()) for row in rows.values()]
+        for head in _HEADS
+        if head.lower() in REASONS
     }
     columns = [Column(head, values, _pattern(head.lower())) for head, values in compared.items()]
-    print_grid(console, grid_of("The same boxes evaluated with motmetrics", "", list(rows), columns))
+    print_grid(
+        console, grid_of("The same boxes evaluated with motmetrics", "", list(rows), columns)
+    )
     differing: dict[str, list[str]] = {}
     for head, (own, reference) in compared.items():
         if not _is_same(own, reference):
@@ -52,14 +61,20 @@ def _print_comparison(figures: Mapping[str, Any]) -> None:
 
 
 def _is_same(value: float | None, other: float | None) -> bool:
-    return value == other if value is None or other is None else math.isclose(value, other, abs_tol=1e-6)
+    return (
+        value == other
+        if value is None or other is None
+        else math.isclose(value, other, abs_tol=1e-6)
+    )
 
 
 def _grid(figures: Mapping[str, Any]) -> Grid:
     rows: dict[str, Mapping[str, Any]] = dict(figures["sequences"])
     if len(rows) > 1:
         rows["combined"] = figures["combined"]
-    columns = columns_of(rows.values(), ((head, head.lower(), _pattern(head.lower())) for head in _HEADS))
+    columns = columns_of(
+        rows.values(), ((head, head.lower(), _pattern(head.lower())) for head in _HEADS)
+    )
     return grid_of(f"Tracks of class {figures['class']}", "sequence", list(rows), columns)
 
 

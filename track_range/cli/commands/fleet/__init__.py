@@ -7,9 +7,9 @@ app = lazy_app(
         "run": Lazy(
             "track_range.cli.commands.fleet.run",
             "Process many recordings on this machine or on a Ray cluster.",
-            "The same command continues after an interruption: clips that are complete and unchanged are skipped. All "
-            "options of `track-range run` except inputs and outputs apply to every clip. Exit status 3 = some clips "
-            "failed. Requires the extra fleet.",
+            "The same command continues after an interruption: clips that are complete and "
+            "unchanged are skipped. All options of `track-range run` except inputs and outputs "
+            "apply to every clip. Exit status 3 = some clips failed. Requires the extra fleet.",
             (
                 "track-range fleet run recordings/ --out results",
                 "track-range fleet run drives/ --pattern '{clip}_left.mp4,{clip}_right.mp4' \\\n"
@@ -25,9 +25,9 @@ app = lazy_app(
         "report": Lazy(
             "track_range.cli.commands.fleet.report",
             "Print the figures of all clips of a fleet, and write them as one HTML page.",
-            "The report covers road users, distance coverage, closest approaches, times to collision, errors, "
-            "calibration drift, failures and throughput. It also works during a run, and names missing and damaged "
-            "parts.",
+            "The report covers road users, distance coverage, closest approaches, times to "
+            "collision, errors, calibration drift, failures and throughput. It also works during a "
+            "run, and names missing and damaged parts.",
             (
                 "track-range fleet report results --html results/fleet.html",
                 "track-range fleet report s3://bucket/results --json fleet.json",

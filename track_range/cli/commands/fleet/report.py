@@ -1,4 +1,6 @@
-"""`track-range fleet report` and `status`: figures of all clips of a fleet, and its progress, from its output."""
+"""`track-range fleet report` and `status`: figures of all clips of a fleet, and its progress, from
+its output.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,22 +13,33 @@ from track_range.foundation.options import Options, option
 class FleetStatusOptions(Options):
     """Options of `track-range fleet status`."""
 
-    out: Annotated[str, option("Folder of the results, as given to fleet run --out.", metavar="OUT", is_argument=True)]
+    out: Annotated[
+        str,
+        option(
+            "Folder of the results, as given to fleet run --out.", metavar="OUT", is_argument=True
+        ),
+    ]
 
 
 class FleetReportOptions(FleetStatusOptions):
     """Options of `track-range fleet report`."""
 
     html: Annotated[
-        str | None, option("Page to write; its links lead to the files of the clips in OUT.", metavar="FILE.html|URI")
+        str | None,
+        option(
+            "Page to write; its links lead to the files of the clips in OUT.",
+            metavar="FILE.html|URI",
+        ),
     ] = None
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")
+    ] = None
     by: Annotated[
         str | None,
         option(
-            "Column of clips.parquet that groups the calibration drift (default: vehicle, camera or rig, if there is "
-            "one).",
+            "Column of clips.parquet that groups the calibration drift (default: vehicle, camera "
+            "or rig, if there is one).",
             metavar="COLUMN",
         ),
     ] = None
@@ -56,13 +69,18 @@ def _fleet_report(options: FleetReportOptions) -> None:
     page = None if options.html is None else Location.of(options.html)
     files = [file for file in (options.table, options.json_file) if file is not None]
     files += [page.path] if page is not None and page.is_local else []
-    check_outputs(files, [out.path / name for name in (CLIPS_FILE, STATE_FILE)] if out.is_local else [])
+    check_outputs(
+        files, [out.path / name for name in (CLIPS_FILE, STATE_FILE)] if out.is_local else []
+    )
     with step_progress(console, "reading clips") as progress:
         fleet = fleet_figures(out, options.by, progress)
     figures = fleet.figures
     grids = [grid for section in fleet_sections(figures) for grid in section.grids]
     clips, video = figures["clips"], duration_text(3600 * figures["video_h"])
-    done = f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {video} of video"
+    done = (
+        f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {video} of "
+        "video"
+    )
     print_line(console, printable(figures["state"]), done)
     print_notes(console, figures["problems"])
     console.print()
@@ -70,7 +88,10 @@ def _fleet_report(options: FleetReportOptions) -> None:
     write_json(options.json_file, figures)
     if options.table is not None:
         notes = "\n".join(f"- {note}" for note in figures["problems"])
-        write_text(options.table, "\n\n".join([*map(markdown_table, grids), *([notes] if notes else [])]) + "\n")
+        write_text(
+            options.table,
+            "\n\n".join([*map(markdown_table, grids), *([notes] if notes else [])]) + "\n",
+        )
     if page is not None:
         page.write_bytes(fleet_page(fleet, out, page).encode("utf-8", "replace"))
         print_line(console, f"Open {page} in a browser.")

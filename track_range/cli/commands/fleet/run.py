@@ -14,12 +14,14 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
 
-_IN_HELP = {  # words of the help texts of a run, and what they are in a fleet, which has no --mono and --stereo
+# words of the help texts of a run, and what they are in a fleet, which has no --mono and --stereo
+_IN_HELP = {
     "With --mono": "For a clip of one camera",
     "With one recording": "For a clip that is one recording",
     "one for --mono, two for --stereo BAG": "one topic for one camera, two topics for a pair",
 }
-_MAX_NAME, _MAX_NAMED = 20, 10  # characters of the name of a failed clip, and number of such clips that are named
+# characters of the name of a failed clip, and number of such clips that are named
+_MAX_NAME, _MAX_NAMED = 20, 10
 
 
 def _fleet_run(**values: Any) -> None:
@@ -47,17 +49,25 @@ def _fleet_run(**values: Any) -> None:
     counts = result.counts
     print_line(console, counts.sentence(), f"Results in {settings.out}")
     if result.failed:
-        print_line(console, *(printable(f"failed: {name}: {error}") for name, error in result.failed[:_MAX_NAMED]))
+        print_line(
+            console,
+            *(printable(f"failed: {name}: {error}") for name, error in result.failed[:_MAX_NAMED]),
+        )
         named = ", ".join(shortened(name, _MAX_NAME) for name, _ in result.failed[:_MAX_NAMED])
         n_failed = len(result.failed)
-        more = f" and {n_failed - _MAX_NAMED} more, see clips.parquet" if n_failed > _MAX_NAMED else ""
+        more = (
+            f" and {n_failed - _MAX_NAMED} more, see clips.parquet" if n_failed > _MAX_NAMED else ""
+        )
         raise ClipsFailedError(
-            f"{n_failed} of {counts.total} clips failed: {named}{more}; repeat failed clips with --retry-failed."
+            f"{n_failed} of {counts.total} clips failed: {named}{more}; repeat failed clips with "
+            "--retry-failed."
         )
 
 
 def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequence[Clip]) -> None:
-    """Print what would be processed, with the problems in the headers; ClipsFailedError if there are some."""
+    """Print what would be processed, with the problems in the headers; ClipsFailedError if there
+    are some.
+    """
     from track_range.cli.console import console, print_line
     from track_range.fleet.engine.plan import fleet_plan
     from track_range.fleet.engine.remaining import remaining, work_text
@@ -70,10 +80,14 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
 
     plan = fleet_plan(settings, options)
     table = ClipTable(Location.of(settings.out))
-    todo, n_complete, n_failed = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
+    todo, n_complete, n_failed = remaining(
+        clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed
+    )
     problems: list[tuple[str, str]] = []
     seconds = 0.0
-    checked_settings = {key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options}
+    checked_settings = {
+        key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options
+    }
     for checked in check_clips([task.clip for task in todo], **checked_settings):
         seconds += checked.duration_s or 0.0
         line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
@@ -86,17 +100,24 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
     print_line(
         console,
-        f"{work_text(todo, n_complete)}, {n_failed} failed before; {duration_text(seconds)} of video to process",
+        f"{work_text(todo, n_complete)}, {n_failed} failed before; {duration_text(seconds)} of "
+        "video to process",
     )
     if problems:
-        raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above.")
+        raise ClipsFailedError(
+            f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above."
+        )
 
 
 def _parameters() -> list[Parameter]:
     """Options of the fleet and of its runs; refused options are hidden."""
     own = parameters(FleetSettings)
     names = {parameter.name for parameter in own}
-    shared = [parameter for parameter in parameters(RunSettings, is_only_given=True) if parameter.name not in names]
+    shared = [
+        parameter
+        for parameter in parameters(RunSettings, is_only_given=True)
+        if parameter.name not in names
+    ]
     for parameter in shared:
         declared = parameter.annotation.__metadata__[0]
         field = RunSettings.model_fields.get(parameter.name)

@@ -32,8 +32,8 @@ app = lazy_app(
         "quantize": Lazy(
             "track_range.cli.commands.models.quantize",
             "Write INT8 and FP16 copies of a detector and compare them with the original.",
-            "The comparison covers size, speed and accuracy, measured against labels if given, else against the boxes "
-            "of the original.",
+            "The comparison covers size, speed and accuracy, measured against labels if given, "
+            "else against the boxes of the original.",
             ("track-range models quantize road --images images/ --out copies",),
         ),
         "calibrate-scores": Lazy(

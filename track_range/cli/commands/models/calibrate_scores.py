@@ -12,13 +12,22 @@ from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import score_fit
-from track_range.detection.evaluation.calibrated_copy import check_attributes, score_outputs, write_calibrated_copy
+from track_range.detection.evaluation.calibrated_copy import (
+    check_attributes,
+    score_outputs,
+    write_calibrated_copy,
+)
 from track_range.detection.evaluation.score_calibration import MIN_SCORE, Reliability
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.evaluation.sequences.labelled_images import LabelledSource
-from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+from track_range.evaluation.sequences.settings import (
+    LabelFormatField,
+    LabelNamesField,
+    ManifestField,
+    SplitField,
+)
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.options import Options, option
@@ -35,14 +44,18 @@ class CalibrateScoresOptions(Options):
     model: Annotated[
         str,
         option(
-            "Detector with separate outputs for the class scores (RoadNet, NanoDet, PicoDet): an ONNX file, or a name "
-            "from `track-range models list`.",
+            "Detector with separate outputs for the class scores (RoadNet, NanoDet, PicoDet): an "
+            "ONNX file, or a name from `track-range models list`.",
             metavar="FILE|NAME",
             is_argument=True,
         ),
     ]
     images: Annotated[
-        Path, option("Labelled images that were not used for training: a folder or a video.", metavar="DIR|FILE")
+        Path,
+        option(
+            "Labelled images that were not used for training: a folder or a video.",
+            metavar="DIR|FILE",
+        ),
     ]
     labels: Annotated[Path, option("Labels of the images.", metavar="DIR|FILE")]
     out: Annotated[Path, option("File to write.", metavar="FILE.onnx")]
@@ -51,7 +64,9 @@ class CalibrateScoresOptions(Options):
     manifest: ManifestField = None
     split: SplitField = "val"
     threads: ThreadsField = 0
-    json_file: Annotated[Path | None, option("JSON file for the coefficients.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the coefficients.", flag="--json", metavar="FILE")
+    ] = None
 
 
 def _calibrate_scores(options: CalibrateScoresOptions) -> None:
@@ -59,7 +74,8 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     path = ready_model(options.model, console)
     check_attributes(path, options.out)
     detector = open_detector(
-        path, replace(DetectorOptions.of(options), device="cpu", min_score=str(score_fit.LOWEST_SCORE))
+        path,
+        replace(DetectorOptions.of(options), device="cpu", min_score=str(score_fit.LOWEST_SCORE)),
     )
     score_outputs(detector)
     frames = LabelledSource.of(options).open()
@@ -73,29 +89,39 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     samples = score_fit.ScoreSamples.of(detections, truth, detector.known_class_id)
     fit = score_fit.fit_scores(samples)
     if fit is None:
-        unreadable = f" ({counted(len(frames.unreadable), 'image')} cannot be read)" if frames.unreadable else ""
+        unreadable = (
+            f" ({counted(len(frames.unreadable), 'image')} cannot be read)"
+            if frames.unreadable
+            else ""
+        )
         raise ModelError(
-            f"{options.images}: expected at least {score_fit.MIN_POSITIVES} detections that match a label, and some "
-            f"that do not, got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}"
-            f"{unreadable}; give more images with labels of classes that the detector knows."
+            f"{options.images}: expected at least {score_fit.MIN_POSITIVES} detections that match "
+            f"a label, and some that do not, got {np.count_nonzero(samples.is_match)} and "
+            f"{np.count_nonzero(~samples.is_match)}{unreadable}; give more images with labels of "
+            "classes that the detector knows."
         )
     write_calibrated_copy(detector, fit, options.out, images=options.images)
     before = score_fit.reliability(samples.score, samples.is_match)
     after = score_fit.cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector), _error_grid(before, after))
     validation = (
-        "Cross-validated: fitted to one half of the images and measured on the other half; the file has the fit to "
-        "all images."
+        "Cross-validated: fitted to one half of the images and measured on the other half; the "
+        "file has the fit to all images."
         if after
-        else f"Not cross-validated: half of the images have fewer than {score_fit.MIN_POSITIVES} matches."
+        else f"Not cross-validated: half of the images have fewer than {score_fit.MIN_POSITIVES} "
+        "matches."
     )
     print_notes(
         console,
         [
-            f"{len(truth)} images. Classes with fewer than {score_fit.MIN_POSITIVES} matches share their coefficients.",
-            f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
-            f"ECE of perfectly calibrated scores. {validation}",
-            *(f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}" for one in frames.unreadable[:1]),
+            f"{len(truth)} images. Classes with fewer than {score_fit.MIN_POSITIVES} matches share "
+            "their coefficients.",
+            f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and "
+            f"precision; chance: ECE of perfectly calibrated scores. {validation}",
+            *(
+                f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}"
+                for one in frames.unreadable[:1]
+            ),
         ],
     )
     print_line(console, f"Written: {options.out}")
@@ -116,7 +142,10 @@ def _coefficient_grid(fit: score_fit.ScoreFit, detector: YoloDetector) -> Grid:
         Column("offset", fit.offset[ids].tolist(), "{:.2f}"),
     ]
     return grid_of(
-        "Calibrated score = sigmoid(slope logit(score) + offset)", "class", [ROAD_CLASSES[i] for i in ids], columns
+        "Calibrated score = sigmoid(slope logit(score) + offset)",
+        "class",
+        [ROAD_CLASSES[i] for i in ids],
+        columns,
     )
 
 

@@ -20,17 +20,29 @@ class ListOptions(Options):
 class PullOptions(Options):
     """Options of `track-range models pull`."""
 
-    name: Annotated[str, option("Name of the detector in `track-range models list`.", metavar="NAME", is_argument=True)]
+    name: Annotated[
+        str,
+        option(
+            "Name of the detector in `track-range models list`.", metavar="NAME", is_argument=True
+        ),
+    ]
 
 
 class ImportOptions(Options):
     """Options of `track-range models import`."""
 
     cfg: Annotated[
-        Path, option("Description of the network in Darknet's format.", metavar="FILE.cfg", is_argument=True)
+        Path,
+        option(
+            "Description of the network in Darknet's format.", metavar="FILE.cfg", is_argument=True
+        ),
     ]
-    weights: Annotated[Path, option("Weights in Darknet's format.", metavar="FILE.weights", is_argument=True)]
-    names: Annotated[str, option("Class names: a,b,c or a file with one name per line, such as coco.names.")]
+    weights: Annotated[
+        Path, option("Weights in Darknet's format.", metavar="FILE.weights", is_argument=True)
+    ]
+    names: Annotated[
+        str, option("Class names: a,b,c or a file with one name per line, such as coco.names.")
+    ]
     out: Annotated[Path, option("ONNX file to write.")]
 
 
@@ -38,16 +50,22 @@ def _list(_options: ListOptions) -> None:
     columns = ("name", "input", "size", "licence", "state", "from")
     rows = ((*texts, state, source) for *texts, source, state in model_rows())
     print_grid(console, Grid("Detectors", columns, tuple(tuple(map(Cell, row)) for row in rows)))
-    console.print(f"Downloaded models are stored in {models_folder()}", highlight=False, soft_wrap=True)
+    console.print(
+        f"Downloaded models are stored in {models_folder()}", highlight=False, soft_wrap=True
+    )
 
 
 def _pull(options: PullOptions) -> None:
     path = ready_model(options.name, console)
-    console.print(f"{path}: use this model with --detector {options.name}", highlight=False, soft_wrap=True)
+    console.print(
+        f"{path}: use this model with --detector {options.name}", highlight=False, soft_wrap=True
+    )
 
 
 def _import(options: ImportOptions) -> None:
-    imported = import_darknet(options.cfg, options.weights, options.out, names=class_names(options.names) or ())
+    imported = import_darknet(
+        options.cfg, options.weights, options.out, names=class_names(options.names) or ()
+    )
     height, width = imported.input_hw
     console.print(
         f"{options.out}: {imported.family}, {width}x{height}, {imported.n_layers} layers, "

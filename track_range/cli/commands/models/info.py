@@ -35,18 +35,29 @@ class InfoOptions(Options):
     """Options of `track-range models info`."""
 
     model: Annotated[
-        str, option("ONNX file, or a name from `track-range models list`.", metavar="FILE|NAME", is_argument=True)
+        str,
+        option(
+            "ONNX file, or a name from `track-range models list`.",
+            metavar="FILE|NAME",
+            is_argument=True,
+        ),
     ]
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
     layout: LayoutField = None
     image: Annotated[
-        Path | None, option("Image on which the layout is checked; its boxes are drawn into --out.", metavar="FILE")
+        Path | None,
+        option(
+            "Image on which the layout is checked; its boxes are drawn into --out.", metavar="FILE"
+        ),
     ] = None
     out: Annotated[
         Path | None,
-        option("Picture of the boxes, PNG (default: IMAGE-boxes.png in the current folder).", metavar="FILE"),
+        option(
+            "Picture of the boxes, PNG (default: IMAGE-boxes.png in the current folder).",
+            metavar="FILE",
+        ),
     ] = None
 
 
@@ -54,7 +65,13 @@ def _info(options: InfoOptions) -> None:
     detector = DetectorOptions.of(options)
     model = find_model(options.model)
     is_local = model.origin != "catalogue" or model.entry is None
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=options.model, title_justify="left")
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        show_header=False,
+        padding=(0, 1),
+        title=options.model,
+        title_justify="left",
+    )
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_column(style="dim", overflow="fold")
@@ -67,8 +84,12 @@ def _info(options: InfoOptions) -> None:
     console.print(table)
 
 
-def _rows_on_image(detector: YoloDetector, path: Path | None, out: Path | None) -> list[tuple[str, str, str]]:
-    """Rows on the boxes in an image, which are drawn into `out`; ConfigError if a file cannot be read or written."""
+def _rows_on_image(
+    detector: YoloDetector, path: Path | None, out: Path | None
+) -> list[tuple[str, str, str]]:
+    """Rows on the boxes in an image, which are drawn into `out`; ConfigError if a file cannot be
+    read or written.
+    """
     if path is None:
         return []
     image = read_image(path, ConfigError)

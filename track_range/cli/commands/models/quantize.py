@@ -21,9 +21,18 @@ from track_range.detection.models.quantize import (
     quantize_int8,
 )
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.evaluation.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates
+from track_range.evaluation.sequences.detector_evaluation import (
+    WORKING_SCORE,
+    evaluate,
+    open_candidates,
+)
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
-from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+from track_range.evaluation.sequences.settings import (
+    LabelFormatField,
+    LabelNamesField,
+    ManifestField,
+    SplitField,
+)
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_json
 from track_range.foundation.options import Options, option
@@ -32,12 +41,15 @@ from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 
-N_COMPARED = 100  # maximum number of images on which copies are compared with the original if there are no labels
+# maximum number of images on which copies are compared with the original if there are no labels
+N_COMPARED = 100
 
 
 @dataclass(slots=True)
 class _OriginalsBoxes:
-    """Images without labels: the original's boxes are the truth, so that AP measures agreement with the original."""
+    """Images without labels: the original's boxes are the truth, so that AP measures agreement with
+    the original.
+    """
 
     original: YoloDetector
     paths: Sequence[Path]
@@ -72,12 +84,20 @@ class QuantizeOptions(Options):
     images: Annotated[
         Path,
         option(
-            f"Folder of images typical of the detector's use; {N_CALIBRATION} are used for calibration.", metavar="DIR"
+            f"Folder of images typical of the detector's use; {N_CALIBRATION} are used for "
+            "calibration.",
+            metavar="DIR",
         ),
     ]
-    out: Annotated[Path, option("Folder of the copies (default: the current folder).", metavar="DIR")] = Path()
+    out: Annotated[
+        Path, option("Folder of the copies (default: the current folder).", metavar="DIR")
+    ] = Path()
     labels: Annotated[
-        Path | None, option("Labels of the images (default: the boxes of the original detector).", metavar="DIR|FILE")
+        Path | None,
+        option(
+            "Labels of the images (default: the boxes of the original detector).",
+            metavar="DIR|FILE",
+        ),
     ] = None
     label_format: LabelFormatField = None
     label_names: LabelNamesField = None
@@ -89,11 +109,15 @@ class QuantizeOptions(Options):
     layout: fields.LayoutField = None
     size_px: fields.SizeField = None
     threads: fields.ThreadsField = 0
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+    ] = None
 
 
 def _quantize(options: QuantizeOptions) -> None:
-    """Calibrate on at most half of the images, drawn with a fixed seed; accuracy is measured on the other images."""
+    """Calibrate on at most half of the images, drawn with a fixed seed; accuracy is measured on the
+    other images.
+    """
     images, out = options.images, options.out
     detector = replace(DetectorOptions.of(options), device="cpu")
     source = None if options.labels is None else LabelledSource.of(options)
@@ -108,16 +132,26 @@ def _quantize(options: QuantizeOptions) -> None:
             path,
             int8,
             blobs=input_blobs(original, calibration),
-            progress=lambda done, total: status.update(f"Correcting the biases of convolution {done + 1} of {total}"),
+            progress=lambda done, total: status.update(
+                f"Correcting the biases of convolution {done + 1} of {total}"
+            ),
         )
         convert_fp16(path, fp16)
     frames: LabelledFrames = _OriginalsBoxes(original, others[:N_COMPARED])
     if source is not None:
         frames = replace(source, leave_out=frozenset(calibration)).open()
     candidates = open_candidates([str(model) for model in (path, int8, fp16)], detector, Path)
-    figures = evaluate(candidates, frames, min_score=None, progress=partial(frame_progress, console))
-    truth = "the labels" if source else f"the original's boxes with a confidence of {WORKING_SCORE} or more"
-    figures["notes"].append(f"Accuracy is measured against {truth}, on images that were not used for calibration.")
+    figures = evaluate(
+        candidates, frames, min_score=None, progress=partial(frame_progress, console)
+    )
+    truth = (
+        "the labels"
+        if source
+        else f"the original's boxes with a confidence of {WORKING_SCORE} or more"
+    )
+    figures["notes"].append(
+        f"Accuracy is measured against {truth}, on images that were not used for calibration."
+    )
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
     write_json(options.json_file, figures, allow_nan=True)

@@ -12,7 +12,13 @@ from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.data.data_set import CachedImages
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
-from track_range.detection.training.networks.registry import NETWORKS, as_text, by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.networks.registry import (
+    NETWORKS,
+    as_text,
+    by_head,
+    kmeans_anchors,
+    mean_best_iou,
+)
 from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 
@@ -20,49 +26,67 @@ _N_PER_HEAD = 3  # number of anchors of each head, in all networks
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of the training boxes of a data set, and the mean best IoU of these and the defaults."""
+    """Print k-means++ anchors of the training boxes of a data set, and the mean best IoU of these
+    and the defaults.
+    """
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
     print_line(console, *data.notes)
     sizes = read_images(data.train, data, max_side_px=size_px).box_sizes_px(size_px)
     if not len(sizes):
-        raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
+        raise LabelFileError(
+            f"{options.data}: expected labelled objects in the training images, found none."
+        )
     for kind in (kind for kind in NETWORKS.values() if kind.anchors_px):
         default = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
         print_line(
             console,
-            f"{mean_best_iou(sizes, default):.3f} mean best IoU with {len(default)} default anchors of {kind.family}",
+            f"{mean_best_iou(sizes, default):.3f} mean best IoU with {len(default)} default "
+            f"anchors of {kind.family}",
         )
     fitted = _kmeans(sizes, n_anchors, options.seed)
     print_line(
         console,
-        f"{mean_best_iou(sizes, fitted):.3f} mean best IoU with {n_anchors} anchors fitted to {len(sizes)} boxes:",
+        f"{mean_best_iou(sizes, fitted):.3f} mean best IoU with {n_anchors} anchors fitted to "
+        f"{len(sizes)} boxes:",
     )
     n_heads = n_anchors // _N_PER_HEAD if n_anchors % _N_PER_HEAD == 0 else 1
     print_line(console, as_text(by_head(fitted, n_heads)))
 
 
-def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
-    """Images of a data set; unreadable images are listed and skipped. ImageFileError if all are unreadable."""
+def read_images(
+    items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None
+) -> CachedImages:
+    """Images of a data set; unreadable images are listed and skipped. ImageFileError if all are
+    unreadable.
+    """
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
-    print_first(console, f"{len(images.unreadable)} images cannot be read and are skipped:", images.unreadable)
+    print_first(
+        console,
+        f"{len(images.unreadable)} images cannot be read and are skipped:",
+        images.unreadable,
+    )
     return images
 
 
 def fitted_anchors(images: CachedImages, model: str, size_px: int, seed: int) -> Anchors:
-    """K-means++ anchors of the training boxes, as many as the network has; TrainingError if it has none."""
+    """K-means++ anchors of the training boxes, as many as the network has; TrainingError if it has
+    none.
+    """
     kind = NETWORKS[model]
     if not kind.anchors_px:
-        raise TrainingError(f"--anchors kmeans++: expected a --model with anchors, got {model}, which has none.")
+        raise TrainingError(
+            f"--anchors kmeans++: expected a --model with anchors, got {model}, which has none."
+        )
     sizes = images.box_sizes_px(size_px)
     fitted = _kmeans(sizes, kind.n_anchors, seed)
     default_iou = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
     anchors = by_head(fitted, kind.n_heads)
     print_line(
         console,
-        f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, fitted):.3f} (default anchors: "
-        f"{default_iou:.3f}).",
+        f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, fitted):.3f} (default "
+        f"anchors: {default_iou:.3f}).",
     )
     return anchors
 

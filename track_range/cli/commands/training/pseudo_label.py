@@ -1,4 +1,6 @@
-"""`track-range pseudo-label`: labels the training images of a data set with an ensemble of detectors."""
+"""`track-range pseudo-label`: labels the training images of a data set with an ensemble of
+detectors.
+"""
 
 import os
 import shutil
@@ -30,7 +32,9 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
     runtime = Runtime(device=options.device, n_threads=options.threads)
     paths = dict.fromkeys(ready_model(name, console) for name in options.models)
     stored = options.out / data_set.DETECTIONS
-    members = [EnsembleMember(path, stored, size_px=options.size_px, runtime=runtime) for path in paths]
+    members = [
+        EnsembleMember(path, stored, size_px=options.size_px, runtime=runtime) for path in paths
+    ]
     data_set.usable_classes(data, members)
     _print_plan(data, members)
     with locked_output(options.out), stop_on_interrupt():
@@ -48,10 +52,14 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
                     progress=progress,
                 )
         except KeyboardInterrupt:
-            raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
+            raise TrainingError(
+                f"stopped by the user; continue the run in {options.out} with --resume."
+            ) from None
         shutil.rmtree(stored, ignore_errors=True)
     print_first(
-        console, f"{counted(len(unreadable), 'image')} cannot be read and are left out:", list(unreadable.values())
+        console,
+        f"{counted(len(unreadable), 'image')} cannot be read and are left out:",
+        list(unreadable.values()),
     )
     _print_outcome(outcome, members)
     folder, root = real_path(options.out), real_path(data.root)
@@ -65,60 +73,82 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
 
 
 def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
-    """OutputError unless the output folder is empty, or has only files of a run of `data` to resume."""
+    """OutputError unless the output folder is empty, or has only files of a run of `data` to
+    resume.
+    """
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"{options.out}: expected a folder, found a file; choose another --out.")
     is_started = (options.out / data_set.DETECTIONS).is_dir()
     if options.resume and not is_started:
-        raise OutputError(f"{options.out}: expected an interrupted run to resume, found none; omit --resume.")
+        raise OutputError(
+            f"{options.out}: expected an interrupted run to resume, found none; omit --resume."
+        )
     if is_started and not options.resume:
         raise OutputError(
-            f"{options.out}: this folder contains an unfinished run; continue it with --resume, delete the folder, or "
-            "choose another --out."
+            f"{options.out}: this folder contains an unfinished run; continue it with --resume, "
+            "delete the folder, or choose another --out."
         )
     names = {item.path.stem for item in data.train}
-    if is_started and (others := sorted(file.name for file in options.out.glob("*.txt") if file.stem not in names)):
+    if is_started and (
+        others := sorted(file.name for file in options.out.glob("*.txt") if file.stem not in names)
+    ):
         raise OutputError(
             f"{options.out}: expected labels of the images in {options.data}, found "
-            f"{counted(len(others), 'label')} of other images, such as {others[0]}; delete these files to continue."
+            f"{counted(len(others), 'label')} of other images, such as {others[0]}; delete these "
+            "files to continue."
         )
     if not is_started and options.out.is_dir() and any(options.out.glob("*.txt")):
-        raise OutputError(f"{options.out}: expected a folder without labels, found labels; choose another --out.")
+        raise OutputError(
+            f"{options.out}: expected a folder without labels, found labels; choose another --out."
+        )
 
 
 def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
     n_other = sum(len(labels.score) for labels in (data.labels_pseudo or {}).values())
-    other = "" if data.labels_pseudo is None else f", combined with {counted(n_other, 'detection')} in labels_pseudo"
+    other = (
+        ""
+        if data.labels_pseudo is None
+        else f", combined with {counted(n_other, 'detection')} in labels_pseudo"
+    )
     print_line(
         console,
-        f"{counted(len(data.train), 'training image')}, {counted(len(data.val), 'validation image')}; "
+        f"{counted(len(data.train), 'training image')}, "
+        f"{counted(len(data.val), 'validation image')}; "
         f"{counted(len(members), 'detector')}{other}.",
     )
     notes = [note for member in members for note in member.notes]
     if all(item.truth.is_complete[data.is_named].all() for item in data.train):
         notes.append(
-            "All classes are completely labelled in all training images, so only boxes to ignore are written; list "
-            "classes that are not completely labelled in a manifest."
+            "All classes are completely labelled in all training images, so only boxes to ignore "
+            "are written; list classes that are not completely labelled in a manifest."
         )
     train = {real_path(item.path) for item in data.train}
     if any(real_path(item.path) in train for item in data.val):
-        notes.append("Validation images are also training images, so the calibration table is not an independent test.")
+        notes.append(
+            "Validation images are also training images, so the calibration table is not "
+            "an independent test."
+        )
     print_notes(console, notes)
 
 
 def _print_outcome(outcome: data_set.PseudoLabelFigures, members: list[EnsembleMember]) -> None:
     print_grid(console, _label_grid(outcome))
-    others = [ROAD_CLASSES[i] for i in outcome.known_class_id if not outcome.calibration.n_positives[i]]
+    others = [
+        ROAD_CLASSES[i] for i in outcome.known_class_id if not outcome.calibration.n_positives[i]
+    ]
     if others:
         print_line(
             console,
-            f"Classes with fewer than {MIN_POSITIVES} matches are calibrated as the mean of the other classes: "
-            f"{', '.join(others)}.",
+            f"Classes with fewer than {MIN_POSITIVES} matches are calibrated as the mean of the "
+            f"other classes: {', '.join(others)}.",
         )
     if outcome.validation:
         print_grid(console, _validation_grid(outcome.validation))
     else:
-        print_line(console, "No validation image is labelled completely: the calibration cannot be verified.")
+        print_line(
+            console,
+            "No validation image is labelled completely: the calibration cannot be verified.",
+        )
     print_notes(console, [note for member in members for note in member.notes if "dropped" in note])
 
 
@@ -131,7 +161,12 @@ def _label_grid(outcome: data_set.PseudoLabelFigures) -> Grid:
         for i, minimum in enumerate(data_set.COUNTED_PROBABILITIES)
     ]
     columns.append(Column("ignored", outcome.n_ignored[rows].tolist(), "{:.0f}"))
-    return grid_of("Pseudo-labels by class and minimum probability", "class", [ROAD_CLASSES[i] for i in rows], columns)
+    return grid_of(
+        "Pseudo-labels by class and minimum probability",
+        "class",
+        [ROAD_CLASSES[i] for i in rows],
+        columns,
+    )
 
 
 def _validation_grid(validation: dict[int, Reliability]) -> Grid:
@@ -140,8 +175,13 @@ def _validation_grid(validation: dict[int, Reliability]) -> Grid:
     columns = [f"p {low:g}-{high:g}" for low, high in pairwise(edges)]
     rows = []
     for class_id, bins in validation.items():
-        figures = zip(bins.n.tolist(), bins.mean_score.tolist(), bins.precision.tolist(), strict=True)
-        texts = [f"{100 * p:.0f} / {100 * matched:.0f} ({n})" if n else NOTHING for n, p, matched in figures]
+        figures = zip(
+            bins.n.tolist(), bins.mean_score.tolist(), bins.precision.tolist(), strict=True
+        )
+        texts = [
+            f"{100 * p:.0f} / {100 * matched:.0f} ({n})" if n else NOTHING
+            for n, p, matched in figures
+        ]
         rows.append(tuple(Cell(text) for text in (ROAD_CLASSES[class_id], *texts)))
     title = "Validation images: mean probability / matched boxes % (number of boxes)"
     return Grid(title, ("class", *columns), tuple(rows))

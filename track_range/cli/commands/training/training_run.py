@@ -4,7 +4,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from track_range.cli.commands.training.data import fitted_anchors, read_images
 from track_range.cli.commands.training.options import TrainOptions
@@ -36,11 +43,18 @@ def train(options: TrainOptions) -> None:
     data = read_data_yaml(options.data)
     print_line(console, *data.notes)
     data.check_trainable(options.data, options.model)
-    check_start(options.out, resume=options.resume, weights=options.weights, files=(CURVES, f"{options.model}.onnx"))
+    check_start(
+        options.out,
+        resume=options.resume,
+        weights=options.weights,
+        files=(CURVES, f"{options.model}.onnx"),
+    )
     teacher = None
     if options.teacher is not None:
         path = ready_model(options.teacher, console)
-        teacher = Teacher(path, data.road_class_id, device=settings.device, precision=settings.dtype)
+        teacher = Teacher(
+            path, data.road_class_id, device=settings.device, precision=settings.dtype
+        )
     make_folder(options.out)
     curves = options.out / CURVES
     with locked_folder(options.out), stop_on_interrupt():
@@ -51,7 +65,9 @@ def train(options: TrainOptions) -> None:
                 training.run(display)
             _finish(training, options, data)
         except KeyboardInterrupt:
-            raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
+            raise TrainingError(
+                f"stopped by the user; continue the run in {options.out} with --resume."
+            ) from None
 
 
 def _prepared(
@@ -65,7 +81,10 @@ def _prepared(
         anchors = fitted_anchors(images, options.model, options.size_px, options.seed)
     prepare_torch(seed=settings.seed, n_threads=options.n_threads)
     network = make_network(
-        options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.attention == "cbam"
+        options.model,
+        len(data.road_class_id),
+        anchors_px=anchors,
+        has_cbam=options.attention == "cbam",
     )
     sets = TrainingSets(images, validation, data.road_class_id, data.fingerprint())
     training = Training(network, settings, sets, options.out, teacher=teacher)
@@ -77,14 +96,17 @@ def _prepared(
     n = sum(parameter.numel() for parameter in network.parameters())
     print_line(
         console,
-        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million parameters, {settings.device}, {settings.precision}; "
-        f"{len(images)} training images ({images.n_cached} in memory), {len(validation)} validation images.",
+        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million parameters, {settings.device}, "
+        f"{settings.precision}; {len(images)} training images ({images.n_cached} in memory), "
+        f"{len(validation)} validation images.",
     )
     return training
 
 
 class _Display:
-    """Implements `Listener`: shows a progress bar for the current epoch and a line for each finished epoch."""
+    """Implements `Listener`: shows a progress bar for the current epoch and a line for each
+    finished epoch.
+    """
 
     def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
         self._n_epochs, self._draw = n_epochs, draw
@@ -110,11 +132,20 @@ class _Display:
     def epoch(self, row: dict[str, float]) -> None:
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
-        figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
-        losses = ", ".join(
-            f"{key.removeprefix('loss_')} {loss:.4f}" for key, loss in row.items() if key.startswith("loss_")
+        figures = (
+            f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, "
+            if "ap50" in row
+            else ""
         )
-        text = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
+        losses = ", ".join(
+            f"{key.removeprefix('loss_')} {loss:.4f}"
+            for key, loss in row.items()
+            if key.startswith("loss_")
+        )
+        text = (
+            f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; "
+            f"{_duration(row['minutes'])}"
+        )
         print_line(console, f"{text}, {_duration(left)} left")
         self._draw()
 
@@ -139,7 +170,9 @@ def _settings(options: TrainOptions) -> TrainingSettings:
         precision=best_precision(device) if options.precision == "auto" else options.precision,
         validate_every=options.validate_every,
         schedule=schedule,
-        augmentation=AugmentationSettings(mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]),
+        augmentation=AugmentationSettings(
+            mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]
+        ),
         n_last_epochs=options.last_epochs,
         n_int8_epochs=options.int8_epochs,
     )
@@ -149,11 +182,22 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData) -> No
     training.load_best()
     model = options.out / f"{options.model}.onnx"
     name = options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name
-    training.export(model, family=NETWORKS[options.model].family, data=name, licence=options.licence)
-    print_grid(console, class_grid({"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}))
+    training.export(
+        model, family=NETWORKS[options.model].family, data=name, licence=options.licence
+    )
+    print_grid(
+        console,
+        class_grid(
+            {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
+        ),
+    )
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
     written = f"Written: {model}, and in the same folder {', '.join(names)}."
-    print_line(console, written, f"To use the model: track-range --mono VIDEO --focal-px PX --detector {model}")
+    print_line(
+        console,
+        written,
+        f"To use the model: track-range --mono VIDEO --focal-px PX --detector {model}",
+    )
 
 
 def _duration(minutes: float) -> str:

@@ -1,7 +1,9 @@
-"""Camera Motion Metadata (CAMM): GPS samples of the types 5 and 6 in the track `camm`, little-endian.
+"""Camera Motion Metadata (CAMM): GPS samples of the types 5 and 6 in the track `camm`,
+little-endian.
 
-Format: developers.google.com/streetview/publish/camm-spec. Type 6 has velocities; type 5 has only positions, as have
-files in which all velocities of type 6 are 0: speed is then derived from the positions.
+Format: developers.google.com/streetview/publish/camm-spec. Type 6 has velocities; type 5 has only
+positions, as have files in which all velocities of type 6 are 0: speed is then derived from the
+positions.
 """
 
 import math
@@ -18,12 +20,13 @@ from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, Telemetry
 _POSITION = struct.Struct("<2xHddd")  # type 5: latitude and longitude in degrees, altitude in m
 
 _GPS = struct.Struct("<2xHdiddfffffff")
-"""Type 6: time in seconds since 1980-01-06, fix, latitude, longitude, altitude, horizontal and vertical accuracy in m,
-velocity east, north and up, and its accuracy, in m/s."""
+"""Type 6: time in seconds since 1980-01-06, fix, latitude, longitude, altitude, horizontal and
+vertical accuracy in m, velocity east, north and up, and its accuracy, in m/s."""
 
 _GPS_EPOCH_S = date_s(1980, 1, 6, 0, 0, 0)
 _LEAP_SECONDS = 18  # UTC is behind the time of GPS by this much since 2017
-_FIRST_UNIX_S = 1.5e9  # times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them
+# times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them
+_FIRST_UNIX_S = 1.5e9
 _MIN_FIX = 2  # 0 = none, 2 = two-dimensional, 3 = three-dimensional
 
 
@@ -55,8 +58,8 @@ def read_camm(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | Non
 
 def _gps(content: bytes) -> tuple[Sample, float]:
     """A sample of type 6 without its time in the video, and the standard deviation of its speed."""
-    _, stated_s, fix, latitude_deg, longitude_deg, _, _, _, east_mps, north_mps, _, sigma_mps = _GPS.unpack_from(
-        content
+    _, stated_s, fix, latitude_deg, longitude_deg, _, _, _, east_mps, north_mps, _, sigma_mps = (
+        _GPS.unpack_from(content)
     )
     utc_s = stated_s if stated_s > _FIRST_UNIX_S else stated_s + _GPS_EPOCH_S - _LEAP_SECONDS
     if stated_s <= 0:

@@ -1,10 +1,12 @@
-"""Records of dashcams with Novatek and related chips, `freeGPS `: many layouts, which differ in fixed characters.
+"""Records of dashcams with Novatek and related chips, `freeGPS `: many layouts, which differ in
+fixed characters.
 
 Layouts and units as ExifTool's documentation of QuickTime streams lists them (exiftool.org), and as
-sergei.nz/extracting-gps-data-from-viofo-a119-and-other-novatek-powered-cameras describes the first layout. Offsets
-count from the start of the box: 4 bytes of size, `freeGPS `, 4 bytes of length, then the record. Integers and
-floating-point numbers are little-endian; coordinates are degrees and minutes (DDMM.MMMM); speeds are in knots unless
-stated. Coordinates that a maker encrypts or shifts are still passed on; only speed and course matter.
+sergei.nz/extracting-gps-data-from-viofo-a119-and-other-novatek-powered-cameras describes the first
+layout. Offsets count from the start of the box: 4 bytes of size, `freeGPS `, 4 bytes of length,
+then the record. Integers and floating-point numbers are little-endian; coordinates are degrees and
+minutes (DDMM.MMMM); speeds are in knots unless stated. Coordinates that a maker encrypts or shifts
+are still passed on; only speed and course matter.
 """
 
 import math
@@ -27,11 +29,14 @@ class FreeGps(NamedTuple):
 
     # in the order of the record, without time in the video; a void record has one without speed
     samples: tuple[Sample, ...]
-    unit: Unit = "known"  # what is known of the unit of the speed, which is read as km/h unless it is known
+    # what is known of the unit of the speed, which is read as km/h unless it is known
+    unit: Unit = "known"
 
 
 def parse_free_gps(block: bytes) -> FreeGps | None:
-    """Content of a box; None = the layout is unknown. Records with RMC sentences are read elsewhere."""
+    """Content of a box; None = the layout is unknown. Records with RMC sentences are read
+    elsewhere.
+    """
     padded = block.ljust(_PADDED_BYTES, b"\0")
     return next((content for layout in _LAYOUTS if (content := layout(padded)) is not None), None)
 
@@ -41,7 +46,8 @@ class _Layout(NamedTuple):
 
     clock: int  # hour, minute and second, integers of 4 bytes
     date: int  # year, month and day
-    status: int  # A = valid, V = void, or 0 with hemispheres, a byte that some firmwares do not fill in
+    # A = valid, V = void, or 0 with hemispheres, a byte that some firmwares do not fill in
+    status: int
     north: int  # N or S
     east: int  # E or W
     latitude: int  # 0 = encrypted, as for longitude and speed
@@ -50,7 +56,8 @@ class _Layout(NamedTuple):
     course: int  # 0 = none
     number: str = "f"  # type of the four numbers, "f" or "d"
     marks: bytes = rb"[A\0][NS][EW]|V[^A-MO-RT-Z]."  # pattern of the characters from `status` on
-    # whether the date must be valid; numbers are then little- or big-endian, of which one has a valid date
+    # whether the date must be valid; numbers are then little- or big-endian, of which one has a
+    # valid date
     is_dated: bool = True
     unit: Unit = "known"  # of the speed
     mps: float = MPS_PER_UNIT["kn"]
@@ -61,7 +68,15 @@ class _Layout(NamedTuple):
 def _compact(start: int) -> _Layout:
     """The first layout: clock, date, flags, then latitude, longitude, speed and course."""
     return _Layout(
-        start, start + 12, start + 24, start + 25, start + 26, start + 28, start + 32, start + 36, start + 40
+        start,
+        start + 12,
+        start + 24,
+        start + 25,
+        start + 26,
+        start + 28,
+        start + 32,
+        start + 36,
+        start + 40,
     )
 
 
@@ -73,7 +88,9 @@ def _text_compact(start: int) -> _Layout:
         return all(re.fullmatch(rb"[A-Za-z0-9+/.]{6,20}={0,2}\0*", text) for text in texts)
 
     compact = _compact(start)
-    return compact._replace(latitude=0, longitude=0, speed=start + 68, course=start + 72, is_like=is_like)
+    return compact._replace(
+        latitude=0, longitude=0, speed=start + 68, course=start + 72, is_like=is_like
+    )
 
 
 def _spread_doubles(start: int) -> _Layout:
@@ -92,7 +109,15 @@ _AKASO = _Layout(  # flags as separate words, and the hemispheres after each coo
 )  # fmt: skip
 
 _VANTRUE_S1 = _Layout(
-    clock=0x50, date=0x44, status=0x40, north=0x41, east=0x42, latitude=0x60, longitude=0x5C, speed=0x64, course=0x68
+    clock=0x50,
+    date=0x44,
+    status=0x40,
+    north=0x41,
+    east=0x42,
+    latitude=0x60,
+    longitude=0x5C,
+    speed=0x64,
+    course=0x68,
 )
 _ENCRYPTED = _compact(0x30)._replace(  # Akaso V1 and Redtiger
     latitude=0, longitude=0, speed=0x60, course=0, unit="unknown", mps=MPS_PER_UNIT["km/h"],
@@ -114,7 +139,10 @@ def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
         return FreeGps((Sample(utc_s=utc_s),), layout.unit)
     latitude_deg = longitude_deg = course_deg = math.nan
     if layout.latitude:
-        (latitude,), (longitude,) = numbers(layout.number, layout.latitude), numbers(layout.number, layout.longitude)
+        (latitude,), (longitude,) = (
+            numbers(layout.number, layout.latitude),
+            numbers(layout.number, layout.longitude),
+        )
         if layout.number == "d":
             latitude, longitude = abs(latitude), abs(longitude)
         latitude_deg = degrees(latitude, chr(block[layout.north]))
@@ -124,7 +152,9 @@ def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
         if layout.reversal:
             course_deg = (course_deg + 180 * (block[0x10:0x14] == layout.reversal)) % 360
     speed_mps = numbers(layout.number, layout.speed)[0] * layout.mps
-    return FreeGps((Sample(math.nan, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg),), layout.unit)
+    return FreeGps(
+        (Sample(math.nan, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg),), layout.unit
+    )
 
 
 def _byte_order(layout: _Layout, block: bytes) -> str | None:
@@ -142,12 +172,17 @@ def _is_clock(hour: int, minute: int, second: int) -> bool:
 
 
 def _integers(block: bytes) -> FreeGps | None:
-    """Viofo A119S with the mark "IQS": coordinates of 1e-7 degrees and a speed in cm/s, without course."""
+    """Viofo A119S with the mark "IQS": coordinates of 1e-7 degrees and a speed in cm/s, without
+    course.
+    """
     plain = _fixed(_compact(0x30), block) if block[0x10:0x13] == b"IQS" else None
     if plain is None or block[0x48:0x49] == b"V":
         return plain
     latitude, longitude, speed = struct.unpack_from("<3i", block, 0x4C)
-    north, east = signed(abs(latitude / 1e7), chr(block[0x49])), signed(abs(longitude / 1e7), chr(block[0x4A]))
+    north, east = (
+        signed(abs(latitude / 1e7), chr(block[0x49])),
+        signed(abs(longitude / 1e7), chr(block[0x4A])),
+    )
     return FreeGps((Sample(math.nan, plain.samples[0].utc_s, speed / 100, math.nan, north, east),))
 
 
@@ -158,20 +193,30 @@ def _innovv(block: bytes) -> FreeGps | None:
     samples = []
     for match in re.finditer(rb"A([NS])([EW])\0(.{28})", block, re.DOTALL):
         latitude, longitude, knots, course_deg = struct.unpack_from("<4f", match[3])
-        north, east = degrees(abs(latitude), match[1].decode()), degrees(abs(longitude), match[2].decode())
-        samples.append(Sample(math.nan, math.nan, knots * MPS_PER_UNIT["kn"], course_deg, north, east))
+        north, east = (
+            degrees(abs(latitude), match[1].decode()),
+            degrees(abs(longitude), match[2].decode()),
+        )
+        samples.append(
+            Sample(math.nan, math.nan, knots * MPS_PER_UNIT["kn"], course_deg, north, east)
+        )
     return FreeGps(tuple(samples))
 
 
 def _seventymai(block: bytes) -> FreeGps | None:
-    """70mai A810: status at 0x1E, then coordinates (DDMM.MMMMM as integers) and the speed in km/h; no date."""
+    """70mai A810: status at 0x1E, then coordinates (DDMM.MMMMM as integers) and the speed in km/h;
+    no date.
+    """
     if not re.match(rb".{16}\x03\0.{12}[AV].{20}[AV][AV]", block, re.DOTALL):
         return None
     if block[30:31] == b"V":
         return FreeGps((Sample(),), "assumed")
     latitude, longitude, _, kmh = struct.unpack_from("<4i", block, 31)
     position_deg = degrees(latitude / 1e5), degrees(longitude / 1e5)
-    return FreeGps((Sample(math.nan, math.nan, kmh * MPS_PER_UNIT["km/h"], math.nan, *position_deg),), "assumed")
+    return FreeGps(
+        (Sample(math.nan, math.nan, kmh * MPS_PER_UNIT["km/h"], math.nan, *position_deg),),
+        "assumed",
+    )
 
 
 def _xor_text(block: bytes) -> FreeGps | None:
@@ -180,7 +225,9 @@ def _xor_text(block: bytes) -> FreeGps | None:
         return None
     text = bytes(byte ^ 0xAA for byte in block[18:0x113])
     match = re.match(
-        rb".{8}(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d).{16}([NS])(\d{8})([EW])(\d{9})(\d{8})?", text, re.DOTALL
+        rb".{8}(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d).{16}([NS])(\d{8})([EW])(\d{9})(\d{8})?",
+        text,
+        re.DOTALL,
     )
     if not match:
         return FreeGps((Sample(),))
@@ -188,13 +235,20 @@ def _xor_text(block: bytes) -> FreeGps | None:
     if speed is None:
         later = re.match(rb".{57}[-+]\d{4}(\d{3})", text, re.DOTALL)
         speed = later[1] if later else b"nan"
-    north, east = degrees(int(match[8]) / 1e4, match[7].decode()), degrees(int(match[10]) / 1e4, match[9].decode())
+    north, east = (
+        degrees(int(match[8]) / 1e4, match[7].decode()),
+        degrees(int(match[10]) / 1e4, match[9].decode()),
+    )
     utc_s = date_s(*(int(match[i]) for i in range(1, 7)))
-    return FreeGps((Sample(math.nan, utc_s, float(speed) * MPS_PER_UNIT["km/h"], math.nan, north, east),))
+    return FreeGps(
+        (Sample(math.nan, utc_s, float(speed) * MPS_PER_UNIT["km/h"], math.nan, north, east),)
+    )
 
 
 def _atc(block: bytes) -> FreeGps | None:
-    """Ring buffer of the last 30 seconds, records of 52 bytes from 0x30 that hold their own keys; the newest counts."""
+    """Ring buffer of the last 30 seconds, records of 52 bytes from 0x30 that hold their own keys;
+    the newest counts.
+    """
     if block[0x45:0x48] != b"ATC":
         return None
     samples = []
@@ -208,10 +262,14 @@ def _atc(block: bytes) -> FreeGps | None:
         hour, minute, secs = record[0x0D] + 1, record[0x0E], record[0x0F]
         year, month, day = struct.unpack_from("<HBB", record, 0x2C)
         utc_s = date_s(year, month, day, hour & 0xFF, minute, secs)
-        latitude, longitude, speed = (struct.unpack_from("<i", record, at)[0] for at in (0x10, 0x18, 0x20))
+        latitude, longitude, speed = (
+            struct.unpack_from("<i", record, at)[0] for at in (0x10, 0x18, 0x20)
+        )
         course_deg = struct.unpack_from("<h", record, 0x24)[0] / 100
         if math.isfinite(utc_s):
-            samples.append(Sample(math.nan, utc_s, speed / 100, course_deg, latitude / 1e7, longitude / 1e7))
+            samples.append(
+                Sample(math.nan, utc_s, speed / 100, course_deg, latitude / 1e7, longitude / 1e7)
+            )
     return FreeGps((max(samples, key=lambda sample: sample.utc_s),)) if samples else None
 
 
@@ -221,12 +279,18 @@ def _nextbase(block: bytes) -> FreeGps | None:
         return None
     samples = []
     for start in range(0x30, min(len(block), 0x30 + 64 * 32) - 31, 32):
-        speed, course, year, month, day, hour, minute, tenths = struct.unpack_from(">HhHBBBBH", block, start + 2)
+        speed, course, year, month, day, hour, minute, tenths = struct.unpack_from(
+            ">HhHBBBBH", block, start + 2
+        )
         latitude, longitude = struct.unpack_from(">ii", block, start + 0x0F)
         utc_s = date_s(year, month, day, hour, minute, tenths / 10)
         if year < 2000 or not math.isfinite(utc_s):
             break
-        samples.append(Sample(math.nan, utc_s, speed / 100, course / 100 % 360, latitude / 1e7, longitude / 1e7))
+        samples.append(
+            Sample(
+                math.nan, utc_s, speed / 100, course / 100 % 360, latitude / 1e7, longitude / 1e7
+            )
+        )
     return FreeGps(tuple(samples)) if samples else None
 
 

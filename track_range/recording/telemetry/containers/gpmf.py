@@ -1,11 +1,15 @@
-"""GoPro's telemetry format GPMF: the streams GPS5 and GPS9 of the track `gpmd`, or payloads alone in a file.
+"""GoPro's telemetry format GPMF: the streams GPS5 and GPS9 of the track `gpmd`, or payloads alone
+in a file.
 
-Format: github.com/gopro/gpmf-parser. A payload holds devices (DEVC) with streams (STRM); an entry has a key of four
-characters, the type of its values, the size and the number of its rows, all big-endian, and is padded to four bytes.
+Format: github.com/gopro/gpmf-parser. A payload holds devices (DEVC) with streams (STRM); an entry
+has a key of four characters, the type of its values, the size and the number of its rows, all
+big-endian, and is padded to four bytes.
 
-GPS5  latitude, longitude, altitude, horizontal speed, speed in space; with GPSF (fix), GPSP (dilution of precision)
+GPS5  latitude, longitude, altitude, horizontal speed, speed in space; with GPSF (fix), GPSP
+(dilution of precision)
       and GPSU (date and time in UTC) for the payload; HERO5 to HERO10, Fusion, MAX
-GPS9  as GPS5, then days since 2000, seconds of the day, dilution of precision and fix of each row; since HERO11
+GPS9  as GPS5, then days since 2000, seconds of the day, dilution of precision and fix of each row;
+since HERO11
 """
 
 import math
@@ -22,10 +26,12 @@ from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_sam
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
-MAX_PAYLOAD_BYTES = 1_000_000  # size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
+# size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
+MAX_PAYLOAD_BYTES = 1_000_000
 _PROBED_PAYLOADS = 60  # payloads without GPS rows after which a file counts as one without GPS
 _MIN_FIX = 2  # smallest GPSF with a fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional
-_MAX_DOP = 10.0  # dilution of precision above which positions count as poor, as usual; GoPro recommends 5
+# dilution of precision above which positions count as poor, as usual; GoPro recommends 5
+_MAX_DOP = 10.0
 _NO_FIX_DOP = 99.99  # dilution of precision that GoPro writes without a fix (GPSP 9999)
 _MAX_ENTRIES = 20_000  # largest number of entries read on one level; a payload has about 500
 _RATE_HZ = 18.0  # nominal rate of GPS5, for payloads without a duration
@@ -44,11 +50,14 @@ class GpsRows(NamedTuple):
 
     key: str  # "GPS5" or "GPS9"
     device: int  # number of the device
-    # (N, 5) latitude and longitude in degrees, altitude in m, horizontal speed and speed in space in m/s
+    # (N, 5) latitude and longitude in degrees, altitude in m, horizontal speed and speed in space
+    # in m/s
     values: FloatArray
-    utc_s: FloatArray  # (N,) seconds since 1970; in GPS5 only the first is known, the others are NaN
+    # (N,) seconds since 1970; in GPS5 only the first is known, the others are NaN
+    utc_s: FloatArray
     dop: FloatArray  # (N,) dilution of precision
-    has_fix: BoolArray  # (N,) whether the receiver had a fix: without one GoPro repeats or extrapolates the last
+    # (N,) whether the receiver had a fix: without one GoPro repeats or extrapolates the last
+    has_fix: BoolArray
 
 
 _Payload = tuple[float, float, list[GpsRows]]  # start and duration in s, NaN = unknown, and rows
@@ -86,7 +95,11 @@ def gps_rows(content: bytes) -> Iterator[GpsRows]:
         for part, part_letter, part_start, part_end, _ in _entries(content, start, end):
             if part == "DVID" and part_end - part_start >= 4:
                 device = int.from_bytes(content[part_start : part_start + 4], "big")
-            elif part == "STRM" and part_letter == "\0" and content.find(b"GPS", part_start, part_end) >= 0:
+            elif (
+                part == "STRM"
+                and part_letter == "\0"
+                and content.find(b"GPS", part_start, part_end) >= 0
+            ):
                 yield from _stream_rows(content, part_start, part_end, device)
 
 
@@ -104,7 +117,9 @@ def _entries(content: bytes, start: int, end: int) -> Iterator[tuple[str, str, i
 
 
 def _stream_rows(content: bytes, start: int, end: int, device: int) -> Iterator[GpsRows]:
-    """GPS rows of a stream; the entries before them give their scale, types, fix, precision and time."""
+    """GPS rows of a stream; the entries before them give their scale, types, fix, precision and
+    time.
+    """
     scale, types, fix, dop, utc_s = np.ones(1), "", 3.0, math.nan, math.nan
     for key, letter, first, last, row_bytes in _entries(content, start, end):
         value = content[first:last]
@@ -135,22 +150,31 @@ def _stream_rows(content: bytes, start: int, end: int, device: int) -> Iterator[
 
 
 def _complex_rows(value: bytes, types: str, row_bytes: int) -> FloatArray:
-    """(N, M) rows of an entry with one type per column, such as "lllllllSS" or "l[7]S[2]"; `row_bytes` 0 = any."""
-    letters = re.sub(r"(.)\[(\d{1,2})\]", lambda match: match[1] * int(match[2]), types.strip("\0 ")[:64])
+    """(N, M) rows of an entry with one type per column, such as "lllllllSS" or "l[7]S[2]";
+    `row_bytes` 0 = any.
+    """
+    letters = re.sub(
+        r"(.)\[(\d{1,2})\]", lambda match: match[1] * int(match[2]), types.strip("\0 ")[:64]
+    )
     if not 0 < len(letters) <= 64 or any(letter not in _TYPES for letter in letters):
         return np.empty((0, 1))
     dtype = np.dtype([(str(i), _TYPES[letter]) for i, letter in enumerate(letters)])
     if row_bytes not in (0, dtype.itemsize):
         return np.empty((0, 1))
     rows = np.frombuffer(value, dtype=dtype, count=len(value) // dtype.itemsize)
-    columns = [rows[str(i)].astype(float) / _FIXED_POINT.get(letter, 1.0) for i, letter in enumerate(letters)]
+    columns = [
+        rows[str(i)].astype(float) / _FIXED_POINT.get(letter, 1.0)
+        for i, letter in enumerate(letters)
+    ]
     return np.stack(columns, axis=1)
 
 
 def _scaled(values: FloatArray, scale: FloatArray) -> FloatArray:
     """Values divided by the entry SCAL, which has one number or one per column."""
     n = values.shape[1]
-    divisor = scale[:n] if len(scale) == 1 else np.append(scale, np.ones(max(n - len(scale), 0)))[:n]
+    divisor = (
+        scale[:n] if len(scale) == 1 else np.append(scale, np.ones(max(n - len(scale), 0)))[:n]
+    )
     return np.asarray(values / divisor)
 
 
@@ -161,31 +185,50 @@ def _utc_s(text: str) -> float:
 
 
 def _track(payloads: list[_Payload], clock: Clock) -> TelemetryTrack | None:
-    """Telemetry of the stream with most fixes; GPS9, which states the fix of each row, before GPS5."""
+    """Telemetry of the stream with most fixes; GPS9, which states the fix of each row, before
+    GPS5.
+    """
     counts: dict[tuple[str, int], tuple[int, str, int]] = {}
     for rows in (rows for _, _, streams in payloads for rows in streams):
         n_fixes, _, n = counts.get((rows.key, rows.device), (0, "", 0))
-        counts[rows.key, rows.device] = n_fixes + int(rows.has_fix.sum()), rows.key, n + len(rows.values)
+        counts[rows.key, rows.device] = (
+            n_fixes + int(rows.has_fix.sum()),
+            rows.key,
+            n + len(rows.values),
+        )
     if not counts:
         return None
     chosen = max(counts, key=lambda stream: counts[stream])
-    parts = [(s, d, rows) for s, d, streams in payloads for rows in streams if (rows.key, rows.device) == chosen]
+    parts = [
+        (s, d, rows)
+        for s, d, streams in payloads
+        for rows in streams
+        if (rows.key, rows.device) == chosen
+    ]
     starts_s = [*(float(rows.utc_s[0]) for _, _, rows in parts), math.nan]
     samples: list[Sample] = []
     n_poor = 0
     for index, (start_s, duration_s, rows) in enumerate(parts):
         n = len(rows.values)
-        utc_s = rows.utc_s if rows.key == "GPS9" else _spread_s(starts_s[index], starts_s[index + 1], n)
+        utc_s = (
+            rows.utc_s if rows.key == "GPS9" else _spread_s(starts_s[index], starts_s[index + 1], n)
+        )
         time_s = start_s + np.arange(n) / n * duration_s if clock == "video" else utc_s
         n_poor += int((rows.has_fix & (rows.dop > _MAX_DOP)).sum())
-        # without a fix, the camera's clock may be years off, which is no jump of the receiver's clock
+        # without a fix, the camera's clock may be years off, which is no jump of the receiver's
+        # clock
         dated_s = np.where(rows.has_fix, utc_s, np.nan) if clock == "video" else utc_s
         values = np.where(rows.has_fix[:, None], rows.values, np.nan)[:, [3, 0, 1]]
         columns = zip(time_s.tolist(), dated_s.tolist(), values.tolist(), strict=True)
-        samples += [Sample(time, utc, mps, math.nan, *position_deg) for time, utc, (mps, *position_deg) in columns]
+        samples += [
+            Sample(time, utc, mps, math.nan, *position_deg)
+            for time, utc, (mps, *position_deg) in columns
+        ]
     notes: tuple[str, ...] = ()
     if n_poor:
-        notes = (f"{n_poor} of {len(samples)} GPS samples have a dilution of precision over {_MAX_DOP:g}.",)
+        notes = (
+            f"{n_poor} of {len(samples)} GPS samples have a dilution of precision over {_MAX_DOP:g}.",
+        )
     return track(samples, f"GoPro GPMF ({chosen[0]})", clock, notes=notes)
 
 

@@ -1,8 +1,10 @@
-"""LIGOGPSINFO: lines of text such as `2026/08/03 11:34:53 N:48.100000 W:002.100000 19.0 km/h x:0.00 ... A:212.0`.
+"""LIGOGPSINFO: lines of text such as `2026/08/03 11:34:53 N:48.100000 W:002.100000 19.0 km/h x:0.00
+... A:212.0`.
 
-They are in a trailer of the file in slots of 132 bytes, in a box `skip`, or in records that start with `####`, which
-are encrypted: then the number before "km/h" is in knots, and the positions are distorted. Times are local or UTC,
-as the camera is set. Layouts and encryption after ExifTool's documentation (exiftool.org, LIGO tags).
+They are in a trailer of the file in slots of 132 bytes, in a box `skip`, or in records that start
+with `####`, which are encrypted: then the number before "km/h" is in knots, and the positions are
+distorted. Times are local or UTC, as the camera is set. Layouts and encryption after ExifTool's
+documentation (exiftool.org, LIGO tags).
 """
 
 import math
@@ -17,7 +19,15 @@ import numpy as np
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, Unit, date_s, degrees, signed, track
+from track_range.recording.telemetry.samples import (
+    MAX_SAMPLES,
+    Sample,
+    Unit,
+    date_s,
+    degrees,
+    signed,
+    track,
+)
 from track_range.recording.telemetry.track import TelemetryTrack
 
 _MAX_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz
@@ -31,7 +41,8 @@ _LINE = re.compile(
 _COURSE = re.compile(rb"\bA:(\d+(?:\.\d+)?)")
 _JSON = re.compile(rb"LIGOGPSINFO (\{[^}]{20,1000}\})")
 _FIELD = re.compile(rb'"(\w{1,20})"\s*:\s*"?([-+.\w]{1,20})')
-_SPEED_SCALE = 1.85407333 / 1.852  # encrypted speeds are too small by this factor, besides being in knots
+# encrypted speeds are too small by this factor, besides being in knots
+_SPEED_SCALE = 1.85407333 / 1.852
 
 
 def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
@@ -62,9 +73,15 @@ def _contents(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
 
 
 def _track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:
-    """Telemetry of samples at 1 Hz from the start of the video, timed by their own clock if it does not jump."""
+    """Telemetry of samples at 1 Hz from the start of the video, timed by their own clock if it does
+    not jump.
+    """
     utc_s = np.array([sample.utc_s for sample in samples])
-    is_steady = bool(np.isfinite(utc_s).all() and (np.diff(utc_s) >= 0).all() and utc_s[-1] - utc_s[0] < 2 * len(utc_s))
+    is_steady = bool(
+        np.isfinite(utc_s).all()
+        and (np.diff(utc_s) >= 0).all()
+        and utc_s[-1] - utc_s[0] < 2 * len(utc_s)
+    )
     time_s = utc_s - utc_s[0] if is_steady else np.arange(len(utc_s), dtype=float)
     timed = [sample.at(second) for sample, second in zip(samples, time_s.tolist(), strict=True)]
     return track(timed, "LIGO GPS", unit=unit)
@@ -84,17 +101,23 @@ def _sample(match: re.Match[bytes]) -> Sample:
     if latitude_deg == 0 and longitude_deg == 0:
         return Sample(utc_s=utc_s)
     course_deg = float(course[1]) if course else math.nan
-    return Sample(math.nan, utc_s, number(kmh) * MPS_PER_UNIT["km/h"], course_deg, latitude_deg, longitude_deg)
+    return Sample(
+        math.nan, utc_s, number(kmh) * MPS_PER_UNIT["km/h"], course_deg, latitude_deg, longitude_deg
+    )
 
 
 def _coordinate(text: str, hemisphere: str) -> float:
-    """Degrees of a coordinate, negative in the south and west; numbers above 180 are degrees and minutes."""
+    """Degrees of a coordinate, negative in the south and west; numbers above 180 are degrees and
+    minutes.
+    """
     value = number(text)
     return signed(degrees(value) if abs(value) > 180 else value, hemisphere)
 
 
 def parse_ligo_record(record: bytes) -> Sample | None:
-    """Sample of a record that starts with `####`, with the speed in m/s and without position; None = unreadable."""
+    """Sample of a record that starts with `####`, with the speed in m/s and without position; None
+    = unreadable.
+    """
     if record[:4] != b"####":
         return None
     text = _decrypted(record[8 : 8 + min(int.from_bytes(record[4:8], "little"), _SLOT_BYTES - 8)])
@@ -103,7 +126,11 @@ def parse_ligo_record(record: bytes) -> Sample | None:
         return None
     sample = _sample(match)
     speed_mps = number(match[11].decode()) * MPS_PER_UNIT["kn"] * _SPEED_SCALE
-    return Sample(math.nan, sample.utc_s, speed_mps, sample.course_deg) if math.isfinite(sample.speed_mps) else sample
+    return (
+        Sample(math.nan, sample.utc_s, speed_mps, sample.course_deg)
+        if math.isfinite(sample.speed_mps)
+        else sample
+    )
 
 
 _MASKS: dict[int, tuple[int | None, ...]] = {
@@ -114,8 +141,8 @@ _MASKS: dict[int, tuple[int | None, ...]] = {
     6: (0x01, 0x02, 0x0C, 0x30),
     7: (0x01, 0x02, 0x0C, 0x30),
 }
-"""Bits of the control byte that belong to each of the four characters after it, by its upper three bits; None = the
-character is a space that takes no byte."""
+"""Bits of the control byte that belong to each of the four characters after it, by its upper three
+bits; None = the character is a space that takes no byte."""
 
 
 def _decrypted(content: bytes) -> bytes:
@@ -136,7 +163,11 @@ def _decrypted(content: bytes) -> bytes:
             if mask is None:
                 text.append(0x20)
             elif start < len(content):
-                text.append(content[start] ^ 0x20 if mask == 0x30 else (content[start] | control & mask) ^ 0x20)
+                text.append(
+                    content[start] ^ 0x20
+                    if mask == 0x30
+                    else (content[start] | control & mask) ^ 0x20
+                )
                 text[-1] |= control & mask if mask == 0x30 else 0
                 start += 1
     return bytes(text)
@@ -149,8 +180,20 @@ def _from_json(content: bytes) -> Sample:
     def text(name: str) -> str:
         return str(fields.get(name, ""))
 
-    utc_s = date_s(*(number(text(name)) for name in ("Year", "Month", "Day", "Hour", "Minute", "Second")))
+    utc_s = date_s(
+        *(number(text(name)) for name in ("Year", "Month", "Day", "Hour", "Minute", "Second"))
+    )
     if text("status") != "A":
         return Sample(utc_s=utc_s)
-    latitude_deg, longitude_deg = _coordinate(text("Latitude"), text("NS")), _coordinate(text("Longitude"), text("EW"))
-    return Sample(math.nan, utc_s, number(text("Speed")) * MPS_PER_UNIT["kn"], math.nan, latitude_deg, longitude_deg)
+    latitude_deg, longitude_deg = (
+        _coordinate(text("Latitude"), text("NS")),
+        _coordinate(text("Longitude"), text("EW")),
+    )
+    return Sample(
+        math.nan,
+        utc_s,
+        number(text("Speed")) * MPS_PER_UNIT["kn"],
+        math.nan,
+        latitude_deg,
+        longitude_deg,
+    )

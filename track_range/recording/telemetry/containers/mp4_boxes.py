@@ -1,15 +1,15 @@
 """MP4 and QuickTime files: boxes, tracks, and the offsets and times of samples (ISO/IEC 14496-12).
 
-    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = offsets, stts and ctts = times
-    mdat  the samples
+    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = offsets, stts and ctts
+    = times mdat  the samples
 
 Cameras write fragments, too, so that a power cut loses only a second (8.8):
 
-    moov  tracks without samples; mvex/trex = defaults of each track
-    moof  traf of each track: tfhd = defaults, tfdt = first time, trun = size and duration of each sample
+    moov  tracks without samples; mvex/trex = defaults of each track moof  traf of each track: tfhd
+    = defaults, tfdt = first time, trun = size and duration of each sample
 
-Only headers and tables are read, never the media data, so that a video of many gigabytes takes milliseconds. Damaged
-tables give fewer samples, and damaged fragments none, never an exception.
+Only headers and tables are read, never the media data, so that a video of many gigabytes takes
+milliseconds. Damaged tables give fewer samples, and damaged fragments none, never an exception.
 """
 
 import os
@@ -24,12 +24,18 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, IntArray
 
-MAX_MOVIE_BYTES = 256_000_000  # size limit of the box `moov`, bytes; ten hours at 60 frames per second have about 50 MB
-MAX_FRAGMENT_BYTES = 16_000_000  # size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB
-MAX_TELEMETRY_BYTES = 64_000_000  # size limit of a box, trailer or file of telemetry; an hour at 1 Hz has 1.5 MB
-MAX_BOXES = 200_000  # largest number of boxes read on one level; dashcams write up to one small box per second
-MAX_TABLE_ROWS = 10_000_000  # largest number of samples of a track: 46 hours at 60 frames per second
-MAX_EQUAL_SAMPLES = 1_000_000  # largest number of samples of one size, which a table of a few bytes can announce
+# size limit of the box `moov`, bytes; ten hours at 60 frames per second have about 50 MB
+MAX_MOVIE_BYTES = 256_000_000
+# size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB
+MAX_FRAGMENT_BYTES = 16_000_000
+# size limit of a box, trailer or file of telemetry; an hour at 1 Hz has 1.5 MB
+MAX_TELEMETRY_BYTES = 64_000_000
+# largest number of boxes read on one level; dashcams write up to one small box per second
+MAX_BOXES = 200_000
+# largest number of samples of a track: 46 hours at 60 frames per second
+MAX_TABLE_ROWS = 10_000_000
+# largest number of samples of one size, which a table of a few bytes can announce
+MAX_EQUAL_SAMPLES = 1_000_000
 MAX_TRACKS = 32  # largest number of tracks read; cameras with several lenses have up to ten
 _MAX_INTEGER = 2**53  # limit of offsets and times, with which sums do not overflow
 
@@ -66,7 +72,8 @@ class Movie:
     """Contents of an MP4 file that readers of telemetry need."""
 
     top: tuple[Box, ...]  # boxes of the file, of `n_bytes`
-    inner: dict[bytes, bytes] = field(default_factory=dict)  # content of the boxes in `moov` and `moov/udta`, by type
+    # content of the boxes in `moov` and `moov/udta`, by type
+    inner: dict[bytes, bytes] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()  # all tracks with samples
     n_bytes: int = 0
 
@@ -117,7 +124,9 @@ def read_at(file: BinaryIO, offset: int, n_bytes: int) -> bytes:
 def read_samples(
     file: BinaryIO, track: Track, indices: Sequence[int] | IntArray, max_bytes: int
 ) -> Iterator[tuple[int, bytes]]:
-    """Index and first bytes of samples; ends after as many bytes as the file has: damaged tables may overlap."""
+    """Index and first bytes of samples; ends after as many bytes as the file has: damaged tables
+    may overlap.
+    """
     budget = os.fstat(file.fileno()).st_size
     for index in indices:
         content = read_at(file, int(track.offsets[index]), min(int(track.sizes[index]), max_bytes))
@@ -128,13 +137,17 @@ def read_samples(
 
 
 def boxes(content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Types and contents of the boxes in the content of another box; the last one may be cut off."""
+    """Types and contents of the boxes in the content of another box; the last one may be cut
+    off.
+    """
     for box in _walk(lambda offset: content[offset : offset + 16], 0, len(content)):
         yield box.type, content[box.start : box.end]
 
 
 def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[Box]:
-    """Successive boxes, up to one without a valid size; `header_at` returns the 16 bytes from an offset."""
+    """Successive boxes, up to one without a valid size; `header_at` returns the 16 bytes from an
+    offset.
+    """
     for _ in range(MAX_BOXES):
         if start + 8 > end:
             return
@@ -189,13 +202,17 @@ def _track(content: bytes, movie_scale: int) -> Track | None:
 
 
 def _after_times(header: bytes) -> int:
-    """The number after the times of creation and change in `mvhd` and `mdhd` (ticks per second) and `tkhd` (ID)."""
+    """The number after the times of creation and change in `mvhd` and `mdhd` (ticks per second) and
+    `tkhd` (ID).
+    """
     start = 20 if header[:1] == b"\x01" else 12
     return int.from_bytes(header[start : start + 4], "big")
 
 
 def _timescale(header: bytes) -> int:
-    return (_after_times(header) if len(header) >= (24 if header[:1] == b"\x01" else 16) else 0) or 1000
+    return (
+        _after_times(header) if len(header) >= (24 if header[:1] == b"\x01" else 16) else 0
+    ) or 1000
 
 
 def _table(box: bytes, n_columns: int = 1, dtype: str = ">u4", start: int = 4) -> IntArray:
@@ -213,7 +230,11 @@ def _sizes(table: bytes) -> IntArray:
     box = _first(table, b"stsz")
     if len(box) >= 12:
         size, n = struct.unpack_from(">II", box, 4)
-        return np.full(min(n, MAX_EQUAL_SAMPLES), size, np.int64) if size else _table(box, start=8)[:, 0]
+        return (
+            np.full(min(n, MAX_EQUAL_SAMPLES), size, np.int64)
+            if size
+            else _table(box, start=8)[:, 0]
+        )
     box = _first(table, b"stz2")
     dtype = {8: ">u1", 16: ">u2"}.get(box[7]) if len(box) >= 12 else None
     return np.empty(0, np.int64) if dtype is None else _table(box, dtype=dtype, start=8)[:, 0]
@@ -248,11 +269,15 @@ def _runs(rows: npt.NDArray[np.integer], n: int) -> FloatArray:
         return np.zeros(n)
     ends = np.minimum(np.cumsum(np.minimum(rows[:, 0].astype(np.uint32).astype(np.int64), n)), n)
     values = np.repeat(rows[:, 1], np.diff(np.concatenate([[0], ends])))
-    return np.concatenate([values, np.full(n - len(values), values[-1] if len(values) else 0)]).astype(float)
+    return np.concatenate(
+        [values, np.full(n - len(values), values[-1] if len(values) else 0)]
+    ).astype(float)
 
 
 def _edit_shift_s(edits: bytes, media_scale: int, movie_scale: int) -> float:
-    """Seconds from the time axis of a track to the movie's, from its edit list; 0 without an edit list."""
+    """Seconds from the time axis of a track to the movie's, from its edit list; 0 without an edit
+    list.
+    """
     row = struct.Struct(">Qqi" if edits[:1] == b"\x01" else ">Iii")
     delay = 0
     for start in range(8, min(len(edits), 8 + 16 * row.size) - row.size + 1, row.size):
@@ -265,26 +290,34 @@ def _edit_shift_s(edits: bytes, media_scale: int, movie_scale: int) -> float:
 
 @dataclass(slots=True)
 class _Samples:
-    """Samples of a track in its fragments so far: (N, 4) offsets, sizes, times and durations, and the next time."""
+    """Samples of a track in its fragments so far: (N, 4) offsets, sizes, times and durations, and
+    the next time.
+    """
 
     end: int
     parts: list[IntArray] = field(default_factory=list)
     n: int = 0
 
 
-def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track], extends: bytes) -> list[Track]:
+def _with_fragments(
+    file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track], extends: bytes
+) -> list[Track]:
     """Tracks with the samples of their fragments; `extends` is the box `mvex`."""
     defaults = {}
     for box_type, content in boxes(extends):
         if box_type == b"trex" and len(content) >= 20:
             number, _, duration, size = struct.unpack_from(">4I", content, 4)
             defaults[number] = duration, size
-    samples = {t.number: _Samples(end=round(float(t.durations_s.sum()) * t.ticks_per_s)) for t in tracks}
+    samples = {
+        t.number: _Samples(end=round(float(t.durations_s.sum()) * t.ticks_per_s)) for t in tracks
+    }
     start = 0
     for box in top:
         if box.type == b"moof" and box.end - box.start <= MAX_FRAGMENT_BYTES:
             with suppress(struct.error, ValueError, OverflowError):  # cut off or damaged
-                _add_fragment(read_at(file, box.start, box.end - box.start), start, defaults, samples)
+                _add_fragment(
+                    read_at(file, box.start, box.end - box.start), start, defaults, samples
+                )
         start = box.end
     joined = []
     for track in tracks:
@@ -294,7 +327,9 @@ def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track],
                 track,
                 offsets=np.concatenate([track.offsets, rows[:, 0]]),
                 sizes=np.concatenate([track.sizes, rows[:, 1]]),
-                time_s=np.concatenate([track.time_s, rows[:, 2] / track.ticks_per_s + track.shift_s]),
+                time_s=np.concatenate(
+                    [track.time_s, rows[:, 2] / track.ticks_per_s + track.shift_s]
+                ),
                 durations_s=np.concatenate([track.durations_s, rows[:, 3] / track.ticks_per_s]),
             )
         )
@@ -311,9 +346,13 @@ def _add_fragment(
         header = _first(fragment, b"tfhd")
         flags, number = struct.unpack_from(">II", header)
         duration, size = defaults.get(number, (0, 0))
-        base, offset = start if flags & 0x20000 else end_of_data, 8  # the base is the `moof`, or the data before
+        # the base is the `moof`, or the data before
+        base, offset = start if flags & 0x20000 else end_of_data, 8
         if flags & 0x1:
-            base, offset = min(struct.unpack_from(">Q", header, offset)[0], _MAX_INTEGER), offset + 8
+            base, offset = (
+                min(struct.unpack_from(">Q", header, offset)[0], _MAX_INTEGER),
+                offset + 8,
+            )
         offset += 4 * bool(flags & 0x2)  # sample description
         if flags & 0x8:
             (duration,), offset = struct.unpack_from(">I", header, offset), offset + 4
@@ -331,20 +370,28 @@ def _add_fragment(
                 end_of_data = _add_run(track, body, base, end_of_data, duration, size)
 
 
-def _add_run(track: _Samples, body: bytes, base: int, end_of_data: int, duration: int, size: int) -> int:
-    """Add the samples of a box `trun`, with a default duration and size; returns where their data end in the file."""
+def _add_run(
+    track: _Samples, body: bytes, base: int, end_of_data: int, duration: int, size: int
+) -> int:
+    """Add the samples of a box `trun`, with a default duration and size; returns where their data
+    end in the file.
+    """
     flags, n = struct.unpack_from(">II", body)
     offset, data_start = 8, end_of_data
     if flags & 0x1:
         data_start, offset = base + struct.unpack_from(">i", body, offset)[0], offset + 4
     offset += 4 * bool(flags & 0x4)  # flags of the first sample
     fields = [
-        name for name, flag in (("t", 0x100), ("size", 0x200), ("flags", 0x400), ("shift", 0x800)) if flags & flag
+        name
+        for name, flag in (("t", 0x100), ("size", 0x200), ("flags", 0x400), ("shift", 0x800))
+        if flags & flag
     ]
     n = min(n, MAX_EQUAL_SAMPLES, MAX_TABLE_ROWS - track.n)
     if fields:
         n = min(n, (len(body) - offset) // (4 * len(fields)))
-    rows = np.frombuffer(body, ">u4", n * len(fields), offset).reshape(n, len(fields)).astype(np.int64)
+    rows = (
+        np.frombuffer(body, ">u4", n * len(fields), offset).reshape(n, len(fields)).astype(np.int64)
+    )
     column = dict(zip(fields, rows.T, strict=True))
     durations = column.get("t", np.full(n, duration, np.int64))
     sizes = column.get("size", np.full(n, size, np.int64))

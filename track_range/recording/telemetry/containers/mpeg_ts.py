@@ -1,7 +1,9 @@
-"""MPEG transport streams (.ts, .m2ts): `freeGPS` and LIGO records in private PES packets, on the clock of the video.
+"""MPEG transport streams (.ts, .m2ts): `freeGPS` and LIGO records in private PES packets, on the
+clock of the video.
 
-Packets of 188 bytes, or 192 with a time stamp before each (ISO/IEC 13818-1). The file is read in blocks from start to
-end, as it has no index; without a private stream at its start it is not read further.
+Packets of 188 bytes, or 192 with a time stamp before each (ISO/IEC 13818-1). The file is read in
+blocks from start to end, as it has no index; without a private stream at its start it is not read
+further.
 """
 
 from collections.abc import Iterator
@@ -24,11 +26,13 @@ _PACKETS_PER_READ = 40_000  # 7.5 MB
 _MAX_LOST = 1000  # times that synchronisation is found again in a file
 _SEARCHED_BYTES = 4096  # in which synchronisation is looked for before the next packets are tried
 _PROBED_BYTES = 48_000_000  # in which a record must be found; about ten seconds of 4K video
-_PRIVATE_1, _PRIVATE_2 = 0xBD, 0xBF  # stream ids of private data with and without the header fields of other streams
+# stream ids of private data with and without the header fields of other streams
+_PRIVATE_1, _PRIVATE_2 = 0xBD, 0xBF
 
 _PTS_HZ = 90_000
 _PTS_WRAP = 1 << 33
-_EMPTY_HEADER = b"\0\0\0\0freeGPS \0\0\0\0"  # start of a box before the record, which transport streams leave out
+# start of a box before the record, which transport streams leave out
+_EMPTY_HEADER = b"\0\0\0\0freeGPS \0\0\0\0"
 
 
 @dataclass(slots=True)
@@ -40,7 +44,8 @@ class _Scan:
     n_frames: int = 0
     # content of the private packet that is not complete, by PID, and the time stamp at its start
     open: dict[int, tuple[int, bytearray]] = field(default_factory=dict)
-    records: list[tuple[int, bytes]] = field(default_factory=list)  # time stamp and content of the complete ones
+    # time stamp and content of the complete ones
+    records: list[tuple[int, bytes]] = field(default_factory=list)
     pids: set[int] = field(default_factory=set)  # PIDs of private streams
 
 
@@ -65,7 +70,10 @@ def read_mpeg_ts(file: BinaryIO, path: Path) -> TelemetryTrack | None:
         if (offset > _PROBED_BYTES and not has_record) or len(scan.records) > MAX_BLOCKS:
             break
     scan.records += [(pts, bytes(content)) for pts, content in scan.open.values()]
-    blocks = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=itemgetter(0))
+    blocks = sorted(
+        ((pts, _block(content)) for pts, content in scan.records if _is_record(content)),
+        key=itemgetter(0),
+    )
     if not blocks:
         return None
     first = scan.first_pts or 0
@@ -81,7 +89,9 @@ def _difference(pts: int, first: int) -> int:
 
 
 def _packets(file: BinaryIO, n_bytes: int) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
-    """Offset and (N, 188) packets of successive parts of the file; lost synchronisation is found again."""
+    """Offset and (N, 188) packets of successive parts of the file; lost synchronisation is found
+    again.
+    """
     offset, n_stamp, n_lost = 0, n_bytes - 188, 0
     while content := read_at(file, offset, n_bytes * _PACKETS_PER_READ):
         start = 0
@@ -110,7 +120,9 @@ def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:
     starts = np.where(has_adaptation, 5 + packets[:, 4].astype(np.int64), 4)  # of the payloads
     is_head = has_payload & ((packets[:, 1] & 0x40) > 0) & (starts <= 188 - 6)
     stream_ids = packets[np.arange(len(packets)), np.minimum(starts + 3, 187)]
-    scan.pids.update(np.unique(pids[is_head & np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))]).tolist())
+    scan.pids.update(
+        np.unique(pids[is_head & np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))]).tolist()
+    )
     is_private = has_payload & np.isin(pids, list(scan.pids))
     is_video = is_head & (stream_ids & 0xF0 == 0xE0)
     for index in np.flatnonzero(is_video | is_private).tolist():

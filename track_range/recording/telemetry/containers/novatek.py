@@ -1,4 +1,5 @@
-"""Boxes `freeGPS ` of a movie: found through the index `gps `, as boxes of the file, or between the samples.
+"""Boxes `freeGPS ` of a movie: found through the index `gps `, as boxes of the file, or between the
+samples.
 
 The times are the video's at the same offset in the file, or one second per box.
 """
@@ -15,7 +16,13 @@ from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, Unit, degrees, has_plausible_positions, track
+from track_range.recording.telemetry.samples import (
+    Sample,
+    Unit,
+    degrees,
+    has_plausible_positions,
+    track,
+)
 from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
@@ -52,7 +59,9 @@ def _indexed(movie: Movie) -> Iterator[int]:
 
 
 def _top_level(movie: Movie) -> Iterator[int]:
-    """Possible offsets of the mark in boxes `free`: it begins with the type of the box, or directly after it."""
+    """Possible offsets of the mark in boxes `free`: it begins with the type of the box, or directly
+    after it.
+    """
     for box in movie.top:
         if box.type in (b"free", b"skip"):
             yield box.start - 8
@@ -73,7 +82,9 @@ def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
     last = np.concatenate([starts, [media[-1].end]])
     is_gap = (last - first >= 64) & (first < movie.n_bytes)
     is_found = False
-    for n_probed, (start, end) in enumerate(zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)):
+    for n_probed, (start, end) in enumerate(
+        zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)
+    ):
         if n_probed >= _MAX_PROBED and not is_found:
             return
         n_before = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
@@ -88,7 +99,9 @@ def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
 
 
 def _block_times_s(offsets: np.ndarray, movie: Movie) -> FloatArray:
-    """(N,) times of the frames that follow the boxes in the file; one second per box where they are not spread."""
+    """(N,) times of the frames that follow the boxes in the file; one second per box where they are
+    not spread.
+    """
     seconds = np.arange(len(offsets), dtype=float)
     video = movie.video
     if video is None or len(offsets) < 2:
@@ -96,14 +109,20 @@ def _block_times_s(offsets: np.ndarray, movie: Movie) -> FloatArray:
     order = np.argsort(video.offsets, kind="stable")
     index = np.minimum(np.searchsorted(video.offsets[order], offsets), len(video) - 1)
     time_s = video.time_s[order][index] - movie.start_s
-    is_spread = time_s[-1] - time_s[0] > 0.5 * (len(offsets) - 1) and bool((np.diff(time_s) >= 0).all())
+    is_spread = time_s[-1] - time_s[0] > 0.5 * (len(offsets) - 1) and bool(
+        (np.diff(time_s) >= 0).all()
+    )
     return np.asarray(time_s) if is_spread else seconds
 
 
-def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) -> TelemetryTrack | None:
-    """Telemetry of boxes from their 4 bytes of size on, at (N,) times in the video; None = the boxes are empty.
+def track_of_blocks(
+    blocks: Sequence[bytes], times_s: FloatArray, path: Path
+) -> TelemetryTrack | None:
+    """Telemetry of boxes from their 4 bytes of size on, at (N,) times in the video; None = the
+    boxes are empty.
 
-    Samples of one box are spread over a second. Raises TelemetryError for an unknown layout, or without pynmea2.
+    Samples of one box are spread over a second. Raises TelemetryError for an unknown layout, or
+    without pynmea2.
     """
     is_cipher = [block[0x3C : 0x3C + len(_CIPHER_MARK)] == _CIPHER_MARK for block in blocks]
     plain = [
@@ -117,12 +136,16 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
     known = [record for record in records if record]
     if not known:
         if any(any(block[16:0x80]) for block in blocks):  # without a receiver, boxes are empty
-            raise TelemetryError(f"{path}: its freeGPS records have an unknown layout; export them as GPX.")
+            raise TelemetryError(
+                f"{path}: its freeGPS records have an unknown layout; export them as GPX."
+            )
         return None
     unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
     samples = _timed((record.samples if record else () for record in records), times_s)
     if not has_plausible_positions(samples):  # encrypted by some makers
-        samples = [sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
+        samples = [
+            sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples
+        ]
     return track(samples, "freeGPS records", unit=unit)
 
 
@@ -135,14 +158,21 @@ def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Samp
 
 
 def _seventymai_table(file: BinaryIO, movie: Movie) -> TelemetryTrack | None:
-    """Telemetry of the box `GPS ` of older 70mai cameras: rows of 36 bytes with seconds of the video and m/h."""
+    """Telemetry of the box `GPS ` of older 70mai cameras: rows of 36 bytes with seconds of the
+    video and m/h.
+    """
     box = next((box for box in movie.top if box.type == b"GPS "), None)
     content = read_at(file, box.start, min(box.end - box.start, 36 * MAX_BLOCKS)) if box else b""
     samples = []
     for start in range(0, len(content) - 35, 36):
-        _, _, second, speed, north, latitude, east, longitude = struct.unpack_from("<IIIIcIcI", content, start)
+        _, _, second, speed, north, latitude, east, longitude = struct.unpack_from(
+            "<IIIIcIcI", content, start
+        )
         if north in b"NS" and east in b"EW" and north.strip(b"\0"):
-            position_deg = degrees(latitude / 1e3, north.decode()), degrees(longitude / 1e3, east.decode())
+            position_deg = (
+                degrees(latitude / 1e3, north.decode()),
+                degrees(longitude / 1e3, east.decode()),
+            )
             speed_mps = speed / 1e3 * MPS_PER_UNIT["km/h"]
             samples.append(Sample(float(second), math.nan, speed_mps, math.nan, *position_deg))
     return track(samples, "70mai", unit="assumed")

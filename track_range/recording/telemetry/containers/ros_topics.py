@@ -1,4 +1,6 @@
-"""Positions and speeds in MCAP files and ROS bags: NavSatFix, TwistStamped, Odometry and their relatives."""
+"""Positions and speeds in MCAP files and ROS bags: NavSatFix, TwistStamped, Odometry and their
+relatives.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -34,33 +36,45 @@ _COMMAND = "cmd"  # in the names of topics with commanded speeds
 
 
 def read_ros_topics(path: Path) -> TelemetryTrack | None:
-    """Telemetry of a bag, None = no bag or no such topics; raises TelemetryError if it cannot be read."""
+    """Telemetry of a bag, None = no bag or no such topics; raises TelemetryError if it cannot be
+    read.
+    """
     if not is_bag(path):
         return None
     try:
         bag = open_bag(path)
         time_s, speed_mps, speed_topic = np.empty(0), np.empty(0), ""
-        topics = [topic for topic in bag.topics.values() if topic.type in _SPEEDS and _COMMAND not in topic.name]
+        topics = [
+            topic
+            for topic in bag.topics.values()
+            if topic.type in _SPEEDS and _COMMAND not in topic.name
+        ]
         for topic in sorted(topics, key=lambda topic: list(_SPEEDS).index(topic.type)):
             time_s, speeds = _values(bag, topic, _SPEEDS[topic.type])
             speed_mps, speed_topic = speeds[:, 0], topic.name
             if len(time_s):
                 break
         fixes = next((topic for topic in bag.topics.values() if topic.type in _POSITIONS), None)
-        fix_s, positions = (np.empty(0), np.empty((0, 2))) if fixes is None else _values(bag, fixes, _position)
+        fix_s, positions = (
+            (np.empty(0), np.empty((0, 2))) if fixes is None else _values(bag, fixes, _position)
+        )
     except UserError as error:
         raise TelemetryError(str(error)) from error
     known = np.isfinite(positions).all(axis=1)
     fix_s, latitude_deg, longitude_deg = fix_s[known], *positions[known].T
     if len(time_s):
         at_s = [
-            np.interp(time_s, fix_s, values, left=np.nan, right=np.nan) if len(fix_s) else np.full(len(time_s), np.nan)
+            np.interp(time_s, fix_s, values, left=np.nan, right=np.nan)
+            if len(fix_s)
+            else np.full(len(time_s), np.nan)
             for values in (latitude_deg, longitude_deg)
         ]
         rows = np.column_stack([time_s, time_s, speed_mps, np.full(len(time_s), np.nan), *at_s])
         return plain_track(rows, f"topic {speed_topic}", "utc")
     source = f"topic {fixes.name}" if fixes is not None else ""
-    return speed_from_positions(fix_s, latitude_deg, longitude_deg, fix_s, source=source, clock="utc")
+    return speed_from_positions(
+        fix_s, latitude_deg, longitude_deg, fix_s, source=source, clock="utc"
+    )
 
 
 def _position(message: Any) -> tuple[float, float]:
@@ -68,7 +82,9 @@ def _position(message: Any) -> tuple[float, float]:
     return (float(message.latitude), float(message.longitude)) if status >= 0 else (np.nan, np.nan)
 
 
-def _values(bag: Bag, topic: Topic, read: Callable[[Any], tuple[float, ...]]) -> tuple[FloatArray, FloatArray]:
+def _values(
+    bag: Bag, topic: Topic, read: Callable[[Any], tuple[float, ...]]
+) -> tuple[FloatArray, FloatArray]:
     """(N,) times in s since 1970, and (N, K) values of the readable messages of a topic."""
     rows: list[tuple[float, ...]] = []
     with suppress(DamagedError):  # the schema: no message can be read

@@ -1,8 +1,9 @@
 """Tesla: vehicle speed in user-data SEI messages of the video, one per frame (H.264 and H.265).
 
-Format: github.com/teslamotors/dashcam. The payload of an SEI message of type 5 starts with bytes 0x42 and one 0x69; a
-message in protobuf follows: field 2 gear (2 = reverse), 4 vehicle_speed_mps (float), 11 latitude_deg, 12
-longitude_deg, 13 heading_deg (double). Fields that are 0 are not written. The sign of the speed is dropped.
+Format: github.com/teslamotors/dashcam. The payload of an SEI message of type 5 starts with bytes
+0x42 and one 0x69; a message in protobuf follows: field 2 gear (2 = reverse), 4 vehicle_speed_mps
+(float), 11 latitude_deg, 12 longitude_deg, 13 heading_deg (double). Fields that are 0 are not
+written. The sign of the speed is dropped.
 """
 
 import math
@@ -17,9 +18,12 @@ from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, r
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.track import TelemetryTrack
 
-_SPEED_SIGMA_MPS = 0.1  # standard deviation, assumed: wheel speeds change with the wear of the tyres
-_SEI_BYTES = 4096  # bytes read at the start of a frame; parameter sets and SEI messages come before the picture
-_PROBED_FRAMES = 120  # frames, spread over the video, that are read to find out whether there are messages
+# standard deviation, assumed: wheel speeds change with the wear of the tyres
+_SPEED_SIGMA_MPS = 0.1
+# bytes read at the start of a frame; parameter sets and SEI messages come before the picture
+_SEI_BYTES = 4096
+# frames, spread over the video, that are read to find out whether there are messages
+_PROBED_FRAMES = 120
 _USER_DATA = 5  # type of SEI messages with unregistered user data
 _SEI_TYPES = {b"avc1": (6,), b"avc3": (6,), b"hvc1": (39, 40), b"hev1": (39, 40)}  # of NAL units
 
@@ -31,7 +35,9 @@ def read_tesla(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | No
         return None
     n = min(len(video), MAX_SAMPLES)
     probed = np.unique(np.linspace(0, n - 1, min(n, _PROBED_FRAMES)).astype(int))
-    if not any(_message(content, video) for _, content in read_samples(file, video, probed, _SEI_BYTES)):
+    if not any(
+        _message(content, video) for _, content in read_samples(file, video, probed, _SEI_BYTES)
+    ):
         return None
     samples = [
         sample.at(float(video.time_s[index]) - movie.start_s)
@@ -49,7 +55,10 @@ def _message(content: bytes, video: Track) -> Sample | None:
         n_bytes = int.from_bytes(content[start : start + n_size], "big")
         unit = content[start + n_size : start + n_size + n_bytes]
         start += n_size + n_bytes
-        if len(unit) >= 3 and ((unit[0] >> 1) & 0x3F if is_hevc else unit[0] & 0x1F) in _SEI_TYPES[video.format]:
+        if (
+            len(unit) >= 3
+            and ((unit[0] >> 1) & 0x3F if is_hevc else unit[0] & 0x1F) in _SEI_TYPES[video.format]
+        ):
             for payload in _user_data(unit[2 if is_hevc else 1 :]):
                 if (sample := parse_message(payload)) is not None:
                     return sample
@@ -88,13 +97,17 @@ def _extended(content: bytes, start: int) -> tuple[int, int]:
 def parse_message(payload: bytes) -> Sample | None:
     """The sample in the payload of a user-data message; None = it is another message."""
     content = payload.lstrip(b"\x42")
-    fields = _fields(content[1:]) if len(content) < len(payload) and content[:1] == b"\x69" else None
+    fields = (
+        _fields(content[1:]) if len(content) < len(payload) and content[:1] == b"\x69" else None
+    )
     if fields is None:
         return None
     speed_mps, latitude_deg, longitude_deg = (fields.get(number, 0.0) for number in (4, 11, 12))
     if latitude_deg == 0 and longitude_deg == 0:
         return Sample(speed_mps=abs(speed_mps))
-    return Sample(math.nan, math.nan, abs(speed_mps), fields.get(13, 0.0), latitude_deg, longitude_deg)
+    return Sample(
+        math.nan, math.nan, abs(speed_mps), fields.get(13, 0.0), latitude_deg, longitude_deg
+    )
 
 
 def _fields(content: bytes) -> dict[int, float] | None:

@@ -1,7 +1,9 @@
-"""Subtitle and metadata tracks of dashcams: RMC sentences and the makers' own texts and records, timed by the track.
+"""Subtitle and metadata tracks of dashcams: RMC sentences and the makers' own texts and records,
+timed by the track.
 
-Thinkware, Nextbase and many others write RMC sentences; Garmin, DJI, Kingslim, Rove, Neoline and Vantrue's N2S have
-their own forms, as ExifTool's documentation of QuickTime streams lists them (exiftool.org).
+Thinkware, Nextbase and many others write RMC sentences; Garmin, DJI, Kingslim, Rove, Neoline and
+Vantrue's N2S have their own forms, as ExifTool's documentation of QuickTime streams lists them
+(exiftool.org).
 """
 
 import math
@@ -30,7 +32,8 @@ from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
 MAX_TEXT_BYTES = 4096  # bytes of a sample that are read
-_PROBED_SAMPLES = 600  # number of samples at the start of a track in which the first record must be found
+# number of samples at the start of a track in which the first record must be found
+_PROBED_SAMPLES = 600
 
 _HANDLERS = (b"sbtl", b"text", b"subt", b"clcp", b"data", b"meta", b"camm", b"hint")
 _FORMATS = (b"tx3g", b"text", b"sbtt", b"mett", b"camm", b"gpmd", b"ssmd")
@@ -42,14 +45,18 @@ _DJI = re.compile(rb"GPS ?\(([-+.\d]+), ?([-+.\d]+)[^)]*\).*?H\.S ([-+.\d]+)m/s"
 def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the first track of a movie with readable records; None = there is none."""
     parts = [part for part in movie.tracks if part.handler in _HANDLERS or part.format in _FORMATS]
-    return next((telemetry for part in parts if (telemetry := _read_track(file, movie, part, path))), None)
+    return next(
+        (telemetry for part in parts if (telemetry := _read_track(file, movie, part, path))), None
+    )
 
 
 def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> TelemetryTrack | None:
     times_s: list[float] = []
     texts: list[bytes] = []
     form: _Form | None = None
-    for index, content in read_samples(file, part, range(min(len(part), MAX_SAMPLES)), MAX_TEXT_BYTES):
+    for index, content in read_samples(
+        file, part, range(min(len(part), MAX_SAMPLES)), MAX_TEXT_BYTES
+    ):
         text = _plain(content)
         form = form or next((known for known in _FORMS if known.read(text) is not None), None)
         if form is None and index >= _PROBED_SAMPLES:
@@ -67,11 +74,14 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
 
 
 def _plain(content: bytes) -> bytes:
-    """Text of a sample without its length before and the box `encd` after it, in plain characters."""
+    """Text of a sample without its length before and the box `encd` after it, in plain
+    characters.
+    """
     content = content.removesuffix(b"\0\0\0\x0cencd\0\0\x01\0")
     if len(content) >= 2 and int.from_bytes(content[:2], "big") == len(content) - 2:
         content = content[2:]
-    if content[:1] == b"\0" and content[-1:] == b"\n" and len(content) > 5:  # E-PRANCE: all characters are shifted
+    # E-PRANCE: all characters are shifted
+    if content[:1] == b"\0" and content[-1:] == b"\n" and len(content) > 5:
         shift = ord("*") - content[-4]
         shifted = bytes((byte + shift) & 0xFF for byte in content[1:-1])
         return shifted if has_rmc(shifted) else content
@@ -84,7 +94,9 @@ def _has_rmc(text: bytes) -> Sample | None:
 
 
 def _garmin(text: bytes) -> Sample | None:
-    """Garmin Dash Cam: PNDM, speed in miles per hour, coordinates in units of 180 / 2^31 degrees; big-endian."""
+    """Garmin Dash Cam: PNDM, speed in miles per hour, coordinates in units of 180 / 2^31 degrees;
+    big-endian.
+    """
     start = 4 if text[4:8] == b"PNDM" else 0
     if text[start : start + 4] != b"PNDM" or len(text) < start + 20:
         return None
@@ -115,28 +127,46 @@ def _kingslim(text: bytes) -> Sample | None:
 
 
 def _vantrue(text: bytes) -> Sample | None:
-    """Vantrue N2S: FMAS, date and time at 0x60, status and hemispheres at 0x78, speed in miles per hour at 0x86."""
+    """Vantrue N2S: FMAS, date and time at 0x60, status and hemispheres at 0x78, speed in miles per
+    hour at 0x86.
+    """
     if text[:4] != b"FMAS" or len(text) < 0x8C or text[0x50:0x54] != b"SAMM":
         return None
     year, month, day, hour, minute, second = struct.unpack_from("<HBBBBB", text, 0x60)[:6]
     utc_s = date_s(year, month, day, hour, minute, second)
-    status, east, north, east_deg, east_min, _, east_part, north_deg, north_min, north_part, mph, course_deg = (
-        struct.unpack_from("<cccBBBHBBHHH", text, 0x78)
-    )
+    (
+        status,
+        east,
+        north,
+        east_deg,
+        east_min,
+        _,
+        east_part,
+        north_deg,
+        north_min,
+        north_part,
+        mph,
+        course_deg,
+    ) = struct.unpack_from("<cccBBBHBBHHH", text, 0x78)
     if status != b"A":
         return Sample(utc_s=utc_s)
     longitude_deg = east_deg + (east_min + east_part / 6000) / 60
     latitude_deg = north_deg + (north_min + north_part / 6000) / 60
-    position_deg = signed(latitude_deg, north.decode("latin-1")), signed(longitude_deg, east.decode("latin-1"))
+    position_deg = (
+        signed(latitude_deg, north.decode("latin-1")),
+        signed(longitude_deg, east.decode("latin-1")),
+    )
     return Sample(math.nan, utc_s, mph * MPS_PER_UNIT["mph"], course_deg % 360, *position_deg)
 
 
 def _rove(text: bytes) -> Sample | None:
-    """Rove R2-4K (32 bytes; knots, years since 2000) and Neoline (40 bytes; km/h, years since 1900)."""
+    """Rove R2-4K (32 bytes; knots, years since 2000) and Neoline (40 bytes; km/h, years since
+    1900).
+    """
     if len(text) not in (32, 40):
         return None
-    latitude, longitude, _, speed, year, month, day, hour, minute, second, half_course = struct.unpack_from(
-        "<ddiH6BB", text
+    latitude, longitude, _, speed, year, month, day, hour, minute, second, half_course = (
+        struct.unpack_from("<ddiH6BB", text)
     )
     utc_s = date_s(year + (1900 if year >= 100 else 2000), month, day, hour, minute, second)
     if not math.isfinite(utc_s) or not all(math.isfinite(value) for value in (latitude, longitude)):
@@ -151,7 +181,9 @@ def _rove(text: bytes) -> Sample | None:
 
 
 class _Form(NamedTuple):
-    """A form of records: its reader, which returns None for other records, name of the source, and unit of speed."""
+    """A form of records: its reader, which returns None for other records, name of the source, and
+    unit of speed.
+    """
 
     read: Callable[[bytes], Sample | None]
     name: str

@@ -1,4 +1,6 @@
-"""FIT files of Garmin and other sports computers, read with fitdecode: records with position and speed."""
+"""FIT files of Garmin and other sports computers, read with fitdecode: records with position and
+speed.
+"""
 
 import math
 from pathlib import Path
@@ -27,8 +29,12 @@ def read_fit(path: Path) -> TelemetryTrack | None:
                     break
     except Exception as error:  # fitdecode's errors, and those of damaged fields
         if not samples:
-            raise TelemetryError(f"{path}: expected a FIT file, found another format or a damaged file.") from error
-    return track(samples, path.name, "utc", has_own_speed=any(math.isfinite(s.speed_mps) for s in samples))
+            raise TelemetryError(
+                f"{path}: expected a FIT file, found another format or a damaged file."
+            ) from error
+    return track(
+        samples, path.name, "utc", has_own_speed=any(math.isfinite(s.speed_mps) for s in samples)
+    )
 
 
 def _sample(record: Any) -> Sample:
@@ -38,4 +44,11 @@ def _sample(record: Any) -> Sample:
     )
     moment = record.get_value("timestamp", fallback=None)
     utc_s = moment.timestamp() if hasattr(moment, "timestamp") else math.nan
-    return Sample(utc_s, utc_s, speed if math.isnan(enhanced) else enhanced, math.nan, lat * _DEGREES, lon * _DEGREES)
+    return Sample(
+        utc_s,
+        utc_s,
+        speed if math.isnan(enhanced) else enhanced,
+        math.nan,
+        lat * _DEGREES,
+        lon * _DEGREES,
+    )

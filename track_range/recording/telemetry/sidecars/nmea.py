@@ -1,4 +1,5 @@
-"""NMEA 0183: sentences RMC in text files, subtitles and records; speed in knots, course, date and time in UTC.
+"""NMEA 0183: sentences RMC in text files, subtitles and records; speed in knots, course, date and
+time in UTC.
 
 Files without RMC are read from GGA (time of the day, position), VTG (speed, course) and ZDA (date).
 """
@@ -19,23 +20,30 @@ from track_range.foundation.files.numeric_text import plain_number
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import Sample, plain_track, track
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
-from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
+from track_range.recording.telemetry.track import (
+    MAX_SIDECAR_BYTES,
+    TelemetryError,
+    TelemetryTrack,
+    optional_package,
+)
 
-_RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")  # of any satellite system
+# of any satellite system
+_RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")
 
 _OTHERS = re.compile(r"\$[A-Z]{2}(GGA|VTG|ZDA),[^$*\r\n]{6,110}(?:\*[0-9A-Fa-f]{2})?")
 
 _RMC_IN_RECORD = re.compile(rb"([A-Z]{2}RMC,[ -#%-)+-:<-~]{6,90}(?:\*[0-9A-Fa-f]{2})?)")
 """RMC sentence in a record; the dollar sign is missing in some subtitles."""
 
-_MIN_RIGHT_FRACTION = 0.5  # of right checksums, above which wrong ones are dropped; some programs never correct any
+# of right checksums, above which wrong ones are dropped; some programs never correct any
+_MIN_RIGHT_FRACTION = 0.5
 
 
 def read_nmea(path: Path) -> TelemetryTrack | None:
     """Telemetry of a file of NMEA sentences with their own date and time; None = it has none.
 
-    BlackVue's files .gps have the camera's clock, in local time, before each sentence, which is not used. Raises
-    TelemetryError if it cannot be read, or pynmea2 is not installed.
+    BlackVue's files .gps have the camera's clock, in local time, before each sentence, which is not
+    used. Raises TelemetryError if it cannot be read, or pynmea2 is not installed.
     """
     text = read_text(path, TelemetryError, "NMEA sentences", max_bytes=MAX_SIDECAR_BYTES)
     fixes = [fix for fix in fixes_in(text.splitlines(), str(path)) if fix is not None]
@@ -63,7 +71,11 @@ def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
                 t = message.timestamp
                 clock_s = 3600 * t.hour + 60 * t.minute + t.second + t.microsecond / 1e6
                 has_fix = message.gps_qual and message.lat and message.lon
-                lat, lon = (float(message.latitude), float(message.longitude)) if has_fix else (math.nan, math.nan)
+                lat, lon = (
+                    (float(message.latitude), float(message.longitude))
+                    if has_fix
+                    else (math.nan, math.nan)
+                )
                 samples.append(Sample(clock_s, clock_s, math.nan, math.nan, lat, lon))
             elif match[1] == "VTG" and samples:
                 speed_mps = float(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
@@ -89,11 +101,15 @@ def has_rmc(content: bytes) -> bool:
 def rmc_samples(contents: Iterable[bytes], source: str) -> list[Sample | None]:
     """The first RMC sentence of each record of a video file; see `fixes_in`."""
     matches = [_RMC_IN_RECORD.search(content) for content in contents]
-    return fixes_in(["$" + match[1].decode("ascii").rstrip(";") if match else "" for match in matches], source)
+    return fixes_in(
+        ["$" + match[1].decode("ascii").rstrip(";") if match else "" for match in matches], source
+    )
 
 
 def fixes_in(texts: Iterable[str], source: str) -> list[Sample | None]:
-    """The first RMC sentence in each text, without time in the video; None if it has none. Needs pynmea2."""
+    """The first RMC sentence in each text, without time in the video; None if it has none. Needs
+    pynmea2.
+    """
     matches = [_RMC.search(text) for text in texts]
     if not any(matches):
         return [None] * len(matches)
@@ -132,4 +148,6 @@ def _fix(pynmea2: Any, sentence: str) -> Sample | None:
     except (ValueError, TypeError, AttributeError):
         latitude_deg = longitude_deg = math.nan
     speed_kn, course_deg = plain_number(message.spd_over_grnd), plain_number(message.true_course)
-    return Sample(math.nan, utc_s, speed_kn * MPS_PER_UNIT["kn"], course_deg, latitude_deg, longitude_deg)
+    return Sample(
+        math.nan, utc_s, speed_kn * MPS_PER_UNIT["kn"], course_deg, latitude_deg, longitude_deg
+    )

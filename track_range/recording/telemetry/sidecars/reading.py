@@ -1,4 +1,5 @@
-"""read_sidecar: telemetry of a file of any supported format, and the names of such files beside a video.
+"""read_sidecar: telemetry of a file of any supported format, and the names of such files beside a
+video.
 
 A format is a module with a reader, and a row of `SIDECARS`.
 """
@@ -18,11 +19,14 @@ from track_range.recording.telemetry.sidecars.vbo import read_vbo
 from track_range.recording.telemetry.sidecars.xml_tracks import read_xml_track
 from track_range.recording.telemetry.track import TelemetryTrack
 
-TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"  # speeds beside a video that are no telemetry: a table, KITTI's folder
+# speeds beside a video that are no telemetry: a table, KITTI's folder
+TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"
 
 
 class Sidecar(NamedTuple):
-    """Suffixes and reader of a format, which returns None for files without telemetry or of another format."""
+    """Suffixes and reader of a format, which returns None for files without telemetry or of another
+    format.
+    """
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, str, float], TelemetryTrack | None]
@@ -43,23 +47,32 @@ SIDECARS = (  # in the order in which their files are looked for, and in which a
 
 SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 
-SPEED_TABLE_SUFFIXES = (".csv", ".tsv", ".txt")  # of tables of times and speeds, too (`--ego-speed FILE`)
-_CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")  # BlackVue's letter of the camera, which its logs lack
+# of tables of times and speeds, too (`--ego-speed FILE`)
+SPEED_TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+# BlackVue's letter of the camera, which its logs lack
+_CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")
 
 
 def sidecar_names(video: str) -> tuple[str, ...]:
-    """Names, in order, of files with telemetry that may lie beside a video with this name, besides ego_speed.csv."""
+    """Names, in order, of files with telemetry that may lie beside a video with this name, besides
+    ego_speed.csv.
+    """
     stem = video.rpartition(".")[0] or video
     stems = dict.fromkeys((stem, _CAMERA_LETTER.sub("", stem)))
-    names = [f"{name}{shown}" for suffix in SUFFIXES for name in stems for shown in (suffix, suffix.upper())]
+    names = [
+        f"{name}{shown}"
+        for suffix in SUFFIXES
+        for name in stems
+        for shown in (suffix, suffix.upper())
+    ]
     return (*names, *(sidecar.name for sidecar in SIDECARS if sidecar.name))
 
 
 def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
     """Telemetry of a file, by its suffix; None = it has none.
 
-    The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A TelemetryError means that
-    the file cannot be read or used.
+    The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A
+    TelemetryError means that the file cannot be read or used.
     """
     readers = [sidecar.read for sidecar in SIDECARS if path.suffix.lower() in sidecar.suffixes]
     tracks = (read(path, video, duration_s) for read in readers)
@@ -69,17 +82,31 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
 _KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is
     (
         r"event\.json$",
-        "Tesla's event.json, which states one position and no speed; videos from 2025 on contain the speed",
+        "Tesla's event.json, which states one position and no speed; videos from 2025 on contain "
+        "the speed",
     ),
-    (r"[rq]log(\.bz2|\.zst)?$", "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV"),
-    (r"\.(mf4|mdf|blf|asc|dbc)$", "a log of a CAN bus; export the speed as CSV with its unit in the heading"),
+    (
+        r"[rq]log(\.bz2|\.zst)?$",
+        "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV",
+    ),
+    (
+        r"\.(mf4|mdf|blf|asc|dbc)$",
+        "a log of a CAN bus; export the speed as CSV with its unit in the heading",
+    ),
     (r"\.(ubx|rtcm3?|sbf)$", "raw data of a GPS receiver; convert it to NMEA"),
-    (r"\.(ulg|tlog|bin|dat)$", "a binary log; export the speed as CSV with its unit in the heading"),
+    (
+        r"\.(ulg|tlog|bin|dat)$",
+        "a binary log; export the speed as CSV with its unit in the heading",
+    ),
     (r"\.kmz$", "a compressed KML file; unpack it"),
     (r"\.(json|geojson)$", "JSON, which is not read; export the speed as CSV or GPX"),
 )
 
 
 def kind_of(path: Path) -> str:
-    """Probable kind of a file that is not read, and advice, for a message after "found"; empty = unknown."""
-    return next((kind for pattern, kind in _KINDS if re.search(pattern, path.name, re.IGNORECASE)), "")
+    """Probable kind of a file that is not read, and advice, for a message after "found"; empty =
+    unknown.
+    """
+    return next(
+        (kind for pattern, kind in _KINDS if re.search(pattern, path.name, re.IGNORECASE)), ""
+    )

@@ -1,8 +1,9 @@
 """CSV files with speeds or positions, from loggers, extraction tools and apps.
 
-The columns are found by their names. Components of the velocity are combined. Among several speeds or units, the file's
-positions decide; without positions, a speed needs a unit in its heading (`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and
-the car's own instruments come before its GPS receiver.
+The columns are found by their names. Components of the velocity are combined. Among several speeds
+or units, the file's positions decide; without positions, a speed needs a unit in its heading
+(`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS
+receiver.
 """
 
 import math
@@ -19,7 +20,12 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
+from track_range.recording.telemetry.positions import (
+    MPS_PER_UNIT,
+    speed_from_positions,
+    speed_ratio,
+    unit_of_ratio,
+)
 from track_range.recording.telemetry.samples import plain_track, unit_in
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
 from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
@@ -37,9 +43,14 @@ _RANKS = (  # patterns of preferred names, best first
 _LATITUDE = re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])")
 _LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|longt?)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
-_VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
-_CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
-_DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")  # in separate columns
+_VIDEO_TIME = re.compile(
+    r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$"
+)
+_CLOCK_TIME = re.compile(
+    r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])"
+)
+# in separate columns
+_DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")
 
 _VELOCITY = re.compile(r"(?:v|vel|velocity|speed|linear)(?=[^a-z]|$)|v[neduxyz]?$")
 _AXES = dict(zip("nedu", ("north", "east", "down", "up"), strict=True))
@@ -48,12 +59,16 @@ _AXIS = re.compile(
     r"(?<![a-z])(?:v|vel)?(north|east|down|up|forward|longitudinal|lateral|left|right|[neduxyz])(?:ward)?(?![a-z])"
 )
 _UNIT_OF_NAME = re.compile(r"[(\[].*$|_(?:mps|kmh|kph|mph|kn)$")
-# Components of which the length is the speed, best first. In x, y and z, the vertical one is unknown and small.
+# Components of which the length is the speed, best first. In x, y and z, the vertical one is
+# unknown and small.
 _HORIZONTAL = (("north", "east"), ("x", "y", "z"), ("x", "y"), ("forward", "left"), ("forward",))
 
-_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))  # smallest value, seconds per unit
-_STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))  # smallest median step of times since the start, alike
-_UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10  # difference to speeds from positions, and moving samples, that show a unit
+# smallest value, seconds per unit
+_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
+# smallest median step of times since the start, alike
+_STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))
+# difference to speeds from positions, and moving samples, that show a unit
+_UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10
 _MAX_VALUE = 1e4  # of speeds in any unit
 _MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from the positions' speeds
 
@@ -70,7 +85,9 @@ class _Speeds(NamedTuple):
 def is_telemetry_csv(table: CsvTable) -> bool:
     """Whether a table has a column of speeds or positions, and of times."""
     table = _wide(table)
-    has_speed = _columns(table, _SPEED, _NOT_SPEED) or _components(table) or _columns(table, _LATITUDE)
+    has_speed = (
+        _columns(table, _SPEED, _NOT_SPEED) or _components(table) or _columns(table, _LATITUDE)
+    )
     return bool(has_speed) and _time_column(table) is not None
 
 
@@ -80,40 +97,57 @@ def has_positions(table: CsvTable) -> bool:
 
 
 def read_csv(path: Path) -> TelemetryTrack | None:
-    """Telemetry of a CSV file; None = no such columns. Raises TelemetryError without readable times or unit."""
+    """Telemetry of a CSV file; None = no such columns. Raises TelemetryError without readable times
+    or unit.
+    """
     table = _wide(read_csv_table(path, TelemetryError, "columns of times and speeds"))
     if not is_telemetry_csv(table) or not len(table):
         return None
     time_s, clock = _times(table)
     lat, lon = _columns(table, _LATITUDE), _columns(table, _LONGITUDE)
     names = (lat[0], lon[0]) if lat and lon else ("", "")
-    latitude_deg, longitude_deg = (table.numbers(name) if name else np.full(len(table), np.nan) for name in names)
+    latitude_deg, longitude_deg = (
+        table.numbers(name) if name else np.full(len(table), np.nan) for name in names
+    )
     known = np.flatnonzero(np.isfinite(time_s))
     if not len(known):
         raise TelemetryError(
-            f"{path}: expected times in the column {shortened(repr(_time_column(table)))}, found none."
+            f"{path}: expected times in the column {shortened(repr(_time_column(table)))}, found "
+            "none."
         )
     utc_s = time_s if clock != "video" else np.full(len(time_s), np.nan)
-    positions = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock)
+    positions = speed_from_positions(
+        time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock
+    )
     speeds = _speeds(table)
     if not speeds:
         if positions is not None:
             return positions
         components = " and ".join(repr(name) for name in _components(table))
-        present = f"only the component {components} of the velocity; add the rest" if components else "fewer"
-        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}.")
+        present = (
+            f"only the component {components} of the velocity; add the rest"
+            if components
+            else "fewer"
+        )
+        raise TelemetryError(
+            f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}."
+        )
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)
     course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
     speed_mps = chosen.values * MPS_PER_UNIT[unit]
-    samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])[known]
+    samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])[
+        known
+    ]
     return plain_track(samples, path.name, clock, notes=(note,), unit=unit)
 
 
 def _chosen(
     path: Path, speeds: Sequence[_Speeds], positions: TelemetryTrack | None, time_s: FloatArray
 ) -> tuple[_Speeds, str, str]:
-    """The speeds to use, their unit, and a note that names both; raises TelemetryError if they are unknown."""
+    """The speeds to use, their unit, and a note that names both; raises TelemetryError if they are
+    unknown.
+    """
     shown: dict[str, str] = {}  # units that the positions show
     for column in speeds:
         ratio = speed_ratio(positions, time_s, column.values, _MIN_MOVING)
@@ -121,7 +155,8 @@ def _chosen(
             unit = unit_of_ratio(ratio.median, _UNIT_TOLERANCE)
             shown |= {column.name: unit} if unit is not None else {}
     agreeing = [column for column in speeds if column.name in shown]
-    agreeing.sort(key=lambda column: column.unit not in (None, shown[column.name]))  # as stated before converted
+    # as stated before converted
+    agreeing.sort(key=lambda column: column.unit not in (None, shown[column.name]))
     stated = [column for column in speeds if column.unit is not None]
     others = {column.name for column in speeds}
     if agreeing:
@@ -130,19 +165,23 @@ def _chosen(
             column.unit, f"as the positions show, not in {column.unit} as stated"
         )
     elif stated:
-        column, unit, how = stated[0], stated[0].unit or "m/s", "as stated; no positions confirm the unit"
+        column, unit, how = (
+            stated[0],
+            stated[0].unit or "m/s",
+            "as stated; no positions confirm the unit",
+        )
         rivals = [other for other in stated if other.rank == column.rank and _differ(other, column)]
         if rivals:
             raise TelemetryError(
                 f"{path}: expected one speed of the car, found {shortened(repr(column.name))} and "
-                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right column to "
-                f"ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
+                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right "
+                f"column to ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
             )
     else:
         raise TelemetryError(
-            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found none"
-            f"{'' if positions is None else ', and the positions do not move enough to show it'}; rename it to "
-            "speed_mps or speed_kmh."
+            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found "
+            f"none{'' if positions is None else ', and the positions do not move enough to show it'}; "
+            "rename it to speed_mps or speed_kmh."
         )
     others.discard(column.name)
     unused = f"; not {shortened(', '.join(sorted(others)))}" if others else ""
@@ -153,7 +192,10 @@ def _differ(first: _Speeds, second: _Speeds) -> bool:
     """Whether two columns of speeds with units differ by more than 10 % in the median."""
     a, b = (column.values * MPS_PER_UNIT[column.unit or "m/s"] for column in (first, second))
     known = np.isfinite(a) & np.isfinite(b)
-    return bool(known.any()) and float(np.median(np.abs(a - b)[known])) > 0.1 * float(np.median(np.abs(b[known]))) + 0.3
+    return (
+        bool(known.any())
+        and float(np.median(np.abs(a - b)[known])) > 0.1 * float(np.median(np.abs(b[known]))) + 0.3
+    )
 
 
 def _speeds(table: CsvTable) -> list[_Speeds]:
@@ -182,7 +224,11 @@ def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
     for heading in dict.fromkeys(table.header):
         name = _UNIT_OF_NAME.sub("", heading[:100]).strip()
         axis = _AXIS.search(name.replace("_", " "))
-        if axis is not None and _VELOCITY.search(name.replace("_", " ")) and not _NOT_SPEED.search(name):
+        if (
+            axis is not None
+            and _VELOCITY.search(name.replace("_", " "))
+            and not _NOT_SPEED.search(name)
+        ):
             stem = name.replace("_", " ").replace(axis[0], "", 1)
             components[heading] = (stem, _AXES.get(axis[1], axis[1]))
     return components
@@ -199,11 +245,18 @@ def _rank(name: str) -> int:
 
 
 def _wide(table: CsvTable) -> CsvTable:
-    """The rows of the best speed, as a column, of a table with one value per row (Car Scanner: pid, value, units)."""
+    """The rows of the best speed, as a column, of a table with one value per row (Car Scanner: pid,
+    value, units).
+    """
     if not {"pid", "value"} <= set(table.header):
         return table
-    names = [f"{pid} ({unit})".lower() for pid, unit in zip(table.texts("pid"), table.texts("units"), strict=True)]
-    speeds = [name for name in dict.fromkeys(names) if _SPEED.search(name) and not _NOT_SPEED.search(name)]
+    names = [
+        f"{pid} ({unit})".lower()
+        for pid, unit in zip(table.texts("pid"), table.texts("units"), strict=True)
+    ]
+    speeds = [
+        name for name in dict.fromkeys(names) if _SPEED.search(name) and not _NOT_SPEED.search(name)
+    ]
     if not speeds:
         return table
     best = min(speeds, key=_rank)
@@ -214,7 +267,9 @@ def _wide(table: CsvTable) -> CsvTable:
     return replace(table, header=header, rows=cells, lines=[table.lines[row] for row in rows])
 
 
-def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:
+def _columns(
+    table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None
+) -> list[str]:
     """Headings that match; headings of repeated columns appear only once."""
     return [
         heading
@@ -236,12 +291,18 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
     texts = table.texts(name)
     dates, times = (_columns(table, pattern) for pattern in (_DATE, _TIME_OF_DAY))
     if dates and times and not any(":" in text for text in table.texts(dates[0])):
-        texts = [" ".join(cells) for cells in zip(table.texts(dates[0]), table.texts(times[0]), strict=True)]
+        texts = [
+            " ".join(cells)
+            for cells in zip(table.texts(dates[0]), table.texts(times[0]), strict=True)
+        ]
     values = np.array(numbers(texts))
     known = values[np.isfinite(values)]
     if len(known) <= len(values) / 2:
         return times_of_texts(texts, table.path)
-    typical, step = float(np.median(np.abs(known))), float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    typical, step = (
+        float(np.median(np.abs(known))),
+        float(np.median(np.diff(known))) if len(known) > 1 else 0.0,
+    )
     for least, scale in _EPOCH_UNITS:
         if typical > least:
             return values * scale, "utc"
@@ -250,4 +311,6 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
     is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
     is_s = re.search(r"(?:^|_)s$|\(s\)|\[s\]|second", name) is not None
     stated = 1e-3 if is_ms else 1.0 if is_s else None
-    return values * (stated or next((scale for least, scale in _STEP_UNITS if step > least), 1.0)), "video"
+    return values * (
+        stated or next((scale for least, scale in _STEP_UNITS if step > least), 1.0)
+    ), "video"

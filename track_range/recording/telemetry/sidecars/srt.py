@@ -1,4 +1,6 @@
-"""SRT subtitles with positions or speeds: DJI's drones and cameras, dashcams and apps; NMEA sentences in subtitles."""
+"""SRT subtitles with positions or speeds: DJI's drones and cameras, dashcams and apps; NMEA
+sentences in subtitles.
+"""
 
 import math
 import re
@@ -39,22 +41,30 @@ _MIN_FRACTION = 0.5  # of subtitles with a speed or position: a film's dialogue 
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
-    """Telemetry of subtitles, in the time of the video; None if there is none. Raises TelemetryError without a unit."""
-    cues = list(_cues(read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES)))
+    """Telemetry of subtitles, in the time of the video; None if there is none. Raises
+    TelemetryError without a unit.
+    """
+    cues = list(
+        _cues(read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES))
+    )
     return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
 
 
 def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> TelemetryTrack | None:
     sentences = fixes_in(texts, str(path))
     is_nmea = any(fix is not None for fix in sentences)
-    samples = [fix or Sample() for fix in sentences] if is_nmea else [_sample(text) for text in texts]
+    samples = (
+        [fix or Sample() for fix in sentences] if is_nmea else [_sample(text) for text in texts]
+    )
     samples = [sample.at(time_s) for sample, time_s in zip(samples, times_s, strict=True)]
     n_needed = max(1.0, _MIN_FRACTION * len(samples))
     if is_nmea or sum(math.isfinite(sample.speed_mps) for sample in samples) >= n_needed:
         return plain_track(samples, path.name, "video")
     if sum(math.isfinite(sample.latitude_deg) for sample in samples) >= n_needed:
         time_s, utc_s, _, _, latitude_deg, longitude_deg = np.array(samples).T
-        return speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="video")
+        return speed_from_positions(
+            time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="video"
+        )
     if sum(bool(_search(_WITHOUT_UNIT, text)) for text in texts) >= n_needed:
         raise TelemetryError(f"{path}: expected a unit such as km/h after each speed, found none.")
     return None

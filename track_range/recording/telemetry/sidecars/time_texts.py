@@ -31,33 +31,40 @@ _FORMATS = (  # besides ISO 8601; the first with which most texts can be read
     "%I:%M:%S %p",
     "%I:%M:%S.%f %p",
 )
-_UNCLEAR = re.compile(r"(0?[1-9]|1[0-2])/(0?[1-9]|1[0-2])/\d{4} [\d:.]+")  # day and month may be exchanged
+# day and month may be exchanged
+_UNCLEAR = re.compile(r"(0?[1-9]|1[0-2])/(0?[1-9]|1[0-2])/\d{4} [\d:.]+")
 _N_TRIED = 50  # number of texts from which the notation is found
 
 
 def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]:
-    """(N,) seconds since 1970, or since midnight where no text has a date, NaN = unreadable, and their clock.
+    """(N,) seconds since 1970, or since midnight where no text has a date, NaN = unreadable, and
+    their clock.
 
-    The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`, for dates whose
-    order of day and month is not clear.
+    The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`,
+    for dates whose order of day and month is not clear.
     """
     tried = [text for text in texts if text][:_N_TRIED]
-    notation = max((None, *_FORMATS), key=lambda notation: sum(_moment(text, notation) is not None for text in tried))
+    notation = max(
+        (None, *_FORMATS),
+        key=lambda notation: sum(_moment(text, notation) is not None for text in tried),
+    )
     if (
         notation is not None
         and notation.startswith("%d/%m")
         and all(_UNCLEAR.fullmatch(text) for text in texts if text)
     ):
         raise TelemetryError(
-            f"{path}: expected dates with a clear order of day and month, found {quoted(tried[0])}; write them like "
-            "2026-05-31 09:30:00."
+            f"{path}: expected dates with a clear order of day and month, found "
+            f"{quoted(tried[0])}; write them like 2026-05-31 09:30:00."
         )
     moments = [_moment(text, notation) for text in texts]
     zoned = sum(moment is not None and moment.tzinfo is not None for moment in moments)
     start = datetime(1900, 1, 1, tzinfo=UTC)  # the date of times without one
     seconds = np.array(
         [
-            np.nan if moment is None else (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+            np.nan
+            if moment is None
+            else (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
             for moment in moments
         ]
     )
@@ -70,12 +77,16 @@ def unwrapped(time_s: FloatArray) -> FloatArray:
     """(N,) times of the day in seconds that go on after midnight; NaN = unknown."""
     known = np.isfinite(time_s)
     result = time_s.copy()
-    result[known] += DAY_S * np.cumsum(np.diff(time_s[known], prepend=time_s[known][:1]) < -DAY_S / 2)
+    result[known] += DAY_S * np.cumsum(
+        np.diff(time_s[known], prepend=time_s[known][:1]) < -DAY_S / 2
+    )
     return result
 
 
 def _moment(text: str, notation: str | None) -> datetime | None:
-    """The moment that a text states in a notation, None = ISO 8601; returns None for other texts."""
+    """The moment that a text states in a notation, None = ISO 8601; returns None for other
+    texts.
+    """
     try:
         if notation is None:
             return datetime.fromisoformat(text[:40].replace("/", "-"))

@@ -1,4 +1,5 @@
-"""VBO files of Racelogic's VBOX and of apps: columns separated by spaces, times in UTC, positions in minutes.
+"""VBO files of Racelogic's VBOX and of apps: columns separated by spaces, times in UTC, positions
+in minutes.
 
 Source: Racelogic, "VBO File Format". Longitudes are positive in the west.
 """
@@ -22,27 +23,49 @@ _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 
 def read_vbo(path: Path) -> TelemetryTrack | None:
     """Telemetry of a VBO file; None for other files. Raises TelemetryError if it cannot be read."""
-    parts = _SECTION.split(read_text(path, TelemetryError, "a VBO file", max_bytes=MAX_SIDECAR_BYTES))
+    parts = _SECTION.split(
+        read_text(path, TelemetryError, "a VBO file", max_bytes=MAX_SIDECAR_BYTES)
+    )
     sections = dict(zip((name.lower() for name in parts[1::2]), parts[2::2], strict=True))
     names = sections.get("column names", "").lower().split()
     if not {"time", "velocity"} <= set(names) or "data" not in sections:
         return None
-    stated = next((line for line in sections.get("header", "").splitlines() if line.lower().startswith("velocity")), "")
+    stated = next(
+        (
+            line
+            for line in sections.get("header", "").splitlines()
+            if line.lower().startswith("velocity")
+        ),
+        "",
+    )
     unit = unit_in(stated) or "km/h"
-    rows = [dict(zip(names, line.split(), strict=False)) for line in sections["data"].splitlines() if line.strip()]
+    rows = [
+        dict(zip(names, line.split(), strict=False))
+        for line in sections["data"].splitlines()
+        if line.strip()
+    ]
     clock_s = unwrapped(np.array([_clock_s(row.get("time", "")) for row in rows]))
     dates = [row.get("date", "") for row in rows]
     created = _CREATED.search(parts[0])
     start_s = next(
-        (date_s(number(d[4:]), number(d[2:4]), number(d[:2]), 0, 0, 0) for d in dates if len(d) == 6), math.nan
+        (
+            date_s(number(d[4:]), number(d[2:4]), number(d[:2]), 0, 0, 0)
+            for d in dates
+            if len(d) == 6
+        ),
+        math.nan,
     )
     if math.isnan(start_s) and created:
         start_s = date_s(number(created[3]), number(created[2]), number(created[1]), 0, 0, 0)
     samples = []
     for row, second in zip(rows, clock_s.tolist(), strict=True):
         utc_s = second + (start_s if math.isfinite(start_s) else 0.0)
-        lat, long, velocity, course = (number(row.get(name, "")) for name in ("lat", "long", "velocity", "heading"))
-        samples.append(Sample(utc_s, utc_s, velocity * MPS_PER_UNIT[unit], course, lat / 60, -long / 60))
+        lat, long, velocity, course = (
+            number(row.get(name, "")) for name in ("lat", "long", "velocity", "heading")
+        )
+        samples.append(
+            Sample(utc_s, utc_s, velocity * MPS_PER_UNIT[unit], course, lat / 60, -long / 60)
+        )
     dated = [sample for sample in samples if math.isfinite(sample.time_s)]
     return plain_track(dated, path.name, "utc", unit=unit) if dated else None
 

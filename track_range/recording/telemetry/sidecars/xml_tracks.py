@@ -1,4 +1,6 @@
-"""TCX files of Garmin and others, and KML files with times: Google's gx:Track, and places with a time stamp."""
+"""TCX files of Garmin and others, and KML files with times: Google's gx:Track, and places with a
+time stamp.
+"""
 
 import math
 from collections.abc import Mapping
@@ -44,7 +46,11 @@ class _Points:
             cells = self._point.get("coordinates", "").split(",")
             if "LatitudeDegrees" in self._point:
                 cells = [self._point.get("LongitudeDegrees", ""), self._point["LatitudeDegrees"]]
-            self._add(self._point.get("Time", self._point.get("when", "")), cells, self._point.get("Speed", ""))
+            self._add(
+                self._point.get("Time", self._point.get("when", "")),
+                cells,
+                self._point.get("Speed", ""),
+            )
         else:
             self._point[name] = text
 
@@ -63,7 +69,8 @@ def _local(name: str) -> str:
 
 
 def read_xml_track(path: Path) -> TelemetryTrack | None:
-    """Telemetry of the points with times of a TCX or KML file; None = it has none. Raises TelemetryError if unreadable.
+    """Telemetry of the points with times of a TCX or KML file; None = it has none. Raises
+    TelemetryError if unreadable.
 
     Speeds are read from TCX's extension TPX in m/s, or computed from positions.
     """

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # not imported for help pages, which name the profiles
     from track_range.stereo.geometry.camera import PinholeCamera
 
-LAYOUT = Path(__file__).with_name("foxglove_layout.json")  # for Foxglove: image with boxes, 3-D scene, plots
-PROFILES: Mapping[str, str] = {  # messages by family of readers, imported when used: packages are optional
+# for Foxglove: image with boxes, 3-D scene, plots
+LAYOUT = Path(__file__).with_name("foxglove_layout.json")
+# messages by family of readers, imported when used: packages are optional
+PROFILES: Mapping[str, str] = {
     "foxglove": "track_range.results.formats.mcap.foxglove_profile:FoxgloveProfile",
     "ros2": "track_range.results.formats.mcap.ros2_profile:Ros2Profile",
 }

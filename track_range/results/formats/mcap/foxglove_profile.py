@@ -1,6 +1,8 @@
-"""FoxgloveProfile: messages with Foxglove's published schemas (protobuf), and the figures of the tracks as JSON.
+"""FoxgloveProfile: messages with Foxglove's published schemas (protobuf), and the figures of the
+tracks as JSON.
 
-Foxglove's image coordinates have their origin at the corner of the first pixel, ours at its centre: they differ by 0.5.
+Foxglove's image coordinates have their origin at the corner of the first pixel, ours at its centre:
+they differ by 0.5.
 """
 
 from __future__ import annotations
@@ -39,17 +41,26 @@ _MESSAGES: Mapping[str, Any] = {
     LOG: fox.Log,
 }
 
-_TRACK_TYPES = {"id": "integer", "class": "string", "observed": "boolean", **dict.fromkeys(scene.FIGURES, "number")}
+_TRACK_TYPES = {
+    "id": "integer",
+    "class": "string",
+    "observed": "boolean",
+    **dict.fromkeys(scene.FIGURES, "number"),
+}
 
 _RANGES_SCHEMA = {
     "type": "object",
     "title": "track_range.Ranges",
-    "description": "Distance, closing speed, time to collision, motion in the frame map; unknown values are absent.",
+    "description": "Distance, closing speed, time to collision, motion in the frame map; unknown "
+    "values are absent.",
     "properties": {
         "frame_time_ns": {"type": "integer", "description": "time of the frame"},
         "tracks": {
             "type": "array",
-            "items": {"type": "object", "properties": {name: {"type": kind} for name, kind in _TRACK_TYPES.items()}},
+            "items": {
+                "type": "object",
+                "properties": {name: {"type": kind} for name, kind in _TRACK_TYPES.items()},
+            },
         },
     },
 }
@@ -81,7 +92,10 @@ class FoxgloveProfile:
         yield (TRANSFORMS, _transforms(time, pose))
         yield (ANNOTATIONS, _annotations(objects, time))
         yield (SCENE, self._scene(objects, time))
-        rows = [{"id": o.track_id, "class": o.class_name, "observed": o.is_observed, **o.figures} for o in objects]
+        rows = [
+            {"id": o.track_id, "class": o.class_name, "observed": o.is_observed, **o.figures}
+            for o in objects
+        ]
         yield (RANGES, json.dumps({"frame_time_ns": time_ns, "tracks": rows}).encode())
 
     def image(self, jpeg: bytes, time_ns: int) -> Message:
@@ -93,7 +107,9 @@ class FoxgloveProfile:
 
     def note(self, text: str, time_ns: int) -> Message:
         """Message of a note of the run."""
-        note = fox.Log(timestamp=_timestamp(time_ns), level=fox.LogLevel.Info, message=text, name="track-range")
+        note = fox.Log(
+            timestamp=_timestamp(time_ns), level=fox.LogLevel.Info, message=text, name="track-range"
+        )
         return (LOG, note.encode())
 
     def _calibration(self, time: Timestamp) -> bytes:
@@ -111,12 +127,17 @@ class FoxgloveProfile:
         ).encode()
 
     def _scene(self, objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes:
-        """The cuboids of the ranged tracks; cuboids of other tracks that were shown before are deleted."""
+        """The cuboids of the ranged tracks; cuboids of other tracks that were shown before are
+        deleted.
+        """
         ranged = [shown for shown in objects if shown.is_ranged]
         gone = self._shown - {shown.track_id for shown in ranged}
         self._shown = {shown.track_id for shown in ranged}
         return fox.SceneUpdate(
-            deletions=[fox.SceneEntityDeletion(timestamp=time, id=f"track {number}") for number in sorted(gone)],
+            deletions=[
+                fox.SceneEntityDeletion(timestamp=time, id=f"track {number}")
+                for number in sorted(gone)
+            ],
             entities=[_entity(shown, time) for shown in ranged],
         ).encode()
 
@@ -180,7 +201,12 @@ def _annotations(objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes
 def _metadata(shown: scene.TrackObject) -> list[fox.KeyValuePair]:
     figures = {name: f"{value:.3f}" for name, value in shown.figures.items()}
     observed = "true" if shown.is_observed else "false"
-    values = {"track_id": str(shown.track_id), "class": shown.class_name, "observed": observed, **figures}
+    values = {
+        "track_id": str(shown.track_id),
+        "class": shown.class_name,
+        "observed": observed,
+        **figures,
+    }
     return [fox.KeyValuePair(key=key, value=value) for key, value in values.items()]
 
 
@@ -202,7 +228,9 @@ def _entity(shown: scene.TrackObject, time: Timestamp) -> fox.SceneEntity:
         ],
         texts=[
             fox.TextPrimitive(
-                pose=fox.Pose(position=fox.Vector3(x=x, y=y - height / 2 - 0.5, z=z), orientation=upright),
+                pose=fox.Pose(
+                    position=fox.Vector3(x=x, y=y - height / 2 - 0.5, z=z), orientation=upright
+                ),
                 billboard=True,
                 font_size=14.0,
                 scale_invariant=True,

@@ -2,7 +2,8 @@
 
 /camera/camera_info sensor_msgs/CameraInfo, /camera/image/compressed sensor_msgs/CompressedImage,
 /camera/detections vision_msgs/Detection2DArray, /tracks/detections vision_msgs/Detection3DArray,
-/tracks/ranges diagnostic_msgs/DiagnosticArray (for plots), /tf tf2_msgs/TFMessage, /rosout rcl_interfaces/Log
+/tracks/ranges diagnostic_msgs/DiagnosticArray (for plots), /tf tf2_msgs/TFMessage, /rosout
+rcl_interfaces/Log
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/rosout"
 """Topics where image_transport, RViz and other nodes of ROS expect them."""
 
-_DETECTION = "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/{} bbox\nstring id"
+_DETECTION = (
+    "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/{} "
+    "bbox\nstring id"
+)
 
 _VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain
     "Point2D": "float64 x\nfloat64 y",
@@ -37,7 +41,8 @@ _VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags
     "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
     "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
     "ObjectHypothesis": "string class_id\nfloat64 score",
-    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose",
+    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis "
+    "hypothesis\ngeometry_msgs/PoseWithCovariance pose",
     "Detection2D": _DETECTION.format("BoundingBox2D"),
     "Detection3D": _DETECTION.format("BoundingBox3D"),
     "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
@@ -82,7 +87,9 @@ class Ros2Profile:
         yield self._message(CALIBRATION, header=header, **self._calibration())
         camera = (0.0, 0.0, 0.0), scene.VEHICLE_FROM_CAMERA_XYZW
         transforms = [
-            self._transform(time_ns, scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)),
+            self._transform(
+                time_ns, scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)
+            ),
             self._transform(time_ns, scene.VEHICLE_FRAME, scene.CAMERA_FRAME, *camera),
         ]
         yield self._message(TRANSFORMS, transforms=transforms)
@@ -90,15 +97,26 @@ class Ros2Profile:
         yield self._message(DETECTIONS_2D, header=header, detections=in_image)
         in_space = [self._detection_3d(shown, header) for shown in objects if shown.is_ranged]
         yield self._message(DETECTIONS_3D, header=header, detections=in_space)
-        yield self._message(RANGES, header=header, status=[self._status(shown) for shown in objects])
+        yield self._message(
+            RANGES, header=header, status=[self._status(shown) for shown in objects]
+        )
 
     def image(self, jpeg: bytes, time_ns: int) -> Message:
         """Message of an image."""
-        return self._message(IMAGE, header=self._header(time_ns), format="jpeg", data=np.frombuffer(jpeg, np.uint8))
+        return self._message(
+            IMAGE, header=self._header(time_ns), format="jpeg", data=np.frombuffer(jpeg, np.uint8)
+        )
 
     def note(self, text: str, time_ns: int) -> Message:
         """Message of a note of the run."""
-        values = {"level": _INFO, "name": "track_range", "msg": text, "file": "", "function": "", "line": 0}
+        values = {
+            "level": _INFO,
+            "name": "track_range",
+            "msg": text,
+            "file": "",
+            "function": "",
+            "line": 0,
+        }
         return self._message(LOG, stamp=self._stamp(time_ns), **values)
 
     def _new(self, message_type: str, **values: Any) -> Any:
@@ -123,7 +141,9 @@ class Ros2Profile:
 
     def _pose(self, x: float, y: float, z: float) -> Any:
         return self._new(
-            "geometry_msgs/msg/Pose", position=self._vector("Point", x, y, z), orientation=self._rotation()
+            "geometry_msgs/msg/Pose",
+            position=self._vector("Point", x, y, z),
+            orientation=self._rotation(),
         )
 
     def _calibration(self) -> dict[str, Any]:
@@ -151,7 +171,9 @@ class Ros2Profile:
         xyzw: tuple[float, float, float, float],
     ) -> Any:
         transform = self._new(
-            "geometry_msgs/msg/Transform", translation=self._vector("Vector3", *at_m), rotation=self._rotation(*xyzw)
+            "geometry_msgs/msg/Transform",
+            translation=self._vector("Vector3", *at_m),
+            rotation=self._rotation(*xyzw),
         )
         return self._new(
             "geometry_msgs/msg/TransformStamped",
@@ -164,31 +186,47 @@ class Ros2Profile:
         x1, y1, x2, y2 = shown.xyxy_px
         position = self._new("vision_msgs/msg/Point2D", x=(x1 + x2) / 2, y=(y1 + y2) / 2)
         centre = self._new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
-        box = self._new("vision_msgs/msg/BoundingBox2D", center=centre, size_x=x2 - x1, size_y=y2 - y1)
+        box = self._new(
+            "vision_msgs/msg/BoundingBox2D", center=centre, size_x=x2 - x1, size_y=y2 - y1
+        )
         return self._detection("Detection2D", shown, header, box)
 
     def _detection_3d(self, shown: scene.TrackObject, header: Any) -> Any:
         size = self._vector("Vector3", *shown.size_m)
-        box = self._new("vision_msgs/msg/BoundingBox3D", center=self._pose(*shown.centre_m), size=size)
+        box = self._new(
+            "vision_msgs/msg/BoundingBox3D", center=self._pose(*shown.centre_m), size=size
+        )
         return self._detection("Detection3D", shown, header, box)
 
     def _detection(self, kind: str, shown: scene.TrackObject, header: Any, box: Any) -> Any:
         """Box with its class and score, the cuboid's centre and the variance of the distance."""
         covariance = np.zeros(36)
-        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE  # z, z
+        # z, z
+        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE
         pose = self._pose(*(shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)))
         result = self._new(
             "vision_msgs/msg/ObjectHypothesisWithPose",
-            hypothesis=self._new("vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score),
-            pose=self._new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+            hypothesis=self._new(
+                "vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score
+            ),
+            pose=self._new(
+                "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
+            ),
         )
-        return self._new(f"vision_msgs/msg/{kind}", header=header, results=[result], bbox=box, id=str(shown.track_id))
+        return self._new(
+            f"vision_msgs/msg/{kind}",
+            header=header,
+            results=[result],
+            bbox=box,
+            id=str(shown.track_id),
+        )
 
     def _status(self, shown: scene.TrackObject) -> Any:
         """Figures of a track as text, which PlotJuggler converts to curves."""
         figures = {"observed": float(shown.is_observed), **shown.figures}
         values = [
-            self._new("diagnostic_msgs/msg/KeyValue", key=name, value=f"{value:.6g}") for name, value in figures.items()
+            self._new("diagnostic_msgs/msg/KeyValue", key=name, value=f"{value:.6g}")
+            for name, value in figures.items()
         ]
         return self._new(
             "diagnostic_msgs/msg/DiagnosticStatus",

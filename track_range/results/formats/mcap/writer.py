@@ -1,9 +1,11 @@
 """McapWriter: run.mcap, written with foxglove-sdk, in chunks of at most one second.
 
-    frame result -> messages of the profile -> foxglove-sdk (chunks, indexes) -> file, whole chunks only
+    frame result -> messages of the profile -> foxglove-sdk (chunks, indexes) -> file, whole chunks
+    only
 
-The messages of the last frame are held back until the next one, so that they can be discarded. A killed run leaves all
-chunks but the last; a file without an index at its end is read by Foxglove and by `mcap recover`.
+The messages of the last frame are held back until the next one, so that they can be discarded. A
+killed run leaves all chunks but the last; a file without an index at its end is read by Foxglove
+and by `mcap recover`.
 """
 
 from __future__ import annotations
@@ -30,8 +32,10 @@ if TYPE_CHECKING:
 
 MCAP_FILE = "run.mcap"
 _JPEG_QUALITY = 85  # quality of images, 0 to 100: about a tenth of a byte per pixel
-_MAX_TIME_NS = (2**31 - 1) * NANOSECONDS  # latest time of ROS, in 2038; times are from 1970 to this one
-_CHUNK_S = 1.0  # duration of a chunk in the recording, and maximum time between two chunks while writing, s
+# latest time of ROS, in 2038; times are from 1970 to this one
+_MAX_TIME_NS = (2**31 - 1) * NANOSECONDS
+# duration of a chunk in the recording, and maximum time between two chunks while writing, s
+_CHUNK_S = 1.0
 
 
 class McapWriter:
@@ -51,7 +55,9 @@ class McapWriter:
 
         self._info = info
         self._has_images = bool(info.settings.get("mcap_images", False))
-        profile = resolve_name(PROFILES.get(str(info.settings.get("mcap_profile")), PROFILES["foxglove"]))
+        profile = resolve_name(
+            PROFILES.get(str(info.settings.get("mcap_profile")), PROFILES["foxglove"])
+        )
         self._profile: FoxgloveProfile | Ros2Profile = profile(info.camera)
         start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
         self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
@@ -64,7 +70,9 @@ class McapWriter:
         options = MCAPWriteOptions(
             profile=self._profile.name, chunk_size=None, disable_seeking=True, compression_threads=0
         )
-        self._mcap = foxglove.open_mcap(cast(BinaryIO, self._sink), context=self._context, writer_options=options)
+        self._mcap = foxglove.open_mcap(
+            cast(BinaryIO, self._sink), context=self._context, writer_options=options
+        )
         self._mcap.write_metadata("track_range", info.provenance.metadata())
         self._mcap.flush()
         self._file = RowFile(folder / MCAP_FILE, self._sink.pop())
@@ -79,7 +87,9 @@ class McapWriter:
         messages = list(self._profile.frame(objects, time_ns, result.ego_pose))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
-            _, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            _, jpeg = cv2.imencode(
+                ".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+            )
             messages.append(self._profile.image(jpeg.tobytes(), time_ns))
         self._held = (time_ns, messages)
 
@@ -141,7 +151,9 @@ class McapWriter:
             if topic not in self._channels:
                 name, schema_encoding, text, encoding = self._profile.schema(topic)
                 schema = Schema(name=name, encoding=schema_encoding, data=text)
-                self._channels[topic] = Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
+                self._channels[topic] = Channel(
+                    topic, schema=schema, message_encoding=encoding, context=self._context
+                )
             self._channels[topic].log(data, log_time=time_ns)
 
 

@@ -1,4 +1,5 @@
-r"""Car bodies: a hull with chamfered corners on four wheels, and a glazed cabin with inclined sides.
+r"""Car bodies: a hull with chamfered corners on four wheels, and a glazed cabin with inclined
+sides.
 
       ______            Back, front and sides of the hull coincide with the 3-D box, so that the ray through the centre
  ____/__|___\____       of a box in the image meets the paint where it meets the 3-D box. There are three shapes:
@@ -22,9 +23,18 @@ from track_range.simulation.world.bodies.faces import (
     shadow,
     with_plate,
 )
-from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.textures.surfaces import (
+    SEAM,
+    clip,
+    fill,
+    pane,
+    polygon,
+    shade_rows,
+    wheel,
+)
 
-PAINTS: tuple[Colour, ...] = (  # paint colours: white, silver, greys, black, blues, red, beige, green
+# paint colours: white, silver, greys, black, blues, red, beige, green
+PAINTS: tuple[Colour, ...] = (
     *((205, 206, 205), (176, 176, 174), (120, 120, 118), (72, 70, 68), (40, 38, 38)),
     *((112, 66, 38), (42, 36, 138), (92, 104, 112), (150, 96, 52), (62, 78, 54)),
 )
@@ -34,7 +44,9 @@ TRIM: Colour = (34, 34, 36)
 
 SILL = 0.15  # height of the hull's lower edge relative to the car's height
 PAINT_CONTRAST = 5.0  # contrast of the dirt on the paint, grey levels
-LEAN_M = 0.29  # m from the side windows' lower edge to the roof; with less, detectors classify these cars as trucks
+# m from the side windows' lower edge to the roof; with less, detectors classify these cars as
+# trucks
+LEAN_M = 0.29
 SHOULDER_M = 0.03  # horizontal distance between the hull's side and the lower edge of the cabin
 WHEEL_M = 0.32  # radius of a wheel
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)  # along and across, seen from above
@@ -92,7 +104,9 @@ def _hull(car: _Car) -> list[Face]:
         end, sign = (x, 1) if is_front else (-x, -1)
         inner = z - wide
         light = 0.88 if is_front else 0.94
-        end_face = car.panel((end, -top, -sign * inner), (0, 0, sign * 2 * inner), (0, top, 0), light)
+        end_face = car.panel(
+            (end, -top, -sign * inner), (0, 0, sign * 2 * inner), (0, top, 0), light
+        )
         _paint_end(end_face.texture, is_front=is_front)
         faces += with_plate(end_face, FRONT_PLATE if is_front else BACK_PLATE)
         for side in (1, -1):
@@ -106,7 +120,9 @@ def _hull(car: _Car) -> list[Face]:
 
 
 def _paint_end(picture: Image, *, is_front: bool) -> None:
-    """Paint the flat part of the back or front, down to the road; transparent below the sill, except tyres."""
+    """Paint the flat part of the back or front, down to the road; transparent below the sill,
+    except tyres.
+    """
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
     if is_front:
         fill(picture, (0.24, 0.10, 0.76, 0.30), (26, 26, 28))
@@ -114,7 +130,11 @@ def _paint_end(picture: Image, *, is_front: bool) -> None:
             fill(picture, (0.25, row, 0.75, row + 0.012), (120, 122, 122))
         fill(picture, (0.12, 0.60, 0.88, 0.76), TRIM)
         for left in (0.0, 0.82):
-            polygon(picture, [(left, 0.12), (left + 0.18, 0.12), (left + 0.18, 0.30), (left, 0.30)], LAMP_WHITE)
+            polygon(
+                picture,
+                [(left, 0.12), (left + 0.18, 0.12), (left + 0.18, 0.30), (left, 0.30)],
+                LAMP_WHITE,
+            )
             fill(picture, (left + 0.05, 0.16, left + 0.13, 0.27), (150, 156, 158))
     else:
         fill(picture, (0.0, 0.035, 1.0, 0.055), SEAM)
@@ -128,7 +148,16 @@ def _paint_end(picture: Image, *, is_front: bool) -> None:
     clip(
         picture,
         [
-            [(0, 0), (1, 0), (1, sill), (0.17, sill), (0.17, 1), (0.03, 1), (0.03, sill), (0, sill)],
+            [
+                (0, 0),
+                (1, 0),
+                (1, sill),
+                (0.17, sill),
+                (0.17, 1),
+                (0.03, 1),
+                (0.03, sill),
+                (0, sill),
+            ],
             [(0.83, sill), (0.97, sill), (0.97, 1), (0.83, 1)],
         ],
     )
@@ -143,7 +172,9 @@ def _paint_corner(picture: Image, *, is_front: bool) -> None:
 
 
 def _side(car: _Car, side: int) -> Face:
-    """A side with doors, seams and wheels, transparent above the bonnet and below the sill; side: 1 left, -1 right."""
+    """A side with doors, seams and wheels, transparent above the bonnet and below the sill; side: 1
+    left, -1 right.
+    """
     build, (height, width, length) = car.build, car.size_hwl_m
     light = 0.9 - 0.14 * side
     back, front = -length / 2 + BACK_CHAMFER_M[0], length / 2 - FRONT_CHAMFER_M[0]
@@ -153,7 +184,9 @@ def _side(car: _Car, side: int) -> Face:
     picture = face.texture
 
     def at(fraction: float) -> float:
-        """Fraction of the texture's width, from the left, for a fraction of the car's length, from the back."""
+        """Fraction of the texture's width, from the left, for a fraction of the car's length, from
+        the back.
+        """
         from_back = (car.x_m(fraction) - back) / (front - back)
         return 1 - from_back if side > 0 else from_back
 
@@ -169,7 +202,13 @@ def _side(car: _Car, side: int) -> Face:
     for centre in centres:
         wheel(picture, centre, radius)
     nose = 1 - build.nose / build.deck
-    outline = [(at(0.0), 0.0), (at(build.cabin[1]), 0.0), (at(1.0), nose), (at(1.0), 1 - SILL), (at(0.0), 1 - SILL)]
+    outline = [
+        (at(0.0), 0.0),
+        (at(build.cabin[1]), 0.0),
+        (at(1.0), nose),
+        (at(1.0), 1 - SILL),
+        (at(0.0), 1 - SILL),
+    ]
     clip(picture, [outline], [(*centre, radius) for centre in centres])
     return face
 
@@ -212,7 +251,10 @@ def _shoulders(car: _Car) -> list[Face]:
     x0, x1 = map(car.x_m, car.build.cabin)
     x0 = max(x0, BACK_CHAMFER_M[0] - length / 2)
     high, across = -car.build.deck * height, (0.0, 0.0, -SHOULDER_M)
-    return [car.panel((x0, high, z), (x1 - x0, 0.0, 0.0), across, 1.12) for z in (width / 2, SHOULDER_M - width / 2)]
+    return [
+        car.panel((x0, high, z), (x1 - x0, 0.0, 0.0), across, 1.12)
+        for z in (width / 2, SHOULDER_M - width / 2)
+    ]
 
 
 def _screen(picture: Image, inset: float, *, is_back: bool) -> None:
@@ -230,5 +272,8 @@ def _side_windows(picture: Image, left: float, right: float) -> None:
     middle = (left + 1 - right) / 2 + 0.02
     first, second = middle - 0.012, middle + 0.012
     pane(picture, [(left + head, top), (first, top), (first, low), (foot + 0.3 * left, low)])
-    pane(picture, [(second, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (second, low)])
+    pane(
+        picture,
+        [(second, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (second, low)],
+    )
     clip(picture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]])

@@ -1,10 +1,12 @@
-"""Faces, textured parallelograms in an object's frame, and solids, shadows and number plates made of them.
+"""Faces, textured parallelograms in an object's frame, and solids, shadows and number plates made
+of them.
 
 Except shadows, all are inside the object's 3-D box.
 
-The object's frame is KITTI's: x forward along the length, y down, z to the left along the width, with the origin at the
-bottom centre of the 3-D box. A face is corner + s along + t down, with s and t in [0, 1]; seen from outside, `along`
-points right and `down` points down, so that along x down points away from the viewer.
+The object's frame is KITTI's: x forward along the length, y down, z to the left along the width,
+with the origin at the bottom centre of the 3-D box. A face is corner + s along + t down, with s and
+t in [0, 1]; seen from outside, `along` points right and `down` points down, so that along x down
+points away from the viewer.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,18 +22,23 @@ from track_range.simulation.world.textures.surfaces import Box, cut_outside, num
 
 Colour = tuple[float, ...]  # blue, green, red, 0 to 255
 Vector = tuple[float, float, float]  # x, y, z in the object's frame, metres
-Extent = tuple[float, float, float, float, float, float]  # limits of x, height above the road, and z, m
+# limits of x, height above the road, and z, m
+Extent = tuple[float, float, float, float, float, float]
 ALL_SIDES = ("back", "front", "left", "right", "top")
-SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}  # brightness of the sides of a box
+# brightness of the sides of a box
+SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}
 N_PRISM_SIDES = 8  # number of sides of the prisms that approximate round bodies
-LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2  # mean, and by x, y, z of the outward normal
+# mean, and by x, y, z of the outward normal
+LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 SHADOW_TEXELS_PER_M = 12  # resolution of the shadow's texture
 SHADOW_MARGIN_M = 0.6  # margin of the texture for the soft edge
 SHADOW_CAST = 0.45  # length of the cast shadow, to the left, relative to the body's height
 UNDER, BESIDE = 205, 105  # darkness of the shadow below the body and of the cast shadow, 0 to 255
 
-RECESS_M = 0.001  # depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box
-MARGIN_TEXELS = 4  # strip of the body around a plate, on its face, which closes gaps at the edge of the hole
+# depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box
+RECESS_M = 0.001
+# strip of the body around a plate, on its face, which closes gaps at the edge of the hole
+MARGIN_TEXELS = 4
 
 
 class IdentifyingPart(IntEnum):
@@ -59,7 +66,9 @@ Place = tuple[Vector, Vector, Vector]  # corner, upper edge and left edge of a f
 Size = tuple[float, float, float]  # height, width, length of a body, metres
 
 
-def coloured_face(rng: np.random.Generator, place: Place, bgr: Colour, *, contrast: float = 11.0) -> Face:
+def coloured_face(
+    rng: np.random.Generator, place: Place, bgr: Colour, *, contrast: float = 11.0
+) -> Face:
     """A face of one colour with dirt; `contrast` is in grey levels."""
     corner, along, down = (np.array(vector, np.float64) for vector in place)
     size_m = (float(np.linalg.norm(along)), float(np.linalg.norm(down)))
@@ -67,7 +76,12 @@ def coloured_face(rng: np.random.Generator, place: Place, bgr: Colour, *, contra
 
 
 def block(
-    rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float = 11.0, sides: tuple[str, ...] = ALL_SIDES
+    rng: np.random.Generator,
+    extent: Extent,
+    bgr: Colour,
+    *,
+    contrast: float = 11.0,
+    sides: tuple[str, ...] = ALL_SIDES,
 ) -> dict[str, Face]:
     """The given sides of a box of one colour, by name."""
     x0, x1, low, high, z0, z1 = extent
@@ -78,25 +92,39 @@ def block(
         "right": ((x0, -high, z0), (x1 - x0, 0, 0), (0, high - low, 0)),
         "top": ((x0, -high, z1), (x1 - x0, 0, 0), (0, 0, z0 - z1)),
     }
-    return {side: coloured_face(rng, places[side], shaded(bgr, SUN[side]), contrast=contrast) for side in sides}
+    return {
+        side: coloured_face(rng, places[side], shaded(bgr, SUN[side]), contrast=contrast)
+        for side in sides
+    }
 
 
-def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float = 14.0) -> list[Face]:
-    """An upright eight-sided prism with sides that touch the walls of the extent: the sides, back first, then the top.
+def prism(
+    rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float = 14.0
+) -> list[Face]:
+    """An upright eight-sided prism with sides that touch the walls of the extent: the sides, back
+    first, then the top.
 
     The normal of side k has the angle pi + k pi / 4 from the x axis towards the z axis.
     """
     x0, x1, low, high, z0, z1 = extent
     half = np.pi / N_PRISM_SIDES
     reach = 1 / np.cos(half)
-    centre, radii = np.array([(x0 + x1) / 2, (z0 + z1) / 2]), np.array([(x1 - x0) / 2, (z1 - z0) / 2]) * reach
+    centre, radii = (
+        np.array([(x0 + x1) / 2, (z0 + z1) / 2]),
+        np.array([(x1 - x0) / 2, (z1 - z0) / 2]) * reach,
+    )
     faces = []
     for angle in (np.pi + 2 * half * np.arange(N_PRISM_SIDES)).tolist():
         (x, z), (end_x, end_z) = (
-            (centre + radii * (np.cos(end_rad), np.sin(end_rad))).tolist() for end_rad in (angle - half, angle + half)
+            (centre + radii * (np.cos(end_rad), np.sin(end_rad))).tolist()
+            for end_rad in (angle - half, angle + half)
         )
         place = ((x, -high, z), (end_x - x, 0.0, end_z - z), (0.0, high - low, 0.0))
-        faces.append(coloured_face(rng, place, shaded(bgr, 0.95 - 0.15 * float(np.sin(angle))), contrast=contrast))
+        faces.append(
+            coloured_face(
+                rng, place, shaded(bgr, 0.95 - 0.15 * float(np.sin(angle))), contrast=contrast
+            )
+        )
     top = block(rng, extent, bgr, contrast=contrast, sides=("top",))["top"]
     cut_outside(top.texture, octagon(0.5 * (1 - np.tan(half))))
     return [*faces, top]
@@ -105,19 +133,38 @@ def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: fl
 def octagon(cut: float) -> list[tuple[float, float]]:
     """Corners of a unit square whose corners are cut off at the fraction `cut` of its sides."""
     left, right = cut, 1 - cut
-    return [(left, 0), (right, 0), (1, left), (1, right), (right, 1), (left, 1), (0, right), (0, left)]
+    return [
+        (left, 0),
+        (right, 0),
+        (1, left),
+        (1, right),
+        (right, 1),
+        (left, 1),
+        (0, right),
+        (0, left),
+    ]
 
 
 def ring(centre: Vector, radii: tuple[float, float], *, n_sides: int = N_PRISM_SIDES) -> FloatArray:
-    """(n_sides, 3) corners of a level ellipse; `centre` is (x, height above the road, z), `radii` are along x and z."""
+    """(n_sides, 3) corners of a level ellipse; `centre` is (x, height above the road, z), `radii`
+    are along x and z.
+    """
     angles = np.pi + 2 * np.pi * (np.arange(n_sides) - 0.5) / n_sides
     x, height, z = centre
-    corners = [x + radii[0] * np.cos(angles), np.full(n_sides, -height), z + radii[1] * np.sin(angles)]
+    corners = [
+        x + radii[0] * np.cos(angles),
+        np.full(n_sides, -height),
+        z + radii[1] * np.sin(angles),
+    ]
     return np.stack(corners, axis=1)
 
 
-def rings_across(start: Vector, end: Vector, radii_m: tuple[float, float], *, n_sides: int = 6) -> list[FloatArray]:
-    """Two (n_sides, 3) circles across the line from `start` to `end`, both (x, height above the road, z)."""
+def rings_across(
+    start: Vector, end: Vector, radii_m: tuple[float, float], *, n_sides: int = 6
+) -> list[FloatArray]:
+    """Two (n_sides, 3) circles across the line from `start` to `end`, both (x, height above the
+    road, z).
+    """
     points = [np.array([x, -height, z]) for x, height, z in (start, end)]
     axis = points[1] - points[0]
     axis = axis / np.linalg.norm(axis)
@@ -137,19 +184,24 @@ def loft(
     contrast: float = 8.0,
     others: Mapping[int, Colour] = MappingProxyType({}),
 ) -> list[Face]:
-    """The sides between two rings (N, 3) of corners, shaded by their slopes; trapezia if the rings are similar.
+    """The sides between two rings (N, 3) of corners, shaded by their slopes; trapezia if the rings
+    are similar.
 
-    A trapezium is a parallelogram with its two outer triangles transparent. Side k is between corners k - 1 and k;
-    `others` are the colours of sides that differ from `bgr`.
+    A trapezium is a parallelogram with its two outer triangles transparent. Side k is between
+    corners k - 1 and k; `others` are the colours of sides that differ from `bgr`.
     """
     middle = (low.mean(axis=0) + high.mean(axis=0)) / 2
     return [
-        _trapezium(rng, (high[k - 1], high[k]), (low[k - 1], low[k]), middle, others.get(k, bgr), contrast)
+        _trapezium(
+            rng, (high[k - 1], high[k]), (low[k - 1], low[k]), middle, others.get(k, bgr), contrast
+        )
         for k in range(len(low))
     ]
 
 
-def lid(rng: np.random.Generator, corners: FloatArray, bgr: Colour, *, contrast: float = 8.0) -> Face:
+def lid(
+    rng: np.random.Generator, corners: FloatArray, bgr: Colour, *, contrast: float = 8.0
+) -> Face:
     """The level top of a ring (N, 3) of corners."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     along, down = (float(high[0] - low[0]), 0.0, 0.0), (0.0, 0.0, float(low[2] - high[2]))
@@ -181,7 +233,9 @@ def _trapezium(
     width_m = max(upper_m, lower_m)
     corner = (top[0] + top[1]) / 2 - edge * width_m / 2
     light = float(np.array([LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT]) @ normal) + LIGHT_MEAN
-    texture = plain(rng, (width_m, float(np.linalg.norm(down))), shaded(bgr, light), contrast=contrast)
+    texture = plain(
+        rng, (width_m, float(np.linalg.norm(down))), shaded(bgr, light), contrast=contrast
+    )
     off_top, off_bottom = (0.5 - 0.5 * length_m / width_m for length_m in (upper_m, lower_m))
     if off_top + off_bottom > 0.02:
         cut_outside(texture, [(off_top, 0), (1 - off_top, 0), (1 - off_bottom, 1), (off_bottom, 1)])
@@ -202,8 +256,15 @@ def shadow(size_hwl_m: Size, *, under: float = UNDER) -> Face:
     """The shadow of a body of the given size, in its frame, 1 cm above the road."""
     height, width, length = size_hwl_m
     cast_m = SHADOW_CAST * height
-    x, right, left = length / 2 + SHADOW_MARGIN_M, -width / 2 - SHADOW_MARGIN_M, width / 2 + SHADOW_MARGIN_M + cast_m
-    shape = (max(4, round((left - right) * SHADOW_TEXELS_PER_M)), max(4, round(2 * x * SHADOW_TEXELS_PER_M)))
+    x, right, left = (
+        length / 2 + SHADOW_MARGIN_M,
+        -width / 2 - SHADOW_MARGIN_M,
+        width / 2 + SHADOW_MARGIN_M + cast_m,
+    )
+    shape = (
+        max(4, round((left - right) * SHADOW_TEXELS_PER_M)),
+        max(4, round(2 * x * SHADOW_TEXELS_PER_M)),
+    )
     dark = np.zeros(shape, np.float32)
     edge = round(SHADOW_MARGIN_M * SHADOW_TEXELS_PER_M)
     beside = round(cast_m * SHADOW_TEXELS_PER_M)
@@ -216,9 +277,11 @@ def shadow(size_hwl_m: Size, *, under: float = UNDER) -> Face:
 
 
 def with_plate(face: Face, box: Box) -> list[Face]:
-    """A face with a hole, and the number plate behind it; `box` is the plate as fractions of the texture's size.
+    """A face with a hole, and the number plate behind it; `box` is the plate as fractions of the
+    texture's size.
 
-    The texture of `face` is modified: the plate is painted on it, copied to the plate's texture, and cut out.
+    The texture of `face` is modified: the plate is painted on it, copied to the plate's texture,
+    and cut out.
     """
     picture = face.texture
     number_plate(picture, box)

@@ -1,4 +1,6 @@
-"""The bodies of road users, by type; of signs and lights, a plate or housing on a pole or gantry without a label."""
+"""The bodies of road users, by type; of signs and lights, a plate or housing on a pole or gantry
+without a label.
+"""
 
 from collections.abc import Callable
 
@@ -13,8 +15,10 @@ from track_range.simulation.world.bodies.vehicles import bus, truck, van
 from track_range.simulation.world.scene import RoadUser
 from track_range.simulation.world.textures.surfaces import clip, fill, polygon
 
-POLE_M = 4.0  # length of the pole; longer than the height of any sign, since the ground hides its lower end
-GANTRY_M = (-6.3, 9.8)  # ends of the beam above a motorway from the middle of the plate; the posts stand there
+# length of the pole; longer than the height of any sign, since the ground hides its lower end
+POLE_M = 4.0
+# ends of the beam above a motorway from the middle of the plate; the posts stand there
+GANTRY_M = (-6.3, 9.8)
 STEEL = (120.0, 122.0, 122.0)
 WHITE, RED, BLUE, BLACK = (232, 234, 234), (38, 30, 190), (160, 84, 24), (30, 30, 30)
 
@@ -44,7 +48,9 @@ def overhead_sign(rng: np.random.Generator, size_hwl_m: Size, raised_m: float) -
 def traffic_light(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a traffic light: a dark housing with three lamps, one of them lit."""
     height, width, length = size_hwl_m
-    housing = block(rng, (-length / 2, length / 2, 0, height, -width / 2, width / 2), (36, 38, 36), contrast=4.0)
+    housing = block(
+        rng, (-length / 2, length / 2, 0, height, -width / 2, width / 2), (36, 38, 36), contrast=4.0
+    )
     picture = housing["front"].texture
     lit = int(rng.integers(3))
     for number, colour in enumerate(((40, 40, 250), (60, 190, 250), (130, 230, 80))):
@@ -67,7 +73,9 @@ def _pole(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
 
 
 def _beam(rng: np.random.Generator, extent: Extent) -> list[Face]:
-    return list(block(rng, extent, STEEL, contrast=5.0, sides=("front", "back", "left", "right")).values())
+    return list(
+        block(rng, extent, STEEL, contrast=5.0, sides=("front", "back", "left", "right")).values()
+    )
 
 
 def _stop(picture: Image) -> _Outline:
@@ -79,7 +87,10 @@ def _stop(picture: Image) -> _Outline:
 
 
 def _limit(picture: Image) -> _Outline:
-    ring = [(0.5 + 0.5 * float(np.cos(a)), 0.5 + 0.5 * float(np.sin(a))) for a in np.linspace(0, 2 * np.pi, 32)]
+    ring = [
+        (0.5 + 0.5 * float(np.cos(a)), 0.5 + 0.5 * float(np.sin(a)))
+        for a in np.linspace(0, 2 * np.pi, 32)
+    ]
     polygon(picture, ring, RED)
     polygon(picture, _scaled(ring, 0.76), WHITE)
     _write(picture, "50", (0.24, 0.66), BLACK, width_texels=62)
@@ -98,7 +109,11 @@ def _warning(picture: Image) -> _Outline:
 def _direction(picture: Image) -> _Outline:
     outline = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
     polygon(picture, outline, BLUE)
-    polygon(picture, [(0.5, 0.12), (0.82, 0.5), (0.6, 0.5), (0.6, 0.88), (0.4, 0.88), (0.4, 0.5), (0.18, 0.5)], WHITE)
+    polygon(
+        picture,
+        [(0.5, 0.12), (0.82, 0.5), (0.6, 0.5), (0.6, 0.88), (0.4, 0.88), (0.4, 0.5), (0.18, 0.5)],
+        WHITE,
+    )
     return outline
 
 
@@ -106,7 +121,9 @@ def _scaled(outline: _Outline, factor: float) -> _Outline:
     return [(0.5 + factor * (x - 0.5), 0.5 + factor * (y - 0.5)) for x, y in outline]
 
 
-def _write(picture: Image, text: str, start: tuple[float, float], bgr: Colour, *, width_texels: int) -> None:
+def _write(
+    picture: Image, text: str, start: tuple[float, float], bgr: Colour, *, width_texels: int
+) -> None:
     """Write a text that is as large as OpenCV's font at scale 1 on a sign of the given width."""
     height, width = picture.shape[:2]
     at, scale = (round(start[0] * width), round(start[1] * height)), width / width_texels
@@ -131,7 +148,9 @@ BUILDERS: dict[str, Callable[[np.random.Generator, Size], list[Face]]] = {
 
 
 def body_of(user: RoadUser, seed: int) -> list[Face]:
-    """Faces of a road user in its frame, by seed and track id; a sign that is higher than a pole hangs on a gantry."""
+    """Faces of a road user in its frame, by seed and track id; a sign that is higher than a pole
+    hangs on a gantry.
+    """
     rng = np.random.default_rng([seed, 2, user.track_id])
     if user.kitti_type == "TrafficSign" and user.raised_m > POLE_M:
         return overhead_sign(rng, user.size_hwl_m, user.raised_m)

@@ -1,8 +1,9 @@
 r"""Bodies of vans, trucks and buses: boxes of full width with windows and wheels.
 
-Back, front and sides coincide with the 3-D box, so that the ray through the centre of a box in the image meets the
-paint where it meets the 3-D box (except above the bonnet of vans and trucks, which a road camera does not see from
-above). Below the sill there are wheels, with the road visible between them.
+Back, front and sides coincide with the 3-D box, so that the ray through the centre of a box in the
+image meets the paint where it meets the 3-D box (except above the bonnet of vans and trucks, which
+a road camera does not see from above). Below the sill there are wheels, with the road visible
+between them.
 """
 
 import numpy as np
@@ -22,7 +23,13 @@ from track_range.simulation.world.bodies.faces import (
 )
 from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, shade_rows, wheel
 
-VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
+VAN_PAINTS: tuple[Colour, ...] = (
+    (208, 208, 206),
+    (200, 202, 204),
+    (128, 126, 122),
+    (110, 66, 40),
+    (44, 40, 140),
+)
 CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))
 BUS_PAINTS: tuple[Colour, ...] = ((60, 190, 225), (44, 40, 170), (206, 206, 204), (150, 100, 50))
 STEEL: Colour = (52, 52, 55)
@@ -38,7 +45,9 @@ def van(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     paint = chosen(rng, VAN_PAINTS)
     x, z, bonnet_x = length / 2, width / 2, 0.27 * length
     box = _painted(rng, (-x, bonnet_x, 0, height, -z, z), paint)
-    bonnet = _painted(rng, (bonnet_x, x, 0, 0.56 * height, -z, z), paint, sides=("front", "left", "right", "top"))
+    bonnet = _painted(
+        rng, (bonnet_x, x, 0, 0.56 * height, -z, z), paint, sides=("front", "left", "right", "top")
+    )
     _panes(box["back"], (0.09, 0.10, 0.47, 0.40), (0.53, 0.10, 0.91, 0.40))
     fill(box["back"].texture, (0.495, 0.05, 0.505, 0.86), SEAM)
     _panes(box["left"], (0.03, 0.1, 0.28, 0.4))
@@ -49,7 +58,12 @@ def van(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     _lamps(box["back"], (0.44, 0.66), LAMP_RED, 0.09)
     _lamps(bonnet["front"], (0.16, 0.34), LAMP_WHITE, 0.2)
     fill(bonnet["front"].texture, (0.25, 0.18, 0.75, 0.36), (30, 30, 32))
-    for face, wheel_at in ((box["left"], 0.8), (box["right"], 0.2), (bonnet["left"], 0.6), (bonnet["right"], 0.4)):
+    for face, wheel_at in (
+        (box["left"], 0.8),
+        (box["right"], 0.2),
+        (bonnet["left"], 0.6),
+        (bonnet["right"], 0.4),
+    ):
         _on_wheels(face, 0.34, (wheel_at,))
     for face in (box["back"], bonnet["front"]):
         _on_tyres(face)
@@ -66,7 +80,10 @@ def truck(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     cargo = _painted(rng, (-x, cab_x - 0.3, bed, height, -z, z), cargo_paint)
     frame = _painted(rng, (-x, cab_x, 0, bed, -z, z), STEEL, sides=("back", "left", "right"))
     cab = _painted(rng, (cab_x, x, 0, 0.85 * height, -z, z), paint)
-    for side, window, wheels in (("left", (0.08, 0.55), (0.72, 0.87)), ("right", (0.45, 0.92), (0.13, 0.28))):
+    for side, window, wheels in (
+        ("left", (0.08, 0.55), (0.72, 0.87)),
+        ("right", (0.45, 0.92), (0.13, 0.28)),
+    ):
         for fraction in np.linspace(0.08, 0.92, 8):
             fill(cargo[side].texture, (fraction, 0.02, fraction + 0.004, 0.98), SEAM)
         fill(cargo[side].texture, (0.2, 0.3, 0.8, 0.55), paint)
@@ -88,11 +105,20 @@ def truck(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     _on_tyres(cab["front"])
     _, back_plate = with_plate(frame["back"], (0.4, 0.15, 0.6, 0.3))
     _, front_plate = with_plate(cab["front"], (0.4, 0.825, 0.6, 0.87))
-    return [shadow(size_hwl_m), *cargo.values(), *frame.values(), *cab.values(), back_plate, front_plate]
+    return [
+        shadow(size_hwl_m),
+        *cargo.values(),
+        *frame.values(),
+        *cab.values(),
+        back_plate,
+        front_plate,
+    ]
 
 
 def bus(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
-    """The faces of a city bus: one box with a row of windows, doors on the right, and a destination display."""
+    """The faces of a city bus: one box with a row of windows, doors on the right, and a destination
+    display.
+    """
     height, width, length = size_hwl_m
     paint = chosen(rng, BUS_PAINTS)
     x, z = length / 2, width / 2
@@ -135,18 +161,28 @@ def _panes(face: Face, *boxes: tuple[float, float, float, float]) -> None:
 
 
 def _lamps(face: Face, rows: tuple[float, float], bgr: Colour, width: float) -> None:
-    """Paint two lamps on a back or front; `rows` and `width` are fractions of the texture's size."""
+    """Paint two lamps on a back or front; `rows` and `width` are fractions of the texture's
+    size.
+    """
     for left in (0.02, 0.98 - width):
         fill(face.texture, (left, rows[0], left + width, rows[1]), bgr)
 
 
-def _on_wheels(face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: float = SILL_M) -> None:
-    """Paint wheels at fractions `at` of a side's length; the texture is transparent between them."""
+def _on_wheels(
+    face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: float = SILL_M
+) -> None:
+    """Paint wheels at fractions `at` of a side's length; the texture is transparent between
+    them.
+    """
     down_m = float(face.down[1])
     radius, sill = radius_m / down_m, 1 - sill_m / down_m
     for fraction in at:
         wheel(face.texture, (fraction, 1 - radius), radius)
-    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(fraction, 1 - radius, radius) for fraction in at])
+    clip(
+        face.texture,
+        [[(0, 0), (1, 0), (1, sill), (0, sill)]],
+        [(fraction, 1 - radius, radius) for fraction in at],
+    )
 
 
 def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:
@@ -154,5 +190,7 @@ def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:
     sill = 1 - sill_m / float(face.down[1])
     fill(face.texture, (0, sill - 0.06, 1, sill), (38, 38, 40))
     fill(face.texture, (0, sill, 1, 1), (20, 20, 22))
-    tyres = [[(left, sill), (left + 0.16, sill), (left + 0.16, 1), (left, 1)] for left in (0.04, 0.80)]
+    tyres = [
+        [(left, sill), (left + 0.16, sill), (left + 0.16, 1), (left, 1)] for left in (0.04, 0.80)
+    ]
     clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres])

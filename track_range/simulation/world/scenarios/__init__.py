@@ -1,4 +1,6 @@
-"""The scenarios by name: ordinary traffic, drives that end in a contact with their harmless twins, and occlusion."""
+"""The scenarios by name: ordinary traffic, drives that end in a contact with their harmless twins,
+and occlusion.
+"""
 
 from collections.abc import Callable
 
@@ -6,7 +8,8 @@ from track_range.simulation.world.scenarios import conflicts, traffic
 from track_range.simulation.world.scenarios.occlusion import occlusion
 from track_range.simulation.world.scene import Scene, make_scene
 
-SCENARIOS: dict[str, Callable[[int, float], Scene]] = {  # scenes from a seed and a length in seconds
+# scenes from a seed and a length in seconds
+SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "town": make_scene,
     "highway": traffic.highway,
     "city": traffic.city,
@@ -29,7 +32,9 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {  # scenes from a seed an
 
 
 def make_scenario(name: str, *, seed: int = 0, seconds: float = 10.0) -> Scene:
-    """The scene of a scenario, the same for the same seed and length of the drive; ValueError if it is unknown."""
+    """The scene of a scenario, the same for the same seed and length of the drive; ValueError if it
+    is unknown.
+    """
     if name not in SCENARIOS:
         raise ValueError(f"scenario {name}: expected one of {', '.join(SCENARIOS)}")
     return SCENARIOS[name](seed, seconds)

@@ -1,4 +1,6 @@
-"""Parts of scenarios: road users, lanes of traffic without collisions, parked cars, pedestrians, signs, roads."""
+"""Parts of scenarios: road users, lanes of traffic without collisions, parked cars, pedestrians,
+signs, roads.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -8,18 +10,38 @@ import numpy as np
 
 from track_range.simulation.world.motion import SpeedChanges
 from track_range.simulation.world.road_shape import RoadShape, Wobble
-from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene
+from track_range.simulation.world.scene import (
+    AWAY_RAD,
+    SIZE_HWL_M,
+    SIZE_SPREAD,
+    TOWARDS_RAD,
+    RoadUser,
+    Scene,
+)
 
 WOBBLE_RAD = np.radians(0.12)  # root mean square of the pitch; that of the roll is half of it
 PARKED_SPACING_M = 7.5  # distance between parking spaces
-TRAFFIC_TYPES = (("Car", 0.8), ("Van", 0.12), ("Truck", 0.08))  # types of vehicles with their fractions
-SIGNS_M = {"city": (7.9, 55.0), "country": (3.9, 70.0), "highway": (10.6, 90.0)}  # from the ego lane, and between them
+TRAFFIC_TYPES = (
+    ("Car", 0.8),
+    ("Van", 0.12),
+    ("Truck", 0.08),
+)  # types of vehicles with their fractions
+# from the ego lane, and between them
+SIGNS_M = {"city": (7.9, 55.0), "country": (3.9, 70.0), "highway": (10.6, 90.0)}
 
 
 def road_user(
-    kitti_type: str, x_m: float, z_m: float, heading_rad: float = AWAY_RAD, *, size_factor: float = 1.0, **others: Any
+    kitti_type: str,
+    x_m: float,
+    z_m: float,
+    heading_rad: float = AWAY_RAD,
+    *,
+    size_factor: float = 1.0,
+    **others: Any,
 ) -> RoadUser:
-    """A road user of mean size times a factor, without id; `others` are attributes of `RoadUser`."""
+    """A road user of mean size times a factor, without id; `others` are attributes of
+    `RoadUser`.
+    """
     height, width, length = (np.array(SIZE_HWL_M[kitti_type]) * size_factor).tolist()
     return RoadUser(
         track_id=-1,
@@ -44,8 +66,8 @@ def lane(
 ) -> list[RoadUser]:
     """The traffic of the lane at `x_m`, all at one speed, so that there are no collisions.
 
-    `spacing_m` is the mean distance between vehicles, and each position, from `from_m` to `until_m` at time 0, varies
-    by up to a fifth of this distance.
+    `spacing_m` is the mean distance between vehicles, and each position, from `from_m` to `until_m`
+    at time 0, varies by up to a fifth of this distance.
     """
     positions_m = np.arange(from_m, until_m, spacing_m)
     positions_m = positions_m + 0.2 * spacing_m * rng.uniform(-1, 1, len(positions_m))
@@ -59,9 +81,13 @@ def lane(
 def oncoming(
     rng: np.random.Generator, *, speed_mps: float, until_m: float, seconds: float, **others: Any
 ) -> list[RoadUser]:
-    """The oncoming traffic of one lane nearer than `until_m` within `seconds`; `others`: arguments of `lane`."""
+    """The oncoming traffic of one lane nearer than `until_m` within `seconds`; `others`: arguments
+    of `lane`.
+    """
     until_m += speed_mps * seconds
-    return lane(rng, speed_mps=speed_mps, from_m=30.0, until_m=until_m, heading_rad=TOWARDS_RAD, **others)
+    return lane(
+        rng, speed_mps=speed_mps, from_m=30.0, until_m=until_m, heading_rad=TOWARDS_RAD, **others
+    )
 
 
 def drawn(rng: np.random.Generator, fractions: Sequence[tuple[str, float]], n: int) -> list[str]:
@@ -74,19 +100,33 @@ def drawn(rng: np.random.Generator, fractions: Sequence[tuple[str, float]], n: i
 def parked(
     rng: np.random.Generator, *, until_m: float, fraction: float, free_m: Sequence[float] = ()
 ) -> list[RoadUser]:
-    """Cars and vans parked along both kerbs at slightly varying angles, except near the positions `free_m`."""
+    """Cars and vans parked along both kerbs at slightly varying angles, except near the positions
+    `free_m`.
+    """
     users = []
     for x_m, heading_rad in ((6.5, AWAY_RAD), (-6.5, TOWARDS_RAD)):
         for z_m in np.arange(12.0, until_m, PARKED_SPACING_M).tolist():
             is_free = any(abs(z_m - gap_m) < 1.2 * PARKED_SPACING_M for gap_m in free_m)
-            occupancy, type_draw, angle_rad = rng.uniform(), rng.uniform(), float(rng.normal(0, 0.02))
+            occupancy, type_draw, angle_rad = (
+                rng.uniform(),
+                rng.uniform(),
+                float(rng.normal(0, 0.02)),
+            )
             if occupancy < fraction and not is_free:
-                users.append(road_user("Van" if type_draw < 0.15 else "Car", x_m, z_m, heading_rad + angle_rad))
+                users.append(
+                    road_user(
+                        "Van" if type_draw < 0.15 else "Car", x_m, z_m, heading_rad + angle_rad
+                    )
+                )
     return users
 
 
-def walkers(rng: np.random.Generator, *, until_m: float, x_m: float = 9.4, spacing_m: float = 24.0) -> list[RoadUser]:
-    """Pedestrians on both pavements, `x_m` from the ego lane's centre, walking in either direction or waiting."""
+def walkers(
+    rng: np.random.Generator, *, until_m: float, x_m: float = 9.4, spacing_m: float = 24.0
+) -> list[RoadUser]:
+    """Pedestrians on both pavements, `x_m` from the ego lane's centre, walking in either direction
+    or waiting.
+    """
     users = []
     for side in (1, -1):
         for z_m in np.arange(14.0, until_m, spacing_m) + rng.uniform(0, spacing_m):
@@ -126,14 +166,25 @@ def scene_of(
 ) -> Scene:
     """The scene of a scenario, with an ego car that wobbles on its springs.
 
-    The road users have no ids yet, and their sizes vary around the given ones. `surroundings` is a key of
-    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random road, with 70 to 100 % of both.
+    The road users have no ids yet, and their sizes vary around the given ones. `surroundings` is a
+    key of `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random road,
+    with 70 to 100 % of both.
     """
-    road = road if isinstance(road, RoadShape) else _random_road(rng, *road, 1.6 if surroundings == "highway" else 1.0)
+    road = (
+        road
+        if isinstance(road, RoadShape)
+        else _random_road(rng, *road, 1.6 if surroundings == "highway" else 1.0)
+    )
     sized = []
     for track_id, user in enumerate(users):
-        height, width, length = np.array(user.size_hwl_m) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
-        sized.append(replace(user, track_id=track_id, size_hwl_m=(float(height), float(width), float(length))))
+        height, width, length = np.array(user.size_hwl_m) * (
+            1 + SIZE_SPREAD * rng.uniform(-1, 1, 3)
+        )
+        sized.append(
+            replace(
+                user, track_id=track_id, size_hwl_m=(float(height), float(width), float(length))
+            )
+        )
     return Scene(
         seed=seed,
         road_users=tuple(sized),
@@ -144,8 +195,12 @@ def scene_of(
     )
 
 
-def _random_road(rng: np.random.Generator, swing_m: float, hill_m: float, longer: float) -> RoadShape:
-    swing, hill, *phases = (float(number) for number in rng.uniform((0.7, 0.7, 0, 0), (1, 1, 2 * np.pi, 2 * np.pi)))
+def _random_road(
+    rng: np.random.Generator, swing_m: float, hill_m: float, longer: float
+) -> RoadShape:
+    swing, hill, *phases = (
+        float(number) for number in rng.uniform((0.7, 0.7, 0, 0), (1, 1, 2 * np.pi, 2 * np.pi))
+    )
     return RoadShape(
         swing_m=swing_m * swing,
         swing_length_m=320.0 * longer,

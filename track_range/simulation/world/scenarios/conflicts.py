@@ -6,11 +6,12 @@ rear-braking      a vehicle ahead at 1.6 to 2.4 s brakes      oncoming        on
 crossing-adult    a person crosses from either side           overhead-sign   a gantry with a sign above the lane
 crossing-child    a child crosses from behind parked cars
 
-The left column ends in a contact 5.5 to 7.5 s after the start; the seed varies speeds, the lateral overlap (at least
-half of the narrower one for vehicles, the middle half of the ego vehicle's width for people), the time of contact, the
-type of vehicle, the road and other traffic. The ego vehicle does not brake before the contact. In the crash, the ego
-vehicle takes the speed of what it hits along the road within `CRASH_S`, and both brake to a standstill; a person stops
-where the contact happens. `contacts.py` has the exact time.
+The left column ends in a contact 5.5 to 7.5 s after the start; the seed varies speeds, the lateral
+overlap (at least half of the narrower one for vehicles, the middle half of the ego vehicle's width
+for people), the time of contact, the type of vehicle, the road and other traffic. The ego vehicle
+does not brake before the contact. In the crash, the ego vehicle takes the speed of what it hits
+along the road within `CRASH_S`, and both brake to a standstill; a person stops where the contact
+happens. `contacts.py` has the exact time.
 """
 
 from dataclasses import replace
@@ -21,11 +22,21 @@ from track_range.simulation.world.contacts import CAMERA_TO_FRONT_M, EGO_HWL_M, 
 from track_range.simulation.world.motion import SpeedChanges, speed_at_mps, travelled_m
 from track_range.simulation.world.road_shape import RoadShape
 from track_range.simulation.world.scenarios import casting
-from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, VIEW_M, RoadUser, Scene
+from track_range.simulation.world.scene import (
+    AWAY_RAD,
+    SIZE_HWL_M,
+    TOWARDS_RAD,
+    VIEW_M,
+    RoadUser,
+    Scene,
+)
 
-CONTACT_S = (5.5, 7.5)  # earliest and latest contact; sizes, which vary too, shift it by some hundredths of a second
-CRASH_S, CRASH_DECELERATION_MPS2 = 0.1, 6.0  # until the ego vehicle has the speed of what it hits, and after it
-CHILD_FACTOR = 0.68  # height of a child relative to an adult: 1.2 m, a child of seven, as Euro NCAP's child dummy
+# earliest and latest contact; sizes, which vary too, shift it by some hundredths of a second
+CONTACT_S = (5.5, 7.5)
+# until the ego vehicle has the speed of what it hits, and after it
+CRASH_S, CRASH_DECELERATION_MPS2 = 0.1, 6.0
+# height of a child relative to an adult: 1.2 m, a child of seven, as Euro NCAP's child dummy
+CHILD_FACTOR = 0.68
 WALK_M = 18.0  # distance that a person on the pavement walks at most during a drive, m
 
 _TYPES, _FRACTIONS = ("Car", "Van", "Truck", "Bus", "Motorcycle"), (0.55, 0.15, 0.12, 0.08, 0.1)
@@ -53,7 +64,11 @@ def rear_braking(seed: int, seconds: float) -> Scene:
     gap_m, deceleration = ego_mps * float(rng.uniform(1.6, 2.4)), float(rng.uniform(2.5, 4.5))
     stop_s = ego_mps / deceleration
     closed_m = ego_mps * stop_s / 2
-    taken_s = np.sqrt(2 * gap_m / deceleration) if gap_m < closed_m else stop_s + (gap_m - closed_m) / ego_mps
+    taken_s = (
+        np.sqrt(2 * gap_m / deceleration)
+        if gap_m < closed_m
+        else stop_s + (gap_m - closed_m) / ego_mps
+    )
     brake_s = contact_s - float(taken_s)
     target = ((0.0, ego_mps), (brake_s, ego_mps), (brake_s + stop_s, 0.0))
     return _rear(seed, rng, seconds, ego_mps, target, contact_s, ("city", "country", "highway"))
@@ -71,7 +86,9 @@ def crossing_adult(seed: int, seconds: float) -> Scene:
         *(_oncoming_traffic(rng, until_m, seconds) if side > 0 else ()),
         *_pavements(rng, person.start_xz_m[1], until_m, 0.5, (-12.0, 0.0, 6.0)),
     ]
-    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
+    return _with_crash(
+        casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds
+    )
 
 
 def crossing_child(seed: int, seconds: float) -> Scene:
@@ -80,7 +97,9 @@ def crossing_child(seed: int, seconds: float) -> Scene:
     ego_mps, contact_s = float(rng.uniform(6, 11)), float(rng.uniform(*CONTACT_S))
     side = 1 if rng.uniform() < 0.7 else -1
     speed_mps = float(rng.uniform(1.25, 1.55))
-    child = _crossing_person(rng, side, ego_mps, contact_s, speed_mps=speed_mps, size_factor=CHILD_FACTOR)
+    child = _crossing_person(
+        rng, side, ego_mps, contact_s, speed_mps=speed_mps, size_factor=CHILD_FACTOR
+    )
     z_m, until_m = child.start_xz_m[1], ego_mps * seconds + VIEW_M
     nearest = "Van" if rng.uniform() < 0.4 else "Car"
     hiding = [
@@ -90,7 +109,9 @@ def crossing_child(seed: int, seconds: float) -> Scene:
     others = _pavements(rng, z_m, until_m, 0.6, (-12.0, -4.0, 4.0))
     traffic = _oncoming_traffic(rng, until_m, seconds) if side > 0 else []
     users = [child, *hiding, *traffic, *others]
-    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
+    return _with_crash(
+        casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds
+    )
 
 
 def curve_parked(seed: int, seconds: float) -> Scene:
@@ -104,8 +125,13 @@ def curve_parked(seed: int, seconds: float) -> Scene:
         for z_m in np.arange(float(rng.uniform(6, 14)), until_m, 7.5).tolist():
             kitti_type = str(rng.choice(["Car", "Van"], p=[0.8, 0.2]))
             if rng.uniform() < 0.85:
-                users.append(casting.road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, heading_rad))
-    users += [*casting.walkers(rng, until_m=until_m, x_m=9.6), *casting.signs("city", until_m=until_m)]
+                users.append(
+                    casting.road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, heading_rad)
+                )
+    users += [
+        *casting.walkers(rng, until_m=until_m, x_m=9.6),
+        *casting.signs("city", until_m=until_m),
+    ]
     road = RoadShape(
         swing_m=float(rng.uniform(8, 13)),
         swing_length_m=float(rng.uniform(170, 230)),
@@ -151,7 +177,9 @@ def overhead_sign(seed: int, seconds: float) -> Scene:
         for z_m in np.arange(float(rng.uniform(35, 60)), until_m, float(rng.uniform(60, 90)))
     ]
     types = (("Car", 0.7), ("Truck", 0.3))
-    users += casting.lane(rng, x_m=3.62, speed_mps=ego_mps, spacing_m=45.0, types=types, from_m=20.0, until_m=until_m)
+    users += casting.lane(
+        rng, x_m=3.62, speed_mps=ego_mps, spacing_m=45.0, types=types, from_m=20.0, until_m=until_m
+    )
     users += _fast_oncoming(rng, until_m, seconds)
     return casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "highway", (6.0, 2.0))
 
@@ -164,7 +192,9 @@ def following(seed: int, seconds: float) -> Scene:
     ego = _slow_changes(rng, mean_mps, seconds)
     kitti_type = str(rng.choice(_TYPES, p=_FRACTIONS))
     z_m = travelled_m(ego, 2.0) + CAMERA_TO_FRONT_M + SIZE_HWL_M[kitti_type][2] / 2
-    lead = casting.road_user(kitti_type, float(rng.normal(0, 0.2)), z_m, speed_changes=casting.earlier(ego, 2.0))
+    lead = casting.road_user(
+        kitti_type, float(rng.normal(0, 0.2)), z_m, speed_changes=casting.earlier(ego, 2.0)
+    )
     until_m = travelled_m(ego, seconds) + VIEW_M
     users = [lead, *_other_traffic(rng, surroundings, until_m, seconds)]
     return casting.scene_of(seed, rng, users, ego, surroundings, (4.0, 1.2))
@@ -190,45 +220,78 @@ def _rear(
         casting.road_user(kitti_type, x_m, z_m, speed_changes=target),
         *_other_traffic(rng, surroundings, ego_mps * seconds + VIEW_M, seconds),
     ]
-    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), surroundings, (4.0, 1.2)), seconds)
+    return _with_crash(
+        casting.scene_of(seed, rng, users, ((0.0, ego_mps),), surroundings, (4.0, 1.2)), seconds
+    )
 
 
 def _crossing_person(
-    rng: np.random.Generator, side: int, ego_mps: float, contact_s: float, *, speed_mps: float, size_factor: float = 1.0
+    rng: np.random.Generator,
+    side: int,
+    ego_mps: float,
+    contact_s: float,
+    *,
+    speed_mps: float,
+    size_factor: float = 1.0,
 ) -> RoadUser:
-    """A person who walks from the right (`side` 1) or left (-1) and meets the front of the ego vehicle."""
+    """A person who walks from the right (`side` 1) or left (-1) and meets the front of the ego
+    vehicle.
+    """
     hit_m = float(rng.uniform(-0.25, 0.25)) * EGO_HWL_M[1]
     z_m = ego_mps * contact_s + CAMERA_TO_FRONT_M + SIZE_HWL_M["Pedestrian"][1] / 2
     x_m, heading_rad = hit_m + side * speed_mps * contact_s, np.pi if side > 0 else 0.0
-    return casting.road_user("Pedestrian", x_m, z_m, heading_rad, speed_mps=speed_mps, size_factor=size_factor)
+    return casting.road_user(
+        "Pedestrian", x_m, z_m, heading_rad, speed_mps=speed_mps, size_factor=size_factor
+    )
 
 
 def _pavements(
-    rng: np.random.Generator, crossing_m: float, until_m: float, fraction: float, free_m: tuple[float, ...]
+    rng: np.random.Generator,
+    crossing_m: float,
+    until_m: float,
+    fraction: float,
+    free_m: tuple[float, ...],
 ) -> list[RoadUser]:
-    """Parked cars except at `free_m` from a person who crosses, people who do not meet this person, and signs."""
-    cars = casting.parked(rng, until_m=until_m, fraction=fraction, free_m=tuple(crossing_m + by_m for by_m in free_m))
-    people = [user for user in casting.walkers(rng, until_m=until_m) if abs(user.start_xz_m[1] - crossing_m) > WALK_M]
+    """Parked cars except at `free_m` from a person who crosses, people who do not meet this person,
+    and signs.
+    """
+    cars = casting.parked(
+        rng, until_m=until_m, fraction=fraction, free_m=tuple(crossing_m + by_m for by_m in free_m)
+    )
+    people = [
+        user
+        for user in casting.walkers(rng, until_m=until_m)
+        if abs(user.start_xz_m[1] - crossing_m) > WALK_M
+    ]
     return [*cars, *people, *casting.signs("city", until_m=until_m)]
 
 
-def _other_traffic(rng: np.random.Generator, surroundings: str, until_m: float, seconds: float) -> list[RoadUser]:
+def _other_traffic(
+    rng: np.random.Generator, surroundings: str, until_m: float, seconds: float
+) -> list[RoadUser]:
     if surroundings == "highway":
         users = _fast_oncoming(rng, until_m, seconds)
     else:
         users = _oncoming_traffic(rng, until_m, seconds)
     if surroundings == "city":
-        users += [*casting.parked(rng, until_m=until_m, fraction=0.5), *casting.walkers(rng, until_m=until_m)]
+        users += [
+            *casting.parked(rng, until_m=until_m, fraction=0.5),
+            *casting.walkers(rng, until_m=until_m),
+        ]
     return [*users, *casting.signs(surroundings, until_m=until_m)]
 
 
 def _oncoming_traffic(rng: np.random.Generator, until_m: float, seconds: float) -> list[RoadUser]:
     speed_mps, spacing_m = float(rng.uniform(9, 15)), float(rng.uniform(30, 60))
-    return casting.oncoming(rng, x_m=-3.5, speed_mps=speed_mps, spacing_m=spacing_m, until_m=until_m, seconds=seconds)
+    return casting.oncoming(
+        rng, x_m=-3.5, speed_mps=speed_mps, spacing_m=spacing_m, until_m=until_m, seconds=seconds
+    )
 
 
 def _fast_oncoming(rng: np.random.Generator, until_m: float, seconds: float) -> list[RoadUser]:
-    return casting.oncoming(rng, x_m=-8.5, speed_mps=30.0, spacing_m=55.0, until_m=until_m, seconds=seconds)
+    return casting.oncoming(
+        rng, x_m=-8.5, speed_mps=30.0, spacing_m=55.0, until_m=until_m, seconds=seconds
+    )
 
 
 def _slow_changes(rng: np.random.Generator, mean_mps: float, seconds: float) -> SpeedChanges:
@@ -243,18 +306,26 @@ def _slow_changes(rng: np.random.Generator, mean_mps: float, seconds: float) -> 
 
 
 def _with_crash(scene: Scene, seconds: float) -> Scene:
-    """The scene with the ego vehicle and the object that it hits braking to a standstill from the first contact on."""
+    """The scene with the ego vehicle and the object that it hits braking to a standstill from the
+    first contact on.
+    """
     contact = first_contact(scene, max(seconds, CONTACT_S[1] + 1))
     if contact is None:
         return scene
     at_s = contact.contact_s
-    row = next(row for row, user in enumerate(scene.road_users) if user.track_id == contact.track_id)
+    row = next(
+        row for row, user in enumerate(scene.road_users) if user.track_id == contact.track_id
+    )
     hit = scene.road_users[row]
     speeds = hit.speed_changes or ((0.0, hit.speed_mps),)
     ego_mps, hit_mps = speed_at_mps(scene.ego_speed_changes, at_s), speed_at_mps(speeds, at_s)
     is_person = hit.kitti_type == "Pedestrian"
     stop_s = max(1e-3 if is_person else hit_mps / CRASH_DECELERATION_MPS2, 1e-3)
-    stopping = (*(change for change in speeds if change[0] < at_s), (at_s, hit_mps), (at_s + stop_s, 0.0))
+    stopping = (
+        *(change for change in speeds if change[0] < at_s),
+        (at_s, hit_mps),
+        (at_s + stop_s, 0.0),
+    )
     stopped = replace(hit, speed_changes=stopping)
     slowed_mps = max((0.0 if is_person else hit_mps) - CRASH_DECELERATION_MPS2 * CRASH_S, 0.0)
     crash: SpeedChanges = ((at_s, ego_mps), (at_s + CRASH_S, slowed_mps))

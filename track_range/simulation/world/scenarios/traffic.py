@@ -16,7 +16,8 @@ from track_range.simulation.world.motion import LaneChange, SpeedChanges, travel
 from track_range.simulation.world.scenarios import casting
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene
 
-QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8  # between centres of standing cars, and of each car after the one ahead
+# between centres of standing cars, and of each car after the one ahead
+QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
 
@@ -33,7 +34,9 @@ def city(seed: int, seconds: float) -> Scene:
         casting.road_user("Bus", 3.6, 27.0, speed_mps=8.0),
         casting.road_user("Cyclist", 4.7, 15.0, speed_mps=4.5),
         *casting.lane(rng, x_m=3.5, speed_mps=8.0, spacing_m=26.0, from_m=52.0, until_m=until_m),
-        *casting.oncoming(rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m, seconds=seconds),
+        *casting.oncoming(
+            rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m, seconds=seconds
+        ),
         *casting.parked(rng, until_m=until_m, fraction=0.5, free_m=(crossing_m,)),
         *casting.walkers(rng, until_m=until_m),
         *casting.signs("city", until_m=until_m),
@@ -54,12 +57,34 @@ def highway(seed: int, seconds: float) -> Scene:
     until_m = travelled_m(ego, seconds) + VIEW_M
     behind_m = -4.0 * seconds
     users = [
-        casting.road_user("Car", 0.1, 34.0, speed_changes=((0, 28.5), (5, 30.5), (10, 30), (20, 29))),
+        casting.road_user(
+            "Car", 0.1, 34.0, speed_changes=((0, 28.5), (5, 30.5), (10, 30), (20, 29))
+        ),
         casting.road_user("Van", 0.0, 72.0, speed_changes=ego),
-        *casting.lane(rng, x_m=3.62, speed_mps=24.0, spacing_m=38.0, types=_TRUCKS, from_m=16.0, until_m=until_m),
-        *casting.lane(rng, x_m=-3.62, speed_mps=33.0, spacing_m=45.0, types=_FAST, from_m=behind_m, until_m=VIEW_M),
-        *casting.oncoming(rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
-        *casting.oncoming(rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m, seconds=seconds),
+        *casting.lane(
+            rng,
+            x_m=3.62,
+            speed_mps=24.0,
+            spacing_m=38.0,
+            types=_TRUCKS,
+            from_m=16.0,
+            until_m=until_m,
+        ),
+        *casting.lane(
+            rng,
+            x_m=-3.62,
+            speed_mps=33.0,
+            spacing_m=45.0,
+            types=_FAST,
+            from_m=behind_m,
+            until_m=VIEW_M,
+        ),
+        *casting.oncoming(
+            rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m, seconds=seconds
+        ),
+        *casting.oncoming(
+            rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m, seconds=seconds
+        ),
         *casting.signs("highway", until_m=until_m),
     ]
     return casting.scene_of(seed, rng, users, ego, "highway", (9.0, 2.2))
@@ -72,14 +97,32 @@ def cut_in(seed: int, seconds: float) -> Scene:
     until_m = travelled_m(ego, seconds) + VIEW_M
     braking: SpeedChanges = ((0, 24.5), (3.5, 24.5), (6, 20), (20, 23))
     users = [
-        casting.road_user("Car", 3.62, 17.0, speed_changes=braking, lane_change=LaneChange(1.5, 4.0, -3.6)),
+        casting.road_user(
+            "Car", 3.62, 17.0, speed_changes=braking, lane_change=LaneChange(1.5, 4.0, -3.6)
+        ),
         casting.road_user("Car", 0.0, 62.0, speed_changes=((0, 24), (5, 21), (20, 23))),
         casting.road_user("Truck", 3.62, 38.0, speed_mps=21.5),
-        *casting.lane(rng, x_m=3.62, speed_mps=21.5, spacing_m=40.0, types=_TRUCKS, from_m=78.0, until_m=until_m),
         *casting.lane(
-            rng, x_m=-3.62, speed_mps=29.0, spacing_m=50.0, types=_FAST, from_m=-6.0 * seconds, until_m=VIEW_M
+            rng,
+            x_m=3.62,
+            speed_mps=21.5,
+            spacing_m=40.0,
+            types=_TRUCKS,
+            from_m=78.0,
+            until_m=until_m,
         ),
-        *casting.oncoming(rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
+        *casting.lane(
+            rng,
+            x_m=-3.62,
+            speed_mps=29.0,
+            spacing_m=50.0,
+            types=_FAST,
+            from_m=-6.0 * seconds,
+            until_m=VIEW_M,
+        ),
+        *casting.oncoming(
+            rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m, seconds=seconds
+        ),
         *casting.signs("highway", until_m=until_m),
     ]
     return casting.scene_of(seed, rng, users, ego, "highway", (5.0, 1.5))
@@ -101,10 +144,15 @@ def crossing(seed: int, seconds: float) -> Scene:
     riding: SpeedChanges = ((4.0, 0), (5.0, 3.4), (8.4, 3.4), (9.2, 0))
     shift_m = float(rng.uniform(-0.8, 0.8))
     users = [
-        *(casting.road_user("Pedestrian", x_m + shift_m, z_m, rad, speed_mps=mps) for x_m, z_m, rad, mps in people),
+        *(
+            casting.road_user("Pedestrian", x_m + shift_m, z_m, rad, speed_mps=mps)
+            for x_m, z_m, rad, mps in people
+        ),
         casting.road_user("Cyclist", -7.2, line_m + 6.2, 0.0, speed_changes=riding),
         casting.road_user("Car", 0.0, line_m + 22.0, speed_mps=9.5),
-        casting.road_user("Car", -3.5, line_m + 16.0, TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))),
+        casting.road_user(
+            "Car", -3.5, line_m + 16.0, TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))
+        ),
         *casting.parked(rng, until_m=until_m, fraction=0.55, free_m=(line_m, line_m + 6)),
         *casting.walkers(rng, until_m=until_m),
         *casting.lights(line_m + 9.0),
@@ -116,7 +164,17 @@ def crossing(seed: int, seconds: float) -> Scene:
 def queue(seed: int, seconds: float) -> Scene:
     """Two lanes in stop and go, bumper to bumper."""
     rng = np.random.default_rng([seed, 15])
-    ego: SpeedChanges = ((0, 3), (2, 0), (3.5, 0), (5, 4.5), (7.5, 4.5), (9.5, 0), (11, 0), (13, 4), (20, 4))
+    ego: SpeedChanges = (
+        (0, 3),
+        (2, 0),
+        (3.5, 0),
+        (5, 4.5),
+        (7.5, 4.5),
+        (9.5, 0),
+        (11, 0),
+        (13, 4),
+        (20, 4),
+    )
     until_m = travelled_m(ego, seconds) + VIEW_M
     users = []
     for x_m, delay_s, first_m in ((0.0, 0.0, 9.5), (3.5, 1.3, 5.5)):
@@ -124,11 +182,22 @@ def queue(seed: int, seconds: float) -> Scene:
         while z_m < VIEW_M:
             changes = casting.earlier(ego, QUEUE_DELAY_S * number - delay_s)
             kitti_type = "Van" if rng.uniform() < 0.15 else "Car"
-            users.append(casting.road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, speed_changes=changes))
+            users.append(
+                casting.road_user(
+                    kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, speed_changes=changes
+                )
+            )
             number += 1
-            z_m += QUEUE_SPACING_M + travelled_m(changes, QUEUE_DELAY_S)  # which the next has done already
-    users += casting.oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m, seconds=seconds)
-    users += [*casting.walkers(rng, until_m=until_m), *casting.signs("city", until_m=until_m), *casting.lights(34.0)]
+            # which the next has done already
+            z_m += QUEUE_SPACING_M + travelled_m(changes, QUEUE_DELAY_S)
+    users += casting.oncoming(
+        rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m, seconds=seconds
+    )
+    users += [
+        *casting.walkers(rng, until_m=until_m),
+        *casting.signs("city", until_m=until_m),
+        *casting.lights(34.0),
+    ]
     return casting.scene_of(seed, rng, users, ego, "city", (3.0, 0.5))
 
 

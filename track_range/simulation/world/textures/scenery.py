@@ -1,4 +1,6 @@
-"""Textures of static scenery: ground, houses, woods, guard rails, trees, sky; BGRA, alpha 0 where transparent."""
+"""Textures of static scenery: ground, houses, woods, guard rails, trees, sky; BGRA, alpha 0 where
+transparent.
+"""
 
 from itertools import pairwise
 
@@ -18,7 +20,9 @@ _WHITE = 208.0  # grey level of lane markings
 
 
 def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
-    """Asphalt, markings and verges, seen from above: columns from x = -half_width_m, rows from near to far."""
+    """Asphalt, markings and verges, seen from above: columns from x = -half_width_m, rows from near
+    to far.
+    """
     density = kind.texels_per_m
     shape = (round(PERIOD_M * density), round(2 * kind.half_width_m * density))
     x_m = ((np.arange(shape[1]) + 0.5) / density - kind.half_width_m).astype(np.float32)
@@ -41,7 +45,9 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
     for middle_m in kind.solid_m:
         white[:, np.abs(x_m - middle_m) < _LINE_HALF_M] = True
     for middle_m in kind.dashed_m:
-        white[np.ix_(z_m % kind.dash_m[1] < kind.dash_m[0], np.abs(x_m - middle_m) < _LINE_HALF_M)] = True
+        white[
+            np.ix_(z_m % kind.dash_m[1] < kind.dash_m[0], np.abs(x_m - middle_m) < _LINE_HALF_M)
+        ] = True
     bgr[white] = _WHITE + 8.0 * np.broadcast_to(grain, bgr.shape)[white]
     return opaque(bgr)
 
@@ -53,7 +59,11 @@ def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
     stains = value_noise(rng, shape, cells=(64, 128)).astype(np.float32)
     bgr = np.zeros((*shape, 3), np.float32)
     alpha = np.zeros(shape, np.uint8)
-    starts_m = [0.0, *np.sort(rng.choice(np.arange(1, 6), 3, replace=False) * PERIOD_M / 6).tolist(), PERIOD_M]
+    starts_m = [
+        0.0,
+        *np.sort(rng.choice(np.arange(1, 6), 3, replace=False) * PERIOD_M / 6).tolist(),
+        PERIOD_M,
+    ]
     for from_m, to_m in pairwise(starts_m):
         columns = slice(round(from_m * WALL_TEXELS_PER_M), round(to_m * WALL_TEXELS_PER_M))
         top = round(float(rng.uniform(0, 0.4)) * shape[0])
@@ -76,22 +86,32 @@ def _paint_house(bgr: Picture, rng: np.random.Generator) -> None:
     bgr[2:roof:9] -= 16.0
     bgr[roof : roof + 6] -= 34.0
     is_shop = rng.uniform() < 0.5
-    for floor, sill in enumerate(range(height - density, roof + round(2.0 * density), -3 * density)):
+    for floor, sill in enumerate(
+        range(height - density, roof + round(2.0 * density), -3 * density)
+    ):
         broad = 2.0 if is_shop and floor == 0 else float(rng.uniform(0.9, 1.3))
         for left_m in np.arange(0.7, width / density - broad - 0.4, broad + 1.2):
             _paint_window(bgr, rng, (round(left_m * density), sill), round(broad * density))
     door = round(float(rng.uniform(0.1, 0.85)) * width)
-    bgr[height - round(2.1 * density) :, door : door + density] = rng.uniform(30, 70) + rng.uniform(0, 25, 3)
+    bgr[height - round(2.1 * density) :, door : door + density] = rng.uniform(30, 70) + rng.uniform(
+        0, 25, 3
+    )
 
 
-def _paint_window(bgr: Picture, rng: np.random.Generator, corner: tuple[int, int], width: int) -> None:
-    """Paint a framed window, darker at the bottom, at its lower left corner; some have a curtain."""
+def _paint_window(
+    bgr: Picture, rng: np.random.Generator, corner: tuple[int, int], width: int
+) -> None:
+    """Paint a framed window, darker at the bottom, at its lower left corner; some have a
+    curtain.
+    """
     left, sill = corner
     top = sill - round(1.5 * WALL_TEXELS_PER_M)
     frame = 4
     bgr[top - frame : sill + frame, left - frame : left + width + frame] = rng.uniform(170, 215)
     fade = np.linspace(46.0, 0.0, sill - top, dtype=np.float32)[:, None, None]
-    bgr[top:sill, left : left + width] = np.array(GLASS_BGR, np.float32) + fade + float(rng.uniform(-8, 25))
+    bgr[top:sill, left : left + width] = (
+        np.array(GLASS_BGR, np.float32) + fade + float(rng.uniform(-8, 25))
+    )
     if rng.uniform() < 0.35:
         bgr[top : sill - 20, left : left + width // 4] = rng.uniform(140, 190, 3)
     bgr[top:sill, left + width // 2 - 2 : left + width // 2 + 2] = 190.0
@@ -105,7 +125,9 @@ def woods_picture(rng: np.random.Generator, *, height_m: float) -> Image:
     leaves = value_noise(rng, shape, cells=(2, 4, 8, 16)).astype(np.float32)
     crowns = value_noise(rng, shape, cells=(32, 64, 96)).astype(np.float32)
     depth = np.linspace(1.0, 0.55, shape[0], dtype=np.float32)[:, None, None]
-    bgr = (np.array([44.0, 88.0, 70.0], np.float32) + (13.0 * leaves + 11.0 * crowns)[:, :, None]) * depth
+    bgr = (
+        np.array([44.0, 88.0, 70.0], np.float32) + (13.0 * leaves + 11.0 * crowns)[:, :, None]
+    ) * depth
     picture = opaque(bgr)
     outline = value_noise(rng, (2, shape[1]), cells=(16, 48, 96))[0] * 0.12 + 0.3
     fringe = value_noise(rng, shape, cells=(4, 8)) * 0.02
@@ -139,13 +161,19 @@ def tree_picture(rng: np.random.Generator) -> Image:
     bgr = hue * light[:, :, None] + (15.0 * leaves + 12.0 * clumps)[:, :, None]
     is_crown = radius + 0.12 * clumps + 0.06 * leaves < 0.95
     is_trunk = (np.abs(x / width - 0.5) < 0.03) & (y / height > 0.6)
-    bgr = np.where((is_trunk & ~is_crown)[:, :, None], np.array([48.0, 62.0, 76.0]) + 9.0 * leaves[:, :, None], bgr)
+    bgr = np.where(
+        (is_trunk & ~is_crown)[:, :, None],
+        np.array([48.0, 62.0, 76.0]) + 9.0 * leaves[:, :, None],
+        bgr,
+    )
     picture = opaque(bgr)
     picture[:, :, 3] = np.where(is_crown | is_trunk, 255, 0)
     return picture
 
 
-def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool) -> Image:
+def sky_picture(
+    rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool
+) -> Image:
     """The background without parallax: clouds, a distant line of trees, haze below the horizon.
 
     (H / 2, W / 2, 4) for the size `size_px` (width, height); the sky has no detail that needs more.
@@ -154,10 +182,15 @@ def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_p
     horizon = horizon_px / 2
     y = np.arange(height, dtype=np.float32)[:, None]
     fraction = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
-    above, below = np.array([232.0, 196.0, 158.0], np.float32), np.array([238.0, 232.0, 226.0], np.float32)
+    above, below = (
+        np.array([232.0, 196.0, 158.0], np.float32),
+        np.array([238.0, 232.0, 226.0], np.float32),
+    )
     # clouds: value noise, smoothed to hide its grid and stretched horizontally
     small = cv2.GaussianBlur(
-        value_noise(rng, (max(4, height // 8), max(4, width // 24)), cells=(2, 4, 8, 16)), (0, 0), 1.0
+        value_noise(rng, (max(4, height // 8), max(4, width // 24)), cells=(2, 4, 8, 16)),
+        (0, 0),
+        1.0,
     )
     noise = cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
     clouds = np.clip(noise, -0.6, 2).astype(np.float32)[:, :, None]

@@ -1,4 +1,6 @@
-"""Data of the report's map of the drive: paths of the camera and of the tracks in the frame `map`, seen from above."""
+"""Data of the report's map of the drive: paths of the camera and of the tracks in the frame `map`,
+seen from above.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ import numpy as np
 from track_range.pipeline.colours import track_colour
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.formats.poses_file import Poses
-from track_range.views.report.content.series import LINE_POINTS, TICKS_PER_M, TICKS_PER_S, column, packed, thinned
+from track_range.views.report.content.series import (
+    LINE_POINTS,
+    TICKS_PER_M,
+    TICKS_PER_S,
+    column,
+    packed,
+    thinned,
+)
 
 _TRACK_POINTS = 200  # largest number of points of the path of a track
 _MAX_TRACKS = 1000  # largest number of paths: those of the longest tracks
@@ -20,13 +29,17 @@ _MIN_ROWS = 5  # smallest number of positions of a path
 def drive_map(columns: Columns, poses: Poses | None) -> dict[str, Any] | None:
     """Paths for the page, None without a path of the camera.
 
-    Keys: `ego` and `tracks`, with packed `t`, `x`, `y` each, tracks also with `id`, `name`, `colour`, and `at` (x, y in
-    m), the median position, if most of their rows are parked.
+    Keys: `ego` and `tracks`, with packed `t`, `x`, `y` each, tracks also with `id`, `name`,
+    `colour`, and `at` (x, y in m), the median position, if most of their rows are parked.
     """
     if poses is None or len(poses.frame) < 2:
         return None
     shown = thinned(len(poses.frame), LINE_POINTS)
-    x_m, y_m, state = column(columns, "world_x_m"), column(columns, "world_y_m"), columns.get("state")
+    x_m, y_m, state = (
+        column(columns, "world_x_m"),
+        column(columns, "world_y_m"),
+        columns.get("state"),
+    )
     sigma_m, distance_m = column(columns, "fused_kf_sigma_m"), column(columns, "fused_kf_m")
     is_placed = np.isfinite(x_m) & ~(sigma_m > _MAX_SIGMA * distance_m)
     tracks = []
@@ -44,8 +57,15 @@ def drive_map(columns: Columns, poses: Poses | None) -> dict[str, Any] | None:
             track["at"] = [round(float(np.median(values[rows])), 2) for values in (x_m, y_m)]
         drawn = rows[thinned(len(rows), _TRACK_POINTS)]
         tracks.append({**track, **_path(columns["time_s"][drawn], x_m[drawn], y_m[drawn])})
-    return {"ego": _path(*(values[shown] for values in (poses.time_s, poses.x_m, poses.y_m))), "tracks": tracks}
+    return {
+        "ego": _path(*(values[shown] for values in (poses.time_s, poses.x_m, poses.y_m))),
+        "tracks": tracks,
+    }
 
 
 def _path(time_s: Any, x_m: Any, y_m: Any) -> dict[str, str]:
-    return {"t": packed(time_s, TICKS_PER_S), "x": packed(x_m, TICKS_PER_M), "y": packed(y_m, TICKS_PER_M)}
+    return {
+        "t": packed(time_s, TICKS_PER_S),
+        "x": packed(x_m, TICKS_PER_M),
+        "y": packed(y_m, TICKS_PER_M),
+    }

@@ -16,16 +16,19 @@ from track_range.results.columns import Columns, methods_measured
 from track_range.views.report.content.series import column, thinned
 from track_range.views.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 
-SCATTER_POINTS = 1500  # maximum number of points of one method in the chart of errors; more would overlap
+# maximum number of points of one method in the chart of errors; more would overlap
+SCATTER_POINTS = 1500
 BAND_M = 10.0  # width in metres of the distance bands of the median line
 MIN_IN_BAND = 3  # minimum number of errors in a band for a median
 EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)  # expected within k sigma, of the calibration curve
 
 
 def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band, per method.
+    """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band,
+    per method.
 
-    Without truth in the columns, the line holds the mean absolute error of each distance band in the summary.
+    Without truth in the columns, the line holds the mean absolute error of each distance band in
+    the summary.
     """
     curves = {}
     truth_m = _scored_truth_m(columns)
@@ -56,7 +59,9 @@ def _scored_truth_m(columns: Columns) -> FloatArray:
 
 
 def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """(Middle of a distance band in m, mean absolute error there in %) for a method's row of a summary."""
+    """(Middle of a distance band in m, mean absolute error there in %) for a method's row of a
+    summary.
+    """
     return [
         ((band["from_m"] + band["to_m"]) / 2, error_pct)
         for band in row.get("bands") or []
@@ -64,8 +69,12 @@ def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
     ]
 
 
-def median_by_distance(distance_m: FloatArray, error_pct: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middles in m of distance bands of width `BAND_M`, and median error in each with at least `MIN_IN_BAND` errors."""
+def median_by_distance(
+    distance_m: FloatArray, error_pct: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Middles in m of distance bands of width `BAND_M`, and median error in each with at least
+    `MIN_IN_BAND` errors.
+    """
     known = np.isfinite(distance_m) & np.isfinite(error_pct)
     band = np.floor(distance_m[known] / BAND_M)
     medians = [
@@ -92,14 +101,25 @@ def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str
         z = np.sort(error_m[known] / sigma_m[known])
         if len(z):
             observed = np.searchsorted(z, k, side="right") / len(z)
-            curves[method] = {"line": [_rounded(100.0 * EXPECTED_FRACTIONS), _rounded(100.0 * observed)], "n": len(z)}
+            curves[method] = {
+                "line": [_rounded(100.0 * EXPECTED_FRACTIONS), _rounded(100.0 * observed)],
+                "n": len(z),
+            }
     if curves:
         return curves
     for method, row in (summary.get("methods") or {}).items():
-        observed_at = {WITHIN_1_SIGMA: figure(row, "within_1_sigma"), WITHIN_2_SIGMA: figure(row, "within_2_sigma")}
-        fractions = {expected: fraction for expected, fraction in observed_at.items() if fraction is not None}
+        observed_at = {
+            WITHIN_1_SIGMA: figure(row, "within_1_sigma"),
+            WITHIN_2_SIGMA: figure(row, "within_2_sigma"),
+        }
+        fractions = {
+            expected: fraction for expected, fraction in observed_at.items() if fraction is not None
+        }
         if fractions:
-            x, y = [100 * expected for expected in fractions], [100 * fraction for fraction in fractions.values()]
+            x, y = (
+                [100 * expected for expected in fractions],
+                [100 * fraction for fraction in fractions.values()],
+            )
             curves[method] = {"line": [x, y], "n": row.get("n")}
     return curves
 

@@ -33,7 +33,11 @@ def kind_counts(events: Sequence[Event]) -> list[str]:
 
 def object_words(event: Event) -> str:
     """Class and identity of the object of an event, such as "car 12"."""
-    return f"{event.class_name} {event.track_id}" if event.track_id > 0 else event.class_name or "unknown object"
+    return (
+        f"{event.class_name} {event.track_id}"
+        if event.track_id > 0
+        else event.class_name or "unknown object"
+    )
 
 
 def event_details(event: Event) -> str:
@@ -42,13 +46,17 @@ def event_details(event: Event) -> str:
 
 
 def measurements(event: Event) -> list[str]:
-    """Measurements of an event in words: the state at its peak, then extremes; unknown values are omitted.
+    """Measurements of an event in words: the state at its peak, then extremes; unknown values are
+    omitted.
 
     Events of earlier versions have only extremes.
     """
     if math.isfinite(event.peak_distance_m):
         state = (
-            (event.peak_distance_m, f"at {time_words(event.peak_s)}: {event.peak_distance_m:.1f} m from the camera"),
+            (
+                event.peak_distance_m,
+                f"at {time_words(event.peak_s)}: {event.peak_distance_m:.1f} m from the camera",
+            ),
             (event.peak_ttc_s, f"collision in {event.peak_ttc_s:.1f} s"),
             (event.peak_closing_mps, f"closing {event.peak_closing_mps:.1f} m/s"),
             (event.peak_headway_s, f"headway {event.peak_headway_s:.1f} s"),
@@ -73,7 +81,9 @@ def measurements(event: Event) -> list[str]:
 
 
 def sigma_words(sigma_m: float) -> str:
-    """A standard deviation in m: centimetres below 10 cm, so that a small value is not shown as 0.0."""
+    """A standard deviation in m: centimetres below 10 cm, so that a small value is not shown as
+    0.0.
+    """
     return f"{sigma_m:.1f}" if sigma_m >= 0.095 else f"{max(sigma_m, 0.01):.2f}"
 
 
@@ -88,18 +98,26 @@ def time_words(time_s: float) -> str:
 
 def shown_events(events: Sequence[Event]) -> tuple[Event, ...]:
     """The most severe `MAX_EVENTS` events in the order of their starts."""
-    return tuple(sorted(sorted(events, key=severity_key)[:MAX_EVENTS], key=lambda event: event.start_s))
+    return tuple(
+        sorted(sorted(events, key=severity_key)[:MAX_EVENTS], key=lambda event: event.start_s)
+    )
 
 
-def clips_of(events: Sequence[Event], shown: Sequence[Event], addresses: Mapping[str, str]) -> list[str]:
-    """Addresses of the clips of shown events, "" = none; `events` are all, in the order of events.csv."""
+def clips_of(
+    events: Sequence[Event], shown: Sequence[Event], addresses: Mapping[str, str]
+) -> list[str]:
+    """Addresses of the clips of shown events, "" = none; `events` are all, in the order of
+    events.csv.
+    """
     numbers = {id(event): number for number, event in enumerate(events, 1)}
     names = (clip_name(numbers[id(event)], event.kind, event.track_id) for event in shown)
     return [addresses.get(name, "") for name in names]
 
 
 def event_records(events: Sequence[Event], clips: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Data of events for the page: kind, times in s (`warning_s` None = no warning), texts, and addresses of clips."""
+    """Data of events for the page: kind, times in s (`warning_s` None = no warning), texts, and
+    addresses of clips.
+    """
     return [
         {
             "kind": event.kind,
@@ -123,4 +141,8 @@ def event_records(events: Sequence[Event], clips: Sequence[str] = ()) -> list[di
 def hidden_events_note(events: Sequence[Event], shown: Sequence[Event]) -> str:
     """Sentence about events that the page leaves out; "" if it shows all."""
     n_hidden = len(events) - len(shown)
-    return f"The {len(shown)} most severe events are listed; {n_hidden} more are in events.csv." if n_hidden else ""
+    return (
+        f"The {len(shown)} most severe events are listed; {n_hidden} more are in events.csv."
+        if n_hidden
+        else ""
+    )

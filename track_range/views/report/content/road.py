@@ -1,16 +1,18 @@
-r"""Positions of the tracks on the road and their collision courses, for the bird's-eye view of the report.
+r"""Positions of the tracks on the road and their collision courses, for the bird's-eye view of the
+report.
 
-The camera is recovered from the rows: the boxes give the image coordinate u of their centres, and the distances z with
-the lateral positions x the slopes of their rays:
+The camera is recovered from the rows: the boxes give the image coordinate u of their centres, and
+the distances z with the lateral positions x the slopes of their rays:
 
     x / z = (u - cx) / fx        hence a line through (u, x / z) has the slope 1 / fx and passes zero at cx
 
-The course is a line x = x0 + v t through the lateral positions of the last `WINDOW_S`, by least squares. At the time to
-collision T the object passes the camera at the lateral offset
+The course is a line x = x0 + v t through the lateral positions of the last `WINDOW_S`, by least
+squares. At the time to collision T the object passes the camera at the lateral offset
 
     o = x0 + v T,    var o = s^2 (1 / n + (T - mean t)^2 / sum (t - mean t)^2) + (a T^2 / 2)^2
 
-with t = 0 now, n positions with the standard deviation s, and the standard deviation a of the lateral acceleration.
+with t = 0 now, n positions with the standard deviation s, and the standard deviation a of the
+lateral acceleration.
 """
 
 from __future__ import annotations
@@ -25,26 +27,37 @@ from track_range.results.columns import Columns, boxes_px, rows_by_track
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.report.content.series import column
 
-COURSE_S = 8.0  # longest time to collision in s of the courses that the page contains; it draws the next 4 s
-WINDOW_S = 0.8  # duration in s of the positions from which a course is computed: at least eight frames at 10 Hz
-FILTERED_WINDOW_S = 0.5  # the same for the offsets of the collision warning, whose slope is the lateral speed
+# longest time to collision in s of the courses that the page contains; it draws the next 4 s
+COURSE_S = 8.0
+# duration in s of the positions from which a course is computed: at least eight frames at 10 Hz
+WINDOW_S = 0.8
+# the same for the offsets of the collision warning, whose slope is the lateral speed
+FILTERED_WINDOW_S = 0.5
 _MIN_POSITIONS = 4  # of a course
-_LATERAL_ACCELERATION_MPS2 = 0.25  # sigma a of the lateral acceleration; a lane change reaches twice as much
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the width (`ranging`)
-_BORDER_PX = 2.0  # distance in px from the left or right image border within which a box counts as truncated
+# sigma a of the lateral acceleration; a lane change reaches twice as much
+_LATERAL_ACCELERATION_MPS2 = 0.25
+# of a box centre: px, plus a fraction of the width (`ranging`)
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
+# distance in px from the left or right image border within which a box counts as truncated
+_BORDER_PX = 2.0
 _MIN_ROWS = 3  # minimum number of rows with a position from which a camera is recovered
-_MAX_RESIDUAL = 0.02  # largest median residual of x / z, about 1 degree; of one camera below 1e-4, from rounding
+# largest median residual of x / z, about 1 degree; of one camera below 1e-4, from rounding
+_MAX_RESIDUAL = 0.02
 
 
 def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:
-    """Name of the one video of a run without a calibration by a board; None = calibrated, a pair, or several files."""
+    """Name of the one video of a run without a calibration by a board; None = calibrated, a pair,
+    or several files.
+    """
     video = (summary.get("inputs") or {}).get("mono")
     is_known = summary.get("calibration") == "rig" and not summary.get("focal_sigma")
     return None if is_known or not isinstance(video, str) else video
 
 
 def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` in px, for the calibration of one video's camera."""
+    """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` in px, for the calibration of one
+    video's camera.
+    """
     if uncalibrated_video(summary) is None or "x1_px" not in columns:
         return {}
     names = ("box_left", "box_top", "box_right", "box_bottom")
@@ -52,13 +65,16 @@ def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Float
 
 
 def road_columns(columns: Columns) -> dict[str, FloatArray]:
-    """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera cannot be recovered.
+    """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera
+    cannot be recovered.
 
-    They are in m and s; their names do not end in `_m`, since columns NAME_m are the distances of methods.
+    They are in m and s; their names do not end in `_m`, since columns NAME_m are the distances of
+    methods.
 
-    Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where the time to collision
-    `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time. It is
-    relative to the ego path if the rows contain values of `path_offset_m`, else to the camera's axis.
+    Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where
+    the time to collision `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral
+    offset of the object at that time. It is relative to the ego path if the rows contain values of
+    `path_offset_m`, else to the camera's axis.
     """
     camera = camera_of_rows(columns)
     if camera is None:
@@ -85,17 +101,26 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
         is_measured = np.isfinite(offset_m)
     for rows in rows_by_track(columns):
         road["passing"][rows], road["passing_sigma"][rows] = _courses(
-            columns["time_s"][rows], offset_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc"][rows], window_s
+            columns["time_s"][rows],
+            offset_m[rows],
+            sigma_m[rows],
+            is_measured[rows],
+            road["shown_ttc"][rows],
+            window_s,
         )
     return road
 
 
 def camera_of_rows(columns: Columns) -> PinholeCamera | None:
-    """The camera on whose rays the positions of the rows lie; None without distances, or for several cameras.
+    """The camera on whose rays the positions of the rows lie; None without distances, or for
+    several cameras.
 
     The image is as wide as the rightmost box edge requires, and its height is unknown (1).
     """
-    if not len(columns["time_s"]) or not {"x1_px", "y1_px", "x2_px", "y2_px", "x_m", "fused_m"} <= columns.keys():
+    if (
+        not len(columns["time_s"])
+        or not {"x1_px", "y1_px", "x2_px", "y2_px", "x_m", "fused_m"} <= columns.keys()
+    ):
         return None
     boxes = boxes_px(columns)
     u_px = (boxes[:, 0] + boxes[:, 2]) / 2
@@ -114,9 +139,16 @@ def camera_of_rows(columns: Columns) -> PinholeCamera | None:
 
 
 def _courses(
-    time_s: FloatArray, x_m: FloatArray, sigma_m: FloatArray, is_measured: BoolArray, ttc_s: FloatArray, window_s: float
+    time_s: FloatArray,
+    x_m: FloatArray,
+    sigma_m: FloatArray,
+    is_measured: BoolArray,
+    ttc_s: FloatArray,
+    window_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) lateral offsets of one track at its times to collision, and their standard deviations; NaN = unknown."""
+    """(N,) lateral offsets of one track at its times to collision, and their standard deviations;
+    NaN = unknown.
+    """
     first: IntArray = np.searchsorted(time_s, time_s - window_s - 1e-6)
 
     def sum_of_window(values: FloatArray) -> FloatArray:

@@ -2,8 +2,9 @@
 
     25.261 m, NaN, 25.102 m  ->  2526 cm, -, 2510 cm  ->  "2526,,-16"
 
-Times are in milliseconds, distances and sigmas in centimetres, speeds in decimetres per second. The script of the page
-decodes a track when its chart comes into view. If all tracks together have too many points, the longest are thinned.
+Times are in milliseconds, distances and sigmas in centimetres, speeds in decimetres per second. The
+script of the page decodes a track when its chart comes into view. If all tracks together have too
+many points, the longest are thinned.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from track_range.results.folder import every_of
 from track_range.views.report.tables import figure
 
 LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
-MOST_CELLS = 1_800_000  # numbers in a page, of three to four bytes; 2,000 tracks of 30 frames have 0.9 million
+# numbers in a page, of three to four bytes; 2,000 tracks of 30 frames have 0.9 million
+MOST_CELLS = 1_800_000
 MAX_BINS = 600  # maximum number of points of the timeline; a page shows about one per two pixels
 _DEFAULT_FRAME_S = 0.1  # duration of a frame in s if the rows do not determine it
 
@@ -55,7 +57,9 @@ def column(columns: Columns, name: str) -> FloatArray:
 
 
 def packed(values: FloatArray, ticks_per_unit: float) -> str:
-    """(N,) values as text: rounded to ticks, each as the difference from the last finite value, empty where NaN."""
+    """(N,) values as text: rounded to ticks, each as the difference from the last finite value,
+    empty where NaN.
+    """
     known = np.isfinite(values)
     steps = np.diff(np.round(values[known] * ticks_per_unit), prepend=0.0).astype(np.int64)
     cells = np.full(len(values), "", dtype=object)
@@ -65,17 +69,24 @@ def packed(values: FloatArray, ticks_per_unit: float) -> str:
 
 def thinned(n: int, limit: int) -> IntArray:
     """At most `limit` of n rows, evenly spaced, including the first and the last."""
-    return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
+    return (
+        np.arange(n)
+        if n <= limit
+        else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
+    )
 
 
 def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     """Data of each track for the page, longest track first; series without values are omitted.
 
-    Keys: id, name (class), is_user (no light or sign), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct
-    (None = unknown); t, and the keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all
-    observed); m and s: distance and sigma by method.
+    Keys: id, name (class), is_user (no light or sign), colour, n (frames), from_s, to_s; near_m,
+    ttc_s, error_pct (None = unknown); t, and the keys of `_SERIES`; observed ("1101": the third box
+    was predicted; missing = all observed); m and s: distance and sigma by method.
     """
-    row_sets, methods = sorted(rows_by_track(columns), key=len, reverse=True), methods_measured(columns)
+    row_sets, methods = (
+        sorted(rows_by_track(columns), key=len, reverse=True),
+        methods_measured(columns),
+    )
     names = [name for name, _, _ in _SERIES]
     names += [f"{method}_{part}" for method in methods for part in ("m", "sigma_m")]
     n_series = 3 + sum(name in columns for name in names)
@@ -93,8 +104,14 @@ def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
 
 
 def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
-    near_m, ttc_s = (extremes[key] and round(extremes[key], 1) for key in ("min_distance_m", "min_ttc_front_s"))
-    time_s, fused_m, truth_m = column(track, "time_s"), column(track, "fused_m"), column(track, "truth_m")
+    near_m, ttc_s = (
+        extremes[key] and round(extremes[key], 1) for key in ("min_distance_m", "min_ttc_front_s")
+    )
+    time_s, fused_m, truth_m = (
+        column(track, "time_s"),
+        column(track, "fused_m"),
+        column(track, "truth_m"),
+    )
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
     error = error[np.isfinite(error)]
     track_id = extremes["track_id"]
@@ -121,7 +138,9 @@ def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
     for name, key, ticks in _SERIES:
         record |= series(name, key, ticks)
     observed = column(track, "observed") != 0
-    record |= {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
+    record |= (
+        {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
+    )
     for method in methods:
         record["m"] |= series(f"{method}_m", method, TICKS_PER_M)
         record["s"] |= series(f"{method}_sigma_m", method, TICKS_PER_M)
@@ -131,9 +150,9 @@ def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
 def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Data of the timeline: number of road users and ego speed over the time of a run.
 
-    Keys: `from_s`, `to_s`, `frame_s` (time between processed frames); `t`, `n`: packed times and largest numbers of
-    road users; `ego`: ego speed, if known. Times are the starts of equal bins. The time span covers the frames of the
-    summary and the rows.
+    Keys: `from_s`, `to_s`, `frame_s` (time between processed frames); `t`, `n`: packed times and
+    largest numbers of road users; `ego`: ego speed, if known. Times are the starts of equal bins.
+    The time span covers the frames of the summary and the rows.
     """
     time_s, frame = column(columns, "time_s"), column(columns, "frame")
     first_s, n_frames = figure(summary, "starts_s") or 0.0, figure(summary, "frames") or 0.0
