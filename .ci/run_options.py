@@ -7,6 +7,7 @@ python .ci/run_options.py [--check]
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -18,7 +19,10 @@ from track_range.run.settings import PipelineOptions, RunSettings
 
 FILE = Path(__file__).parents[1] / "track_range/run/option_types.py"
 
-HEAD = '''"""Keyword arguments of `Run` and `Pipeline`, for type checkers; written by `.ci/run_options.py`."""
+HEAD = '''"""Keyword arguments of `Run` and `Pipeline`, for type checkers.
+
+Written by `.ci/run_options.py`.
+"""
 
 from __future__ import annotations
 
@@ -75,6 +79,8 @@ def main() -> None:
     text = "".join(
         [HEAD, *(lines[name] for name in shared), RUN_HEAD, *(lines[name] for name in of_run)]
     )
+    ruff = [sys.executable, "-m", "ruff", "format", "--line-length", "100", "-"]
+    text = subprocess.run(ruff, input=text, capture_output=True, text=True, check=True).stdout
     if "--check" not in sys.argv:
         FILE.write_text(text, encoding="utf-8")
     elif text != FILE.read_text(encoding="utf-8"):

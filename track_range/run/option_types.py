@@ -1,4 +1,7 @@
-"""Keyword arguments of `Run` and `Pipeline`, for type checkers; written by `.ci/run_options.py`."""
+"""Keyword arguments of `Run` and `Pipeline`, for type checkers.
+
+Written by `.ci/run_options.py`.
+"""
 
 from __future__ import annotations
 
