@@ -57,17 +57,20 @@ lane detection is enabled; camera_height: the height of the camera above the roa
 """
 
 RESERVED_NAMES = (
-    "fused",
-    "fuse",
-    "read",
-    "lanes",
-    "detect",
-    "track",
-    "write",
-    "x",
-    "y",
-    "truth",
-    "scored_truth",
+    *(
+        "read",
+        "lanes",
+        "detect",
+        "track",
+        "ego",
+        "doubt",
+        "fuse",
+        "filter",
+        "world",
+        "alarm",
+        "write",
+    ),
+    *("fused", "x", "y", "truth", "scored_truth"),
 )
 """Names of result columns and pipeline stages, which a method cannot have."""
 
@@ -327,6 +330,13 @@ class RangingMethod:
         for expected, holds in is_met.items():
             if not holds:
                 raise MethodError(f"ranging method {self.name!r}: {expected}")
+
+    @property
+    def has_rig_scale(self) -> bool:
+        """Whether its distances have the scale of the rig, which an error of the baseline
+        changes.
+        """
+        return any(source.name == "baseline" for source in self.error_sources)
 
     @property
     def uses_size_model(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,6 +59,15 @@ class Ranges:
         known_m = self.distance_m[np.isfinite(self.distance_m)]
         span = f", {known_m.min():.1f} to {known_m.max():.1f} m" if len(known_m) else ""
         return f"Ranges({len(known_m)} of {len(self)} measured{span})"
+
+    def widened(self, relative_sigma: float) -> Ranges:
+        """The ranges with a further error, independent of theirs, of `relative_sigma` times the
+        distance.
+        """
+        if not relative_sigma:
+            return self
+        sigma_m = np.hypot(self.sigma_m, relative_sigma * self.distance_m)
+        return replace(self, sigma_m=sigma_m)
 
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:

@@ -16,17 +16,16 @@ from track_range.foundation.errors import named_errors
 from track_range.foundation.registry import Registry, imported
 from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
 
-_METHODS_FOLDER = "track_range.ranging.methods"
 # built-in ones in the order of columns, tables and stages
 METHODS: Registry[RangingMethod] = Registry(
     "track_range.ranging_methods",
     {
-        "mono": f"{_METHODS_FOLDER}.size_regression:MONO",
-        "ground": f"{_METHODS_FOLDER}.ground_plane:GROUND",
-        "lane": f"{_METHODS_FOLDER}.lane_width:LANE",
-        "stereo": f"{_METHODS_FOLDER}.patch_stereo:STEREO",
-        "sgbm": f"{_METHODS_FOLDER}.dense_stereo:SGBM",
-        "expansion": f"{_METHODS_FOLDER}.expansion:EXPANSION",
+        "mono": "track_range.ranging.methods.size_regression:MONO",
+        "ground": "track_range.ranging.methods.ground_plane:GROUND",
+        "lane": "track_range.ranging.methods.lane_width:LANE",
+        "stereo": "track_range.ranging.methods.patch_stereo:STEREO",
+        "sgbm": "track_range.ranging.methods.dense_stereo:SGBM",
+        "expansion": "track_range.ranging.methods.expansion:EXPANSION",
     },
 )
 

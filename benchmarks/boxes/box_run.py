@@ -20,10 +20,16 @@ from benchmarks.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.pipeline.alarming import AlarmStage
+from track_range.pipeline.clock import StageClock
+from track_range.pipeline.detecting import Detected, DetectionStage
+from track_range.pipeline.doubting import DoubtStage
+from track_range.pipeline.ego import EgoStage
+from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
-from track_range.pipeline.throughput import StageClock
+from track_range.pipeline.ranging import RangingStage
+from track_range.pipeline.world import WorldStage
 from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
@@ -93,14 +99,16 @@ def run_boxes(
         rangers[STEREO.name] = source
     speeds_mps = np.array([drive.scene.speed_mps(time_s) for time_s in times_s.tolist()])
     pipeline = FramePipeline(
-        camera=camera,
         detection=DetectionStage(detect=lambda frame: Detections.empty()),
         tracker=source,
         ego=EgoStage(
             speed=EgoSpeed(times_s, speeds_mps, "simulation"), image_motion=_TrueYaw(camera, drive)
         ),
         ranging=RangingStage(rangers),
-        warning=warning or CollisionWarning(),
+        doubting=DoubtStage(),
+        filtering=FilterStage(camera),
+        world=WorldStage(camera),
+        alarming=AlarmStage(camera, warning or CollisionWarning()),
         clock=_NoClock(),
     )
     image = _no_image(camera)

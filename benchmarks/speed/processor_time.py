@@ -45,7 +45,7 @@ STEPS: dict[str, tuple[str, ...]] = {
     ),
     "appearance": ("tracking.appearance.embeddings:ColourLayout.embed",),
     "tracking": ("tracking.deepsort:DeepSortTracker.update",),
-    "ranging": ("pipeline.stages:RangingStage.measure",),
+    "ranging": ("pipeline.ranging:RangingStage.measure",),
     "fusion, filters, warnings": ("pipeline.frame_pipeline:FramePipeline.step",),
     "drawing": ("views.overlay.annotator:Overlay.draw",),
     "colour conversion, written": ("views.video_writer:_i420",),

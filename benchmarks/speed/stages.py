@@ -6,6 +6,7 @@ import tempfile
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,10 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import Image
+from track_range.pipeline.alarming import Alarms
+from track_range.pipeline.filtering import Approach, noise_shares
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import noise_shares
+from track_range.pipeline.world import World
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger
@@ -322,15 +325,19 @@ def written_frames(n_frames: int) -> Iterator[FrameResult]:
             for i, name in enumerate(methods_with_sigma())
         }
         closing_mps = 10.0 + 0.3 * rng.standard_normal(N_TRACKS)
+        xyz_m = np.stack(
+            [(centre_x - 620) / 1000 * distance_m, np.ones(N_TRACKS), distance_m], axis=1
+        )
         yield FrameResult(
             frame=Frame(index, index / FPS, np.zeros((0, 0, 3), np.uint8), None),
             tracks=tracks,
             ranges=ranges,
-            closing_mps=closing_mps,
-            closing_sigma_mps=np.full(N_TRACKS, 0.3),
-            ttc_s=distance_m / closing_mps,
-            ttc_sigma_s=0.03 * distance_m / closing_mps,
-            xyz_m=np.stack(
-                [(centre_x - 620) / 1000 * distance_m, np.ones(N_TRACKS), distance_m], axis=1
+            approach=Approach(
+                closing_mps,
+                np.full(N_TRACKS, 0.3),
+                distance_m / closing_mps,
+                0.03 * distance_m / closing_mps,
             ),
+            world=replace(World.unknown(N_TRACKS), xyz_m=xyz_m),
+            alarms=Alarms.none(N_TRACKS),
         )

@@ -109,7 +109,7 @@ class RangeNode(Node):
             if math.isfinite(t.distance_m)
         ]
         self.publisher.publish(Detection3DArray(header=left.header, detections=detections))
-        for row in [] if result.warnings is None else np.flatnonzero(result.warnings.active):
+        for row in np.flatnonzero(result.warnings.active):
             self.get_logger().warning(f"collision warning: {result.objects[row]}")
 
 

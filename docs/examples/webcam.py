@@ -38,7 +38,7 @@ def main() -> None:
                 else capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
             )
             result = pipeline.step(image, time_s)
-            for row in [] if result.warnings is None else result.warnings.active.nonzero()[0]:
+            for row in result.warnings.active.nonzero()[0]:
                 print(f"{time_s:.1f} s: collision warning, {result.objects[row]}")
             nearest = min(
                 (t for t in result.objects if t.distance_m > 0),

@@ -51,7 +51,7 @@ from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.camera_height import CameraHeight
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import Ego
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
@@ -223,30 +223,38 @@ class ScaleCheck:
         self,
         tracks: Tracks,
         by_size: Ranges,
-        stereo: Ranges | None,
+        by_rig: Ranges | None,
         *,
-        time_s: float,
-        road: RoadView | None = None,
+        ego: Ego,
         lanes: LaneLines | None = None,
-        by_pair: EgoMotion | None = None,
-        by_road: EgoMotion | None = None,
-        given: EgoMotion | None = None,
-    ) -> None:
-        """Add a frame: distances by size (without the correction of the drive's scale) and by
-        stereo of its tracks.
+        time_s: float,
+    ) -> ScaleDoubt | None:
+        """The contradiction after a frame, None = none was found: from distances by size (without
+        the correction of the drive's scale) and with the scale of the rig, of its tracks.
 
-        `road` is the road in the frame. The speed of the camera comes from stereo odometry, from
-        the motion of the road with the height `road_height_m`, and from the user; None = unknown.
+        The speed of the camera comes from stereo odometry, from the motion of the road with the
+        height `road_height_m`, and from the user.
         """
-        self._add(tracks, by_size, stereo, road)
+        self._add(tracks, by_size, by_rig, ego.road)
         if self._shapes is not None:
             self._shapes.add(tracks, time_s)
-        if lanes is not None and lanes.left is not None and lanes.right is not None:
-            opening = float((lanes.right.coefficients - lanes.left.coefficients)[1])
-            if opening > 0:
-                self._log_openings.append(
-                    math.log(opening * self._camera.fy_px / self._camera.fx_px)
-                )
+        if lanes is not None:
+            self._add_lanes(lanes)
+        self._add_speeds(ego, time_s)
+        if time_s >= self._due_s:
+            self._due_s = time_s + _INTERVAL_S
+            self._evaluate(time_s)
+        return self.doubt
+
+    def _add_lanes(self, lanes: LaneLines) -> None:
+        if lanes.left is None or lanes.right is None:
+            return
+        opening = float((lanes.right.coefficients - lanes.left.coefficients)[1])
+        if opening > 0:
+            self._log_openings.append(math.log(opening * self._camera.fy_px / self._camera.fx_px))
+
+    def _add_speeds(self, ego: Ego, time_s: float) -> None:
+        by_pair, by_road, given = ego.by_pair, ego.by_road, ego.given
         if by_pair is not None:
             self._speeds_mps.append(by_pair.speed_mps)
             low_mps = float(np.min(self._speeds_mps))
@@ -261,9 +269,6 @@ class ScaleCheck:
                 self._speed_ratio.update(time_s, by_pair, given)
             elif by_road is not None:
                 self._given_height.update(time_s, given, by_road)
-        if time_s >= self._due_s:
-            self._due_s = time_s + _INTERVAL_S
-            self._evaluate(time_s)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """ScaleDoubt: a given scale that the drive contradicts, as values and as a sentence."""
 
 import math
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 Cause = Literal["baseline", "focal length", "speed", "camera height"]
@@ -28,14 +28,17 @@ class ScaleDoubt(NamedTuple):
     causes: tuple[tuple[Cause, float], ...]
     evidence: str  # what shows it
 
-    def sigma_of(self, causes: Set[Cause]) -> float:
-        """Relative standard deviation that covers both scales, for distances that one of these
-        causes changes.
-        """
-        factors = [factor for cause, factor in self.causes if cause in causes]
-        return max(
-            (abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0
-        )
+    @property
+    def cause_names(self) -> list[Cause]:
+        """What may be wrong, the most likely first."""
+        return [cause for cause, _ in self.causes]
+
+    @property
+    def sigma_by_cause(self) -> dict[Cause, float]:
+        """Relative standard deviations that cover both scales, of what each cause changes."""
+        return {
+            cause: abs(1.0 - 1.0 / factor) + self.sigma / factor for cause, factor in self.causes
+        }
 
     def sentence(self, baseline_m: float | None) -> str:
         """The value in doubt, with the mistakes that fit, and the evidence."""

@@ -85,6 +85,14 @@ class SafetyMeasures:
     lane_index_sigma: FloatArray
     is_lead: BoolArray
 
+    @classmethod
+    def unknown(cls, n: int) -> SafetyMeasures:
+        """Measures of n tracks about which nothing is known."""
+        numbers = {
+            field.name: np.full(n, np.nan) for field in fields(cls) if field.name != "is_lead"
+        }
+        return cls(**numbers, is_lead=np.zeros(n, np.bool_))
+
     def select(self, rows: slice) -> SafetyMeasures:
         """The tracks in the given rows."""
         return SafetyMeasures(*(getattr(self, field.name)[rows] for field in fields(self)))

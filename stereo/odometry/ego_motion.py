@@ -1,5 +1,5 @@
-"""EgoMotion: speed and yaw rate of the camera; CameraStep: motion between images; Odometry measures
-both.
+"""EgoMotion: speed and yaw rate of the camera; CameraStep: motion between images; Ego: what one
+frame shows of both and of the road; Odometry measures them.
 """
 
 import math
@@ -9,6 +9,7 @@ from typing import Protocol
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.road_horizon import RoadView
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,19 @@ class CameraStep:
     travelled_m: float  # distance travelled
     travelled_sigma: float  # relative standard deviation of `travelled_m`, the same in all frames
     now: FlowFrame  # the images of this frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ego:
+    """The camera's own motion as one frame shows it; None = unknown, or not measured."""
+
+    motion: EgoMotion  # speed and yaw rate that are used
+    road: RoadView | None = None  # the road in the frame, lengths in metres
+    step: CameraStep | None = None  # motion of the camera since the previous frame
+    by_pair: EgoMotion | None = None  # by stereo odometry, also where `motion` was given
+    by_road: EgoMotion | None = None  # by the motion of the road, with the assumed camera height
+    given: EgoMotion | None = None  # as given, also where it is not trusted
+    trusts_given: bool = True  # whether a given speed is used
 
 
 class Odometry(Protocol):

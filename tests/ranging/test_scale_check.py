@@ -8,12 +8,13 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt, causes_of
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
@@ -85,12 +86,15 @@ def check_of(
             tracks,
             Ranges(ids, by_size, 0.1 * by_size),
             stereo,
-            time_s=0.1 * k,
-            road=RoadView(horizon=0.0, horizon_variance=1e-6) if has_road else None,
+            ego=Ego(
+                motion=EgoMotion(),
+                road=RoadView(horizon=0.0, horizon_variance=1e-6) if has_road else None,
+                by_pair=by_pair,
+                by_road=by_road if has_speed and has_road else None,
+                given=None if speed is None else EgoMotion(true_mps * speed, 0.2),
+            ),
             lanes=lanes,
-            by_pair=by_pair,
-            by_road=by_road if has_speed and has_road else None,
-            given=None if speed is None else EgoMotion(true_mps * speed, 0.2),
+            time_s=0.1 * k,
         )
     return check
 
@@ -199,6 +203,7 @@ def test_a_doubt_that_ends_is_remembered():
             tracks,
             Ranges(ids, true_m, 0.1 * true_m),
             Ranges(ids, true_m, 0.02 * true_m),
+            ego=Ego(motion=EgoMotion()),
             time_s=0.1 * k,
         )
     assert check.doubt is None
@@ -243,7 +248,7 @@ def test_a_sentence_names_the_causes_that_fit():
 @pytest.mark.parametrize("factor", [0.4, 2.5])
 def test_sigma_covers_both_scales(factor):
     distance_m = 20.0
-    doubt = ScaleDoubt(factor, 0.1, 3, (("baseline", factor),), "sizes")
+    doubt = Doubt.of(ScaleDoubt(factor, 0.1, 3, (("baseline", factor),), "sizes"))
     sigma_m = doubt.sigma_of(causes_of(["baseline", "own"], has_rig=True)) * distance_m
     assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
     assert doubt.sigma_of(causes_of(["size"], has_rig=True)) == 0.0

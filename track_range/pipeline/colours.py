@@ -67,7 +67,7 @@ def warning_colour(result: FrameResult, row: int) -> Bgr | None:
 
     Results without warnings have the colours of their times to collision.
     """
-    if result.warnings is None:
+    if not result.alarms.has_warnings:
         return alarm_colour(float(result.ttc_s[row]))
     if result.warnings.active[row]:
         return RED

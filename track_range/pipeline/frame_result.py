@@ -4,15 +4,18 @@ object.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
+from track_range.pipeline.alarming import Alarms
+from track_range.pipeline.filtering import Approach
+from track_range.pipeline.world import World
+from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
@@ -20,6 +23,7 @@ from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.stereo.geometry.frames import Frame, ImageView
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 
@@ -78,46 +82,29 @@ class FrameResult:
         tracks: N boxes with identities.
         ranges: distances by name of the method, including "fused" and the filtered ones (NAME_kf);
             a method that did not run is absent.
-        closing_mps: (N,) closing speed in m/s (positive = approaching), from the filtered fused
-            distance; NaN = unknown.
-        closing_sigma_mps: (N,) its standard deviation.
-        ttc_s: (N,) time to collision in seconds, distance / closing speed; NaN = not approaching.
-        ttc_sigma_s: (N,) its standard deviation.
-        xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the
-            fused distance; NaN = unknown.
+        approach: closing speed and time to collision of each track.
+        world: ranged point, speed over ground and world position of each track, and the pose of the
+            camera.
+        alarms: warnings and measures of safety of each track; unknown in a run without warnings.
+        ego: speed of the camera along its axis, its standard deviation, and the yaw rate.
+        lanes: lines of the ego lane; without lines if no lane detector ran.
+        doubt: contradiction between given values and the drive, and the errors that follow.
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
-        lanes: lines of the ego lane; None if no lane detector ran.
         candidates: all detections of the frame, including other classes and low scores; None = not
             needed.
-        ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
-        ego_sigma_mps: its standard deviation; NaN = unknown.
-        warnings: probability of contact and alarm of each track; None if they were not estimated.
-        scale_doubt: contradiction between a given scale and the drive; None if there is none.
-        motion: speed over ground, heading, world position and state of each track; None if they
-            were not estimated.
-        ego_pose: pose of the camera in the frame `map`; None if it was not estimated.
-        safety: gap, headway, required deceleration and further measures of each track; None if they
-            were not estimated.
     """
 
     frame: Frame
     tracks: Tracks
     ranges: Mapping[str, Ranges]
-    closing_mps: FloatArray
-    closing_sigma_mps: FloatArray
-    ttc_s: FloatArray
-    ttc_sigma_s: FloatArray
-    xyz_m: FloatArray
-    disparity: npt.NDArray[np.float32] | None = None
-    lanes: LaneLines | None = None
+    approach: Approach
+    world: World
+    alarms: Alarms
+    ego: EgoMotion = field(default_factory=EgoMotion)
+    lanes: LaneLines = field(default_factory=LaneLines)
+    doubt: Doubt = field(default_factory=Doubt)
+    disparity: FloatArray32 | None = None
     candidates: Detections | None = None
-    ego_mps: float = math.nan
-    ego_sigma_mps: float = math.nan
-    warnings: Warnings | None = None
-    scale_doubt: ScaleDoubt | None = None
-    motion: ObjectMotion | None = None
-    ego_pose: EgoPose | None = None
-    safety: SafetyMeasures | None = None
 
     def __repr__(self) -> str:
         objects = self.objects
@@ -139,7 +126,7 @@ class FrameResult:
         tracks = self.tracks
         unmeasured = Ranges.unmeasured(tracks.track_id)
         fused, filtered = (self.ranges.get(name, unmeasured) for name in ("fused", "fused_kf"))
-        motion = self.motion or ObjectMotion.unknown(len(tracks))
+        motion = self.motion
         names = np.array([*MOTION_STATES, ""])[
             np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)
         ]
@@ -160,6 +147,70 @@ class FrameResult:
             *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
         )
         return tuple(map(TrackedObject, *columns))
+
+    @property
+    def closing_mps(self) -> FloatArray:
+        """(N,) closing speed in m/s (positive = approaching), from the filtered fused distance; NaN
+        = unknown.
+        """
+        return self.approach.closing_mps
+
+    @property
+    def closing_sigma_mps(self) -> FloatArray:
+        """(N,) standard deviation of the closing speed."""
+        return self.approach.closing_sigma_mps
+
+    @property
+    def ttc_s(self) -> FloatArray:
+        """(N,) time to collision in s, distance / closing speed; NaN = not approaching."""
+        return self.approach.ttc_s
+
+    @property
+    def ttc_sigma_s(self) -> FloatArray:
+        """(N,) standard deviation of the time to collision."""
+        return self.approach.ttc_sigma_s
+
+    @property
+    def xyz_m(self) -> FloatArray:
+        """(N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the
+        fused distance; NaN = unknown.
+        """
+        return self.world.xyz_m
+
+    @property
+    def motion(self) -> ObjectMotion:
+        """Speed over ground, heading, world position and state of each track."""
+        return self.world.motion
+
+    @property
+    def ego_pose(self) -> EgoPose:
+        """Pose of the camera in the frame `map`; NaN = unknown."""
+        return self.world.ego_pose
+
+    @property
+    def ego_mps(self) -> float:
+        """Speed of the camera along its axis in m/s, negative = backwards; NaN = unknown."""
+        return self.ego.speed_mps
+
+    @property
+    def ego_sigma_mps(self) -> float:
+        """Standard deviation of the speed of the camera; NaN = unknown."""
+        return self.ego.speed_sigma_mps
+
+    @property
+    def warnings(self) -> Warnings:
+        """Probability of contact and alarm of each track; unknown in a run without warnings."""
+        return self.alarms.warnings
+
+    @property
+    def safety(self) -> SafetyMeasures:
+        """Gap, headway, required deceleration and further measures of each track."""
+        return self.alarms.safety
+
+    @property
+    def scale_doubt(self) -> ScaleDoubt | None:
+        """Contradiction between a given scale and the drive; None = none was found."""
+        return self.doubt.scale
 
     @property
     def left(self) -> Image:

@@ -14,9 +14,9 @@ from threading import Semaphore
 from typing import TypeVar
 
 from track_range.foundation.prefetch import prefetch
+from track_range.pipeline.detecting import Detected, Prepared
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import Detected, Prepared
 from track_range.stereo.geometry.frames import Frame
 
 _T = TypeVar("_T")

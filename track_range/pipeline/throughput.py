@@ -1,66 +1,19 @@
-"""StageClock: time spent in each stage of a run; FrameMeter: its results per second, and latency of
-a live run.
-
-PacedFrames makes a live source of a recording.
+"""FrameMeter: results of a run per second, and latency of a live run; PacedFrames makes a live
+source of a recording.
 """
 
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
-from threading import Event, Lock
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from threading import Event
 from typing import Any, Protocol
 
 import numpy as np
 
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.registry import methods
 from track_range.stereo.geometry.frames import Frame
-
-_WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured in wall-clock time
-
-
-def stage_names() -> tuple[str, ...]:
-    """Names of the stages of a run in their order; each ranging method is a stage."""
-    return (
-        "read",
-        "lanes",
-        "detect",
-        "track",
-        *(method.name for method in methods()),
-        "fuse",
-        "write",
-    )
-
-
-class StageClock:
-    """Time spent in each stage, summed over all threads.
-
-    Stages are measured in processor time of their thread, so that waiting for a core (stages have a
-    lower priority than inference) does not count. Inference, which has its own threads, is measured
-    in wall-clock time.
-    """
-
-    def __init__(self) -> None:
-        self.busy_s = dict.fromkeys(stage_names(), 0.0)  # seconds so far, by stage
-        self._lock = Lock()
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time of the with-block to a stage."""
-        now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
-        start_s = now_s()
-        try:
-            yield
-        finally:
-            self.add(name, now_s() - start_s)
-
-    def add(self, name: str, seconds: float) -> None:
-        """Add seconds that were measured elsewhere to a stage."""
-        with self._lock:
-            self.busy_s[name] = self.busy_s.get(name, 0.0) + seconds
-
 
 _WINDOW_S = 2.0  # time window in seconds over which the rate of results is averaged
 _N_RECENT = 300  # frames of which the progress line states the latency

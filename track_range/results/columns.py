@@ -45,17 +45,6 @@ SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` t
     "lane_index": "",
     "lane_index_sigma": "",
 }
-_DISTANCES = (
-    "mono",
-    "ground",
-    "lane",
-    "stereo",
-    "sgbm",
-    "fused",
-    "mono_kf",
-    "stereo_kf",
-    "fused_kf",
-)
 TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
 _TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}
@@ -107,7 +96,7 @@ def result_columns() -> tuple[ResultColumn, ...]:
             ResultColumn(f"{edge}_px", "px", _axis("tracks.xyxy_px", i))
             for i, edge in enumerate(("x1", "y1", "x2", "y2"))
         ),
-        *(_of_method(name, part) for name in _DISTANCES for part in ("m", "sigma_m")),
+        *(_of_method(name, part) for name in _first_distances() for part in ("m", "sigma_m")),
         ResultColumn("x_m", "m", _axis("xyz_m", 0)),
         ResultColumn("y_m", "m", _axis("xyz_m", 1)),
         ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
@@ -136,6 +125,17 @@ def result_columns() -> tuple[ResultColumn, ...]:
     names = {column.name for column in columns}
     own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
     return (*columns, *own, *in_world, *_method_columns(is_built_in=False))
+
+
+def _first_distances() -> list[str]:
+    """Names of the distances of the first columns: by the built-in methods, fused, and filtered."""
+    built_in = [
+        method
+        for method in methods()
+        if method.name in METHODS.built_in and method.measures_distance
+    ]
+    filtered = [f"{method.name}_kf" for method in built_in if method.is_filtered]
+    return [*(method.name for method in built_in), "fused", *filtered, "fused_kf"]
 
 
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:

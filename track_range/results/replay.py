@@ -10,15 +10,20 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
+from track_range.pipeline.alarming import Alarms
+from track_range.pipeline.filtering import Approach
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.world import World
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.results.columns import SAFETY_UNITS, Columns, boxes_px, methods_with_sigma
 from track_range.results.formats.poses_file import Poses
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
@@ -43,11 +48,12 @@ def frames_of_rows(
     known_s = columns["time_s"][first_row]
     unknown = np.full(len(frame), np.nan)  # files of earlier versions lack some columns
     utc_s, ego_mps = columns.get("utc", unknown), columns.get("ego_mps", unknown)
-    warnings = None
-    if "contact_probability" in columns and "warning" in columns:
+    warnings = Warnings.unknown(len(frame))
+    has_warnings = "contact_probability" in columns and "warning" in columns
+    if has_warnings:
         path_offset_m = columns.get("path_offset_m", unknown)
         warnings = Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
-    motion = None
+    motion = ObjectMotion.unknown(len(frame))
     if "world_x_m" in columns:
         codes: dict[str, float] = {name: code for code, name in enumerate(MOTION_STATES)}
         state = np.array(
@@ -57,8 +63,8 @@ def frames_of_rows(
             name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"
         }
         motion = ObjectMotion(**numbers, state=state)
-    safety = None
-    if "gap_m" in columns:
+    safety, has_safety = SafetyMeasures.unknown(len(frame)), "gap_m" in columns
+    if has_safety:
         measures = {name: columns.get(name, unknown) for name in SAFETY_UNITS}
         safety = SafetyMeasures(**measures, is_lead=columns.get("is_lead", unknown) > 0)
     methods = set(methods)
@@ -97,16 +103,19 @@ def frames_of_rows(
                 )
                 for name in measured
             },
-            closing_mps=columns["closing_mps"][rows],
-            closing_sigma_mps=columns["closing_sigma_mps"][rows],
-            ttc_s=columns["ttc_s"][rows],
-            ttc_sigma_s=columns["ttc_sigma_s"][rows],
-            xyz_m=np.stack(
-                [columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1
+            approach=Approach(
+                columns["closing_mps"][rows],
+                columns["closing_sigma_mps"][rows],
+                columns["ttc_s"][rows],
+                columns["ttc_sigma_s"][rows],
             ),
-            ego_mps=float(ego_mps[first]) if last > first else math.nan,
-            warnings=None if warnings is None else warnings.select(rows),
-            motion=None if motion is None else motion.select(rows),
-            ego_pose=None if poses is None else poses.at(index),
-            safety=None if safety is None else safety.select(rows),
+            world=World(
+                np.stack(
+                    [columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1
+                ),
+                motion.select(rows),
+                (None if poses is None else poses.at(index)) or EgoPose(),
+            ),
+            alarms=Alarms(warnings.select(rows), safety.select(rows), has_warnings, has_safety),
+            ego=EgoMotion(float(ego_mps[first]) if last > first else math.nan),
         )

@@ -8,8 +8,14 @@ from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.pipeline.alarming import AlarmStage
+from track_range.pipeline.detecting import DetectionStage
+from track_range.pipeline.doubting import DoubtStage
+from track_range.pipeline.ego import EgoStage
+from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.stages import DetectionStage, EgoStage, RangingStage
+from track_range.pipeline.ranging import RangingStage
+from track_range.pipeline.world import WorldStage
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
@@ -87,15 +93,55 @@ def open_pipeline(
     or lane network cannot be used; TrackerError: the tracker cannot be created; MethodError:
     ranging methods of other packages depend on each other in a cycle.
     """
-    yaw_deg, aligned = calibration.view.yaw_deg, calibration.alignment
-    is_ahead = yaw_deg == 0
-    runtime = Runtime(n_threads=settings.threads, device=settings.device)
-    context = MethodContext(
+    is_ahead = calibration.view.yaw_deg == 0
+    context = _method_context(settings, calibration, boxes, size_model, region)
+    if alignment is not None:
+        context = replace(context, alignment=alignment, drifting_alignment=alignment)
+    flow = BackgroundFlow()
+    runtime = context.runtime or Runtime()
+    tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
+    appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
+    lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
+    ego = _ego_stage(
+        context, flow, ego_speed, measures_speed=measures_speed, yaw_deg=calibration.view.yaw_deg
+    )
+    check = _scale_check(context, settings.lane_width_m) if is_ahead else None
+    warning = CollisionWarning(settings.warning_settings) if is_ahead else None
+    camera = calibration.camera
+    return FramePipeline(
+        detection=DetectionStage(
+            detect=boxes.detect,
+            prepare=boxes.prepare,
+            candidates=boxes.candidates if needs_candidates else None,
+            lane_finder=lane_finder,
+        ),
+        tracker=tracker or create_tracker(settings.tracker, tracker_options),
+        ego=ego,
+        ranging=RangingStage(create_rangers(context)),
+        doubting=DoubtStage(check, calibration.scale_sigma),
+        filtering=FilterStage(
+            camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
+        ),
+        world=WorldStage(camera),
+        alarming=AlarmStage(camera, warning),
+        notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
+    )
+
+
+def _method_context(
+    settings: PipelineOptions,
+    calibration: RecordingCalibration,
+    boxes: BoxSource,
+    size_model: SizeModel,
+    region: Region,
+) -> MethodContext:
+    aligned = calibration.alignment
+    return MethodContext(
         camera=calibration.camera,
         rig=calibration.rig,
         assumed_rig=calibration.assumed_rig,
-        alignment=alignment or (aligned.applied.after_shift() if aligned else Alignment()),
-        drifting_alignment=alignment or (aligned.drifting if aligned else None),
+        alignment=aligned.applied.after_shift() if aligned else Alignment(),
+        drifting_alignment=aligned.drifting if aligned else None,
         focal_sigma=calibration.focal_sigma,
         size_model=size_model,
         box_errors=boxes.box_errors,
@@ -103,57 +149,55 @@ def open_pipeline(
         region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
-        has_lane_lines=settings.lanes != "off" and is_ahead,
+        has_lane_lines=settings.lanes != "off" and calibration.view.yaw_deg == 0,
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
-        runtime=runtime,
+        runtime=Runtime(n_threads=settings.threads, device=settings.device),
     )
-    flow = BackgroundFlow()
-    road_motion = GroundOdometry(
-        calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow
-    )
-    # of a calibrated pair, or of a camera at a known height: else no scale is known
-    odometry: Odometry | None = None
-    if context.rig is not None and (measures_speed or ego_speed is not None) and is_ahead:
+
+
+def _road_height_m(context: MethodContext) -> float:
+    """Height with which the motion of the road is measured: as given, or a usual one."""
+    return context.camera_height_m or GroundSettings().height_m
+
+
+def _ego_stage(
+    context: MethodContext,
+    flow: BackgroundFlow,
+    ego_speed: EgoSpeed | None,
+    *,
+    measures_speed: bool,
+    yaw_deg: float,
+) -> EgoStage:
+    """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height.
+
+    In a view to the side, nothing is measured from the images.
+    """
+    if yaw_deg != 0:
+        return EgoStage(speed=None if ego_speed is None else ego_speed.along(yaw_deg))
+    pair_odometry: Odometry | None = None
+    if context.rig is not None and (measures_speed or ego_speed is not None):
         # also checks a given speed
-        odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
-    elif measures_speed and ego_speed is None and context.camera_height_m is not None and is_ahead:
-        odometry = road_motion
-    tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
-    appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    check = ScaleCheck(
+        pair_odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
+    is_height_known = context.camera_height_m is not None
+    road_height_m = _road_height_m(context)
+    return EgoStage(
+        speed=ego_speed,
+        pair_odometry=pair_odometry,
+        road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
+        has_road_scale=measures_speed and ego_speed is None and is_height_known,
+        camera_height=None if is_height_known else CameraHeight(road_height_m),
+    )
+
+
+def _scale_check(context: MethodContext, lane_width_m: float | None) -> ScaleCheck:
+    return ScaleCheck(
         context.camera,
         baseline_m=None if context.rig is None else context.rig.baseline_m,
-        region=region,
+        region=context.region,
         height_m=context.camera_height_m,
         focal_sigma=context.focal_sigma,
-        lane=usual_width(region, settings.lane_width_m),
-        sizes=size_model,
-        road_height_m=road_motion.height_m,
-    )
-    return FramePipeline(
-        scale_check=check if is_ahead else None,
-        camera=calibration.camera,
-        detection=DetectionStage(
-            detect=boxes.detect,
-            prepare=boxes.prepare,
-            candidates=boxes.candidates if needs_candidates else None,
-            lane_finder=open_lane_finder(settings.lanes, runtime)
-            if context.has_lane_lines
-            else None,
-        ),
-        tracker=tracker or create_tracker(settings.tracker, tracker_options),
-        ego=EgoStage(
-            speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(yaw_deg),
-            odometry=odometry,
-            road_motion=road_motion if is_ahead else None,
-            camera_height=CameraHeight(road_motion.height_m)
-            if context.camera_height_m is None
-            else None,
-        ),
-        ranging=RangingStage(create_rangers(context)),
-        warning=CollisionWarning(settings.warning_settings) if is_ahead else None,
-        has_visible_boxes=context.has_visible_boxes,
-        shared_sigma=calibration.scale_sigma,
-        notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
+        lane=usual_width(context.region, lane_width_m),
+        sizes=context.size_model,
+        road_height_m=_road_height_m(context),
     )

@@ -472,8 +472,8 @@ class _Opened:
     def notes(self) -> tuple[str, ...]:
         self._apply()
         pair = () if self._monitor is None else self._monitor.notes
-        stages, check = self._stages, self._stages.scale_check
-        scale = () if check is None else check.notes
+        stages = self._stages
+        scale = stages.doubting.notes()
         return (
             *self.calibration.notes,
             *pair,

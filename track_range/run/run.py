@@ -250,6 +250,7 @@ class Run:
             with closing(session.recording), self._output_of_folder() as output:
                 output.start(session)
                 start_s = time.perf_counter()
+                stopped_by: BaseException | None = None
                 try:
                     with (
                         session.results() as results,
@@ -266,14 +267,14 @@ class Run:
                 except (GeneratorExit, KeyboardInterrupt, Exception) as error:
                     if not len(session.rows):
                         raise
-                    session.stopped_by = error
+                    stopped_by = error
                     with suppress(Exception):  # the first error is the one to report
                         output.finish_videos()
-                session.wall_s += time.perf_counter() - start_s
-                with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
+                session.end(time.perf_counter() - start_s, stopped_by)
+                with ignore_interrupts(), suppress(*(UserError,) if stopped_by else ()):
                     self._finish(output)
-            if session.stopped_by is not None:
-                raise session.stopped_by
+            if stopped_by is not None:
+                raise stopped_by
 
     def _finish(self, output: RunOutput) -> None:
         self._summary, columns = self.session.finish(output.videos)

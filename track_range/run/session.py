@@ -87,8 +87,7 @@ class RunSession:
     error.
 
     `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name
-    of each task of the opening. `wall_s` are the seconds for opening the videos and processing all
-    frames, without loading the network and without the estimation of the alignment.
+    of each task of the opening.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class RunSession:
             return step_progress(console, task)
 
         self.settings = settings
-        self.stopped_by: BaseException | None = None  # error that ended the run early
+        self._stopped_by: BaseException | None = None  # error that ended the run early
         # on the frame numbers of labels, known at the end of the run
         self.frame_notes: tuple[str, ...] = ()
         # cars of one region show the focal length better than of any
@@ -115,7 +114,9 @@ class RunSession:
         start_s = time.perf_counter()
         self.recording = open_input(settings, progress, rig)
         alignment = self.recording.calibration.alignment
-        self.wall_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
+        self._wall_s = (
+            time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
+        )
         with ExitStack() as on_error:
             on_error.callback(self.recording.close)
             report(LOADING)
@@ -258,8 +259,7 @@ class RunSession:
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
         settings, pipeline, n_frames = self.settings, self.pipeline, len(self.rows)
-        finder, ego = pipeline.detection.lane_finder, pipeline.ego.speed
-        odometry = pipeline.ego.odometry if ego is None else None
+        finder, odometry = pipeline.detection.lane_finder, pipeline.ego.speed_source
         lanes = () if finder is None else finder.notes
         expected_s = settings.start_s + (self.recording.n_frames or 0) / self.recording.fps
         speed = self.speed.note(self.rows.last_s if n_frames else expected_s)
@@ -275,15 +275,15 @@ class RunSession:
             *([_NO_POSITIONS] if settings.keep_gps and self.speed.track is None else []),
             *missing_outputs(settings, self.recording),
             *unused_options(settings),
-            *([] if self.stopped_by is None else [self._stop_note(self.stopped_by)]),
+            *([] if self._stopped_by is None else [self._stop_note(self._stopped_by)]),
             *self.frame_notes,
             *(pipeline.ranging.notes() if n_frames else ()),
-            *(pipeline.scale_check.notes if pipeline.scale_check is not None and n_frames else ()),
+            *(pipeline.doubting.notes() if n_frames else ()),
             # networks that fall back from the same device have the same note
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([speed] if speed else []),
-            *([] if odometry is None else [self._odometry_note(odometry.source)]),
+            *([] if odometry is None else [self._odometry_note(odometry)]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes
@@ -323,7 +323,7 @@ class RunSession:
         if not len(processed):
             return ()
         first, last = processed.min(), processed.max()
-        is_whole = self.stopped_by is None and self.settings.duration_s is None
+        is_whole = self._stopped_by is None and self.settings.duration_s is None
         labelled = {"--detections": self.box_source.frames}
         labelled |= {} if self.truth is None else {"--truth": self.truth.frame}
         labelled = {option: frames for option, frames in labelled.items() if len(frames)}
@@ -347,15 +347,21 @@ class RunSession:
         shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
         return (*missed, *beyond, *shift)
 
+    def end(self, processing_s: float, stopped_by: BaseException | None) -> None:
+        """End the processing after `processing_s`, early if an error stopped it.
+
+        The time of the run is that for opening the videos and processing all frames, without
+        loading the network and without the estimation of the alignment.
+        """
+        self._wall_s += processing_s
+        self._stopped_by = stopped_by
+
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by
         video ("overlay").
         """
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
-        calibration, odometry = (
-            recording.calibration,
-            pipeline.ego.odometry if pipeline.ego.speed is None else None,
-        )
+        calibration = recording.calibration
         rows.finish()
         columns, n_frames = rows.table.to_columns(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
@@ -371,11 +377,9 @@ class RunSession:
             **frame_spans(np.array(rows.frame_index, np.int64), self.settings.every or 1),
             "starts_s": round(rows.starts_s, 6),
             "utc": None if recording.utc is None else recording.utc.summary(),
-            "ego_speed": self.speed.summary(
-                np.array(rows.ego_mps), None if odometry is None else odometry.source
-            ),
-            "wall_s": round(self.wall_s, 3),
-            "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
+            "ego_speed": self.speed.summary(np.array(rows.ego_mps), pipeline.ego.speed_source),
+            "wall_s": round(self._wall_s, 3),
+            "frames_per_s": round(n_frames / self._wall_s, 3) if self._wall_s > 0 else None,
             "stages_ms": stage_times_ms(busy_s, n_frames),
             **self.meter.summary(),
             **range_scores(columns, matched, rows.methods),
@@ -387,7 +391,7 @@ class RunSession:
             "focal_sigma": round(calibration.focal_sigma, 4),
             "region": self.region,
             "baseline_m": recording.rig.baseline_m if recording.rig else None,
-            **({} if pipeline.scale_check is None else pipeline.scale_check.summary()),
+            **pipeline.doubting.summary(),
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
             **({} if recording.sync is None else recording.sync.summary()),
             **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),

@@ -10,7 +10,7 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,10 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.pipeline.alarming import Alarms
+from track_range.pipeline.filtering import Approach
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.world import World
 from track_range.run.box_source import CANDIDATE_SCORE
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
@@ -149,11 +152,15 @@ def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]
 
 def result_of(frame: Frame, tracks: Tracks, candidates: Detections) -> FrameResult:
     """A frame result without distances."""
-    names = ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s")
-    unknown: dict[str, Any] = {name: np.full(len(tracks), np.nan) for name in names}
-    xyz_m = np.full((len(tracks), 3), np.nan)
+    n = len(tracks)
     return FrameResult(
-        frame=frame, tracks=tracks, ranges={}, xyz_m=xyz_m, candidates=candidates, **unknown
+        frame=frame,
+        tracks=tracks,
+        ranges={},
+        approach=Approach.unknown(n),
+        world=World.unknown(n),
+        alarms=Alarms.none(n),
+        candidates=candidates,
     )
 
 

@@ -296,7 +296,7 @@ def drive_figures(
             was_active[number] = now
         if result.index % CLOSING_FRAMES == 0:
             closing.append(_closing_errors(scene, result, step.user, step.true_m))
-        if scene.is_real and result.warnings is not None:
+        if scene.is_real:
             _add_probabilities(
                 probability, result.warnings, objects, scene.contact_s, result.time_s
             )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from track_range.pipeline.frame_result import FrameResult
+from tests.track_range.pipeline.frame_results import frame_result
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -19,7 +19,7 @@ def result(*, ranges=None, right=RIGHT):
     ids, boxes = np.array([4, 7, 9]), np.arange(12.0).reshape(3, 4)
     fused = Ranges(ids, np.array([20.0, 8.0, NAN]), np.array([0.5, 0.2, NAN]))
     filtered = Ranges(ids, np.array([19.5, 8.1, 30.0]), np.array([0.4, 0.2, 3.0]))
-    return FrameResult(
+    return frame_result(
         frame=Frame(12, 0.4, LEFT, right),
         tracks=Tracks(
             ids, boxes, np.array([2, 0, 5]), np.full(3, 0.9), np.array([True, True, False])

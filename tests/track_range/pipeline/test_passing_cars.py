@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.track_range.pipeline.frame_results import frame_pipeline
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import DetectionStage, RangingStage
+from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import run_in_threads
 from track_range.ranging.method import Ranger
 from track_range.ranging.ranges import Ranges
@@ -53,8 +54,8 @@ class ExactRanger(Ranger):
 
 
 def test_car_ahead_has_a_time_to_collision_and_oncoming_car_passes() -> None:
-    pipeline = FramePipeline(
-        camera=CAMERA,
+    pipeline = frame_pipeline(
+        CAMERA,
         detection=DetectionStage(detect=detect),
         tracker=NumberingTracker(),
         ranging=RangingStage({"mono": ExactRanger()}),

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.track_range.pipeline.frame_results import frame_pipeline
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.stages import DetectionStage, RangingStage
+from track_range.pipeline.detecting import DetectionStage
+from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.ranging.method import MethodError, Ranger
 from track_range.ranging.methods.ground_plane import GroundRanger
@@ -57,12 +58,13 @@ def frames(n, dt_s=0.1):
     return (Frame(i, i * dt_s, IMAGE, None) for i in range(n))
 
 
-def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2])):
-    return FramePipeline(
-        camera=CAMERA,
+def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2]), **options):
+    return frame_pipeline(
+        CAMERA,
         detection=DetectionStage(detect=detect),
         tracker=OneTrack(),
         ranging=RangingStage({"mono": Falling()}),
+        **options,
     )
 
 
@@ -85,14 +87,18 @@ def test_clock_counts_the_stages_that_ran():
     assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {
         "detect",
         "track",
+        "ego",
         "mono",
+        "doubt",
         "fuse",
+        "filter",
+        "world",
+        "alarm",
     }
 
 
 def test_shared_error_increases_every_sigma():
-    plain, doubtful = pipeline(), pipeline()
-    doubtful.shared_sigma = 0.25
+    plain, doubtful = pipeline(), pipeline(calibration_sigma=0.25)
     for one, other in zip(
         run_in_threads(plain, frames(3)), run_in_threads(doubtful, frames(3)), strict=True
     ):

@@ -25,6 +25,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from pyarrow import parquet
 
+from tests.track_range.pipeline.frame_results import changed
 from tests.track_range.results.test_results import result
 from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.foundation.errors import UserError
@@ -63,7 +64,7 @@ def frame(index: int) -> Any:
     }
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
-    return replace(
+    return changed(
         given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows
     )
 

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tests.track_range.pipeline.frame_results import changed
 from tests.track_range.results.test_mcap import frame
 from tests.track_range.results.test_results import result, writing
 from tests.track_range.results.test_writers import INFO
@@ -34,7 +35,7 @@ def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0):
         pair([float(MOTION_STATES.index(state)), np.nan]),
     )  # fmt: skip
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
-    return replace(
+    return changed(
         given, frame=replace(given.frame, time_s=index / 10), motion=motion, ego_pose=pose
     )
 
@@ -87,7 +88,7 @@ def test_parked_objects_do_not_move_and_crossing_ones_are_as_deep_as_wide(tmp_pa
 
 def test_objects_appear_and_disappear(tmp_path, schema):
     frames = [
-        replace(frame(2), ego_pose=EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))),
+        changed(frame(2), ego_pose=EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))),
         moved(4),
         moved(5),
     ]
@@ -105,7 +106,7 @@ def test_objects_appear_and_disappear(tmp_path, schema):
 
 
 def test_a_run_without_poses_is_valid(tmp_path, schema):
-    path = written(tmp_path, [replace(result(0), ego_pose=None)])
+    path = written(tmp_path, [changed(result(0), ego_pose=EgoPose())])
     schema.validate(path)
     assert list(root_of(path).iter("ScenarioObject")) == []
 
@@ -117,7 +118,7 @@ def test_a_discarded_frame_is_not_written(tmp_path):
         writer.write(moved(index))
     writer.discard_last()
     writer.discard_last()  # a second call does nothing
-    writer.write(replace(moved(5), ego_pose=None))
+    writer.write(changed(moved(5), ego_pose=EgoPose()))
     writer.discard_last()
     writer.close(None)
     root = root_of(tmp_path / "run.xosc")

@@ -1,21 +1,21 @@
 """poses.csv: rows of known poses, the last frame discarded."""
 
 import csv
-from dataclasses import replace
 
 import pytest
 
+from tests.track_range.pipeline.frame_results import changed
 from tests.track_range.results.test_results import result, writing
 from track_range.ranging.world.ego_path import EgoPose
 
 
 def test_rows_of_known_poses(tmp_path):
     with writing(tmp_path, ("poses",)) as rows:
-        rows.write(replace(result(0), ego_pose=EgoPose()))
+        rows.write(changed(result(0), ego_pose=EgoPose()))
         rows.write(result(4))
         rows.write(result(5))
         rows.discard_last()
-        rows.write(replace(result(6), ego_pose=None))
+        rows.write(changed(result(6), ego_pose=EgoPose()))
     with (tmp_path / "poses.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert row == {

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.toys.registrations import registered_method
+from tests.track_range.pipeline.frame_results import changed, frame_result
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.files.output_files import OutputError
-from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
@@ -54,7 +54,7 @@ def result(frame=4):
     }
     image = np.zeros((50, 50, 3), np.uint8)
     xyz_m = np.array([[1.0, 2.0, 12.0], [nan, nan, nan]])
-    return FrameResult(
+    return frame_result(
         frame=Frame(frame, 0.4, image, None),
         tracks=tracks,
         ranges=ranges,
@@ -227,7 +227,7 @@ def test_table_equals_tracks_csv(tmp_path_factory, values, times_s):
     folder = tmp_path_factory.mktemp("run")
     with writing(folder) as rows, RunTable(rows_per_batch=3) as table:
         for index, time_s in enumerate(times_s):
-            frame = replace(
+            frame = changed(
                 result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1])
             )
             frame = replace(frame, frame=replace(frame.frame, time_s=time_s))

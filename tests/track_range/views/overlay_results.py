@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.track_range.pipeline.frame_results import frame_result
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
@@ -55,7 +56,7 @@ def result(
         "xyz_m": np.full((n, 3), np.nan),
     }
     frame = Frame(index, time_s, grey() if image is None else image, None)
-    return FrameResult(frame=frame, tracks=tracks, ranges=ranges_by_name, **(given | more))
+    return frame_result(frame, tracks, ranges_by_name, **(given | more))
 
 
 def painted(image: Image, colour: tuple[int, int, int]) -> BoolArray:

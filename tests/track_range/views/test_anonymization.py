@@ -11,11 +11,11 @@ import pytest
 from mcap.reader import make_reader
 
 import track_range as tr
+from tests.track_range.pipeline.frame_results import frame_result
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.foundation.errors import ConfigError
-from track_range.pipeline.frame_result import FrameResult
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings_files import save_settings, settings_from, without_folders
 from track_range.simulation.render.renderer import kitti_like_rig
@@ -55,7 +55,6 @@ def contains(regions, x, y):
 def result(index, *tracks, candidates=(), step_s=0.1):
     """A frame result with tracks (id, class, x1, y1, x2, y2, observed) and candidates (class, x1,
     y1, x2, y2)."""
-    nan = np.full(len(tracks), np.nan)
     shown = Tracks(
         np.array([row[0] for row in tracks], np.int64),
         np.array([row[2:6] for row in tracks], np.float64).reshape(-1, 4),
@@ -68,9 +67,7 @@ def result(index, *tracks, candidates=(), step_s=0.1):
     )
     image = np.random.default_rng(index).integers(0, 256, SHAPE, dtype=np.uint8)
     frame = Frame(index, index * step_s, image, image)
-    return FrameResult(
-        frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=detected
-    )
+    return frame_result(frame, shown, {}, candidates=detected)
 
 
 # -- regions

@@ -15,7 +15,8 @@ from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.errors import UsageError
-from track_range.pipeline.stages import FusionStage
+from track_range.pipeline.filtering import FilterStage
+from track_range.pipeline.ranging import FrameRanges
 from track_range.ranging.evaluation.box_methods import (
     MethodOptions,
     as_frames,
@@ -26,6 +27,7 @@ from track_range.ranging.evaluation.box_methods import (
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.object_motion import over_ground
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -134,7 +136,8 @@ def _filtered(
     boxes, sequence = motion.boxes, -1
     for rows, tracks, frame, _ in list(as_frames(boxes, boxes.class_id))[::sign]:
         if boxes.sequence[rows[0]] != sequence:
-            sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
+            sequence = int(boxes.sequence[rows[0]])
+            fusion, stage = Fusion(), FilterStage(boxes.camera_at(rows[0]))
         speed_mps, yaw_rad_s = (
             sign * float(motion.ego_mps[rows[0]]),
             sign * float(motion.yaw_rad_s[rows[0]]),
@@ -143,12 +146,10 @@ def _filtered(
             speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s
         )
         ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
-        yield (
-            rows,
-            tracks,
-            ego,
-            *stage.update(replace(frame, time_s=sign * frame.time_s), tracks, ranges, ego),
-        )
+        time_s = sign * frame.time_s
+        fused = fusion.fuse(ranges, tracks.track_id, time_s)
+        filtered = stage.update(tracks, FrameRanges(ranges), fused, ego, time_s)
+        yield rows, tracks, ego, filtered.fused, filtered.lateral
 
 
 def _state(filtered: FilteredRanges) -> FloatArray:

@@ -27,7 +27,6 @@ from track_range.ranging.warning.safety import (
     apart_m,
     post_encroachment_s,
 )
-from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 
 # largest difference of two tracks of one object: m, plus a fraction
@@ -80,18 +79,19 @@ class Situation:
             is_known = np.isfinite(first.distance_m)
             distance_m = np.where(is_known, first.distance_m, last.distance_m)
             sigma_m = np.where(is_known, first.sigma_m, last.sigma_m)
-        warnings = result.warnings or Warnings.unknown(len(result.tracks))
+        warnings, safety = result.warnings, result.safety
         offset_m, class_id = warnings.path_offset_m, result.tracks.class_id
-        safety = result.safety or SafetyMonitor().update(  # rows of earlier versions
-            result.tracks.track_id,
-            class_id,
-            result.time_s,
-            distance_m=distance_m,
-            closing_mps=result.closing_mps,
-            closing_sigma_mps=result.closing_sigma_mps,
-            ego_mps=result.ego_mps,
-            warnings=warnings,
-        )
+        if not result.alarms.has_safety:  # rows of earlier versions, and views to the side
+            safety = SafetyMonitor().update(
+                result.tracks.track_id,
+                class_id,
+                result.time_s,
+                distance_m=distance_m,
+                closing_mps=result.closing_mps,
+                closing_sigma_mps=result.closing_sigma_mps,
+                ego_mps=result.ego_mps,
+                warnings=warnings,
+            )
         apart = apart_m(offset_m, class_id)
         return cls(
             distance_m, sigma_m, result.closing_mps, offset_m, apart, warnings.probability, safety
@@ -133,9 +133,7 @@ class Conditions:
         state = np.stack([beside_s, entered_s, np.full(len(beside_s), time_s)])
         self._tracks.put(result.tracks.track_id, state, keep_known=is_recent)
 
-        active = (
-            np.zeros(len(classes), np.bool_) if result.warnings is None else result.warnings.active
-        )
+        active = result.warnings.active
         has_cut_in = came & (time_s - entered_s <= settings.cut_in_s)
         cuts_in = active & (came & (apart_m > -_MARGIN_M) | has_cut_in)
         is_fast = ego_mps >= settings.min_ego_mps
@@ -247,7 +245,7 @@ class EventFinder:
     def _follow_paths(self, result: FrameResult) -> None:
         """Store the positions of the camera and of the tracks in the frame `map`."""
         pose, motion, time_s = result.ego_pose, result.motion, result.time_s
-        if pose is None or motion is None or math.isnan(pose.x_m):
+        if math.isnan(pose.x_m):
             return
         self._ego.append((time_s, pose.x_m, pose.y_m))
         self._paths = {
@@ -337,7 +335,7 @@ class EventFinder:
         if track_id not in event.track_ids:
             event.track_ids.add(track_id)
             event.paths += [self._paths[track_id]] if track_id in self._paths else []
-        is_active = result.warnings is not None and bool(result.warnings.active[row])
+        is_active = bool(result.warnings.active[row])
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
             event.warning_s = time_s
         extremes = event.extremes

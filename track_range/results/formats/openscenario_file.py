@@ -25,7 +25,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.safety import HALF_WIDTH_M
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
+from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.formats.scene import LENGTH_M
 from track_range.results.writers import RunInfo
 
@@ -82,7 +82,7 @@ class OpenScenarioWriter:
     def write(self, result: FrameResult) -> None:
         """Add a frame."""
         pose, self._n_before = result.ego_pose, len(self._ego)
-        if pose is not None and math.isfinite(pose.x_m):
+        if math.isfinite(pose.x_m):
             self._ego.append([result.time_s, pose.x_m, pose.y_m, pose.heading_rad])
             self._tracks.append(_rows(result, pose))
 
@@ -151,7 +151,7 @@ def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
     tracks in a frame.
     """
     tracks, n = result.tracks, len(result.tracks)
-    motion = result.motion or ObjectMotion.unknown(n)
+    motion = result.motion
     x_m, y_m, is_parked = (
         motion.world_x_m,
         motion.world_y_m,

@@ -49,7 +49,7 @@ class PosesWriter(RowWriter):
     def rows(self, result: FrameResult) -> str:
         """The row of a frame."""
         pose = result.ego_pose
-        if pose is None or math.isnan(pose.x_m):
+        if math.isnan(pose.x_m):
             return ""
         x, y, heading = pose.sigmas
         values = (pose.x_m, pose.y_m, math.degrees(pose.heading_rad), x, y, math.degrees(heading))

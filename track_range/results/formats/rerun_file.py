@@ -143,10 +143,10 @@ class RerunWriter:
         self._log_objects(objects)
         self._log_map(objects, result.ego_pose)
 
-    def _log_map(self, objects: Sequence[TrackObject], pose: EgoPose | None) -> None:
+    def _log_map(self, objects: Sequence[TrackObject], pose: EgoPose) -> None:
         import rerun as rr
 
-        if pose is None or not math.isfinite(pose.x_m):
+        if not math.isfinite(pose.x_m):
             return
         at_m, xyzw = map_from_vehicle(pose)
         self._path.append(at_m)

@@ -18,7 +18,6 @@ from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
@@ -96,7 +95,7 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
     centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
-    motion = result.motion or ObjectMotion.unknown(n)
+    motion = result.motion
     in_world = (getattr(motion, name) for name in FIGURES[5:])
     figures = (
         distance_m,

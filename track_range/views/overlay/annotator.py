@@ -92,13 +92,12 @@ class Overlay:
         # dash.
         size_px = np.array(canvas.shape[1::-1], np.float64)
         boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
-        if result.lanes is not None:
-            draw_lanes(
-                canvas,
-                result.lanes,
-                line_px=line_px,
-                moved=None if view is None else view.recorded_points,
-            )
+        draw_lanes(
+            canvas,
+            result.lanes,
+            line_px=line_px,
+            moved=None if view is None else view.recorded_points,
+        )
         shapes = list(boxes) if view is None else view.recorded_outlines(result.tracks.xyxy_px)
         draw_shape = draw_box if view is None else draw_outline
         observed = result.tracks.observed.tolist()

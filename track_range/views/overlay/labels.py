@@ -138,11 +138,9 @@ def label_lines(
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     alarm, warnings = warning_colour(result, row), result.warnings
-    ttc_s, passes = (
-        float((result.ttc_s if result.safety is None else result.safety.ttc_front_s)[row]),
-        False,
-    )
-    if math.isnan(ttc_s) and alarm is None and warnings is not None:  # no contact is possible
+    by_track_s = result.safety.ttc_front_s if result.alarms.has_safety else result.ttc_s
+    ttc_s, passes = float(by_track_s[row]), False
+    if math.isnan(ttc_s) and alarm is None:  # no contact is possible
         passes = bool(apart_m(warnings.path_offset_m, result.tracks.class_id)[row] > 0)
         ttc_s = float(result.ttc_s[row]) if passes else ttc_s
     closing = closing_span(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from tests.track_range.pipeline.frame_results import changed, frame_result
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
@@ -45,7 +46,7 @@ def frame(number: int, *seen: Seen, ego_mps: float = NAN) -> FrameResult:
     n, ids = len(seen), np.array([track.track_id for track in seen], np.int64)
     d, closing = column("distance_m"), column("closing_mps")
     classes = np.array([track.class_id for track in seen], np.int64)
-    return FrameResult(
+    return frame_result(
         frame=Frame(number, number / 10, np.zeros((1, 1, 3), np.uint8), None),
         tracks=Tracks(ids, np.zeros((n, 4)), classes, np.ones(n), np.ones(n, bool)),
         ranges={"fused_kf": Ranges(ids, d, 0.1 * d)},
@@ -120,7 +121,7 @@ def test_pet_of_an_event_is_known_at_the_end() -> None:
         )
         motion = ObjectMotion(nan, nan, nan, np.array([40.0]), np.array([-4.0 + 0.2 * i]), nan)
         pose = EgoPose(float(i), 0.0, 0.0, np.zeros((3, 3)))
-        for event in finder.update(replace(frame(i, person), motion=motion, ego_pose=pose)):
+        for event in finder.update(changed(frame(i, person), motion=motion, ego_pose=pose)):
             assert math.isnan(event.pet_s)  # the camera is not there yet
     (event,) = finder.finish()
     assert event.pet_s == pytest.approx(3.85 - 2.6, abs=0.11)

@@ -1,0 +1,73 @@
+"""Doubt: which given values the drive contradicts, and the errors of distances and speeds that
+follow.
+"""
+
+import math
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from track_range.ranging.doubt.scale_doubt import Cause, ScaleDoubt, causes_of
+from track_range.ranging.registry import methods
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
+
+_OF_ODOMETRY: frozenset[Cause] = frozenset({"baseline", "focal length", "camera height"})
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """What is in doubt after a frame; `Doubt()` is none."""
+
+    scale: ScaleDoubt | None = None  # the contradiction; None = none was found
+    # relative standard deviations that cover both scales, by cause
+    sigma: Mapping[Cause, float] = field(default_factory=dict)
+    # relative standard deviations of errors that neither fusion nor filters reduce, by the name of
+    # the distance: of the calibration, and of the doubt
+    shared_sigma: Mapping[str, float] = field(default_factory=dict)
+    trusts_speed: bool = True  # False = only the given speed is in doubt, and it is not used
+
+    @classmethod
+    def of(cls, scale: ScaleDoubt) -> Self:
+        """The doubt by a contradiction, without the errors of distances."""
+        return cls(scale, scale.sigma_by_cause, trusts_speed=scale.cause_names != ["speed"])
+
+    def sigma_of(self, causes: Set[Cause]) -> float:
+        """Relative standard deviation of what any of these causes changes."""
+        return max((sigma for cause, sigma in self.sigma.items() if cause in causes), default=0.0)
+
+    def widened(self, ego: Ego) -> EgoMotion:
+        """The motion of the camera with the doubt: odometry has the scale of the cameras."""
+        motion = ego.motion
+        if self.scale is None or ego.given is not None:
+            return motion
+        in_doubt_mps = self.sigma_of(_OF_ODOMETRY) * motion.speed_mps
+        return replace(motion, speed_sigma_mps=math.hypot(motion.speed_sigma_mps, in_doubt_mps))
+
+
+class SharedErrors:
+    """Errors that the frames of a drive share, by the error sources that the methods declare."""
+
+    def __init__(self, calibration_sigma: float, *, has_rig: bool) -> None:
+        """`calibration_sigma` is the relative error of all distances; `has_rig`: of a pair."""
+        self._calibration_sigma = calibration_sigma
+        self._causes = {
+            method.name: causes_of(
+                [source.name for source in method.error_sources], has_rig=has_rig
+            )
+            for method in methods()
+        }
+        scale_source = "baseline" if has_rig else "horizon"
+        self._causes["fused"] = causes_of([scale_source], has_rig=has_rig)
+        self._without_doubt = Doubt(shared_sigma=dict.fromkeys(self._causes, calibration_sigma))
+
+    def doubt(self, scale: ScaleDoubt | None) -> Doubt:
+        """The doubt by a contradiction; None = none was found."""
+        if scale is None:
+            return self._without_doubt
+        doubt = Doubt.of(scale)
+        unused = frozenset[Cause]() if doubt.trusts_speed else frozenset[Cause]({"speed"})
+        shared_sigma = {
+            name: math.hypot(self._calibration_sigma, doubt.sigma_of(causes - unused))
+            for name, causes in self._causes.items()
+        }
+        return replace(doubt, shared_sigma=shared_sigma)

@@ -1,0 +1,71 @@
+"""DetectionStage: boxes and lane lines of a frame, in two steps that threads may overlap."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+from track_range.detection.detections import Detections
+from track_range.detection.lanes.lines import LaneFinder, LaneLines
+from track_range.pipeline.clock import StageClock
+from track_range.stereo.geometry.frames import Frame
+
+# between two detections of lane lines, which change slowly and are expensive to detect
+_LANE_INTERVAL_S = 0.09
+
+
+class Prepared(NamedTuple):
+    """A frame with its lane lines, and the function that detects its boxes."""
+
+    frame: Frame
+    lanes: LaneLines | None
+    detect: Callable[[], Detections]
+
+
+class Detected(NamedTuple):
+    """A frame with its lane lines and boxes; `candidates` are all boxes, None = not needed."""
+
+    frame: Frame
+    lanes: LaneLines | None
+    detections: Detections
+    candidates: Detections | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class DetectionStage:
+    """First stage of the pipeline."""
+
+    detect: Callable[[Frame], Detections]  # returns the boxes of a frame
+    # does what `detect` does before the network runs, and returns a function that does the rest,
+    # which another thread may call; None = `detect` does all
+    prepare: Callable[[Frame], Callable[[], Detections]] | None = None
+    # all boxes of the latest frame; None = not needed
+    candidates: Callable[[Frame], Detections] | None = None
+    lane_finder: LaneFinder | None = None  # lines of the ego lane, ten times per second; None = off
+    _lanes: LaneLines | None = None
+    _lanes_due_s: float = -math.inf
+
+    def prepared(self, frame: Frame, clock: StageClock) -> Prepared:
+        """The frame in the network's input, with its lane lines."""
+        if self.lane_finder is not None and frame.time_s >= self._lanes_due_s:
+            with clock.stage("lanes"):
+                self._lanes = self.lane_finder.find(frame.left, frame.time_s)
+            self._lanes_due_s = frame.time_s + _LANE_INTERVAL_S
+        start_s = time.thread_time()
+        detect = partial(self.detect, frame) if self.prepare is None else self.prepare(frame)
+        clock.add("detect", time.thread_time() - start_s)
+        return Prepared(frame, self._lanes, detect)
+
+    def detected(self, prepared: Prepared, clock: StageClock) -> Detected:
+        """The frame with its boxes."""
+        frame, lanes, detect = prepared
+        with clock.stage("detect"):
+            detections = detect()
+            return Detected(
+                frame,
+                lanes,
+                detections,
+                None if self.candidates is None else self.candidates(frame),
+            )

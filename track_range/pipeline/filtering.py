@@ -1,0 +1,154 @@
+"""FilterStage: distances, closing speeds and lateral positions of the tracks, filtered over time."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.pipeline.ranging import FrameRanges
+from track_range.ranging.doubt.doubt import Doubt
+from track_range.ranging.filtering.cut_boxes import CutBoxes
+from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
+from track_range.ranging.fusion.fusion import Fused, ScaleSource
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import methods
+from track_range.ranging.size_models.size_model import have_hidden_sides
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.tracking.tracks import Tracks
+
+# lateral speed, and standard deviations of it, above which an object moves
+_ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
+# error of the lateral speed relative to w z in turns, from the error of the distance z
+_TURN_ERROR = 0.2
+FUSED_NOISE_FRACTION = (
+    0.35  # initial fraction of the fused sigma that is independent between frames
+)
+
+
+def noise_shares() -> dict[str, float]:
+    """Initial fraction of sigma that is independent between frames, for each distance that is
+    filtered over time.
+
+    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods
+    instead.
+    """
+    filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
+    return {**filtered, "fused": FUSED_NOISE_FRACTION}
+
+
+@dataclass(frozen=True, slots=True)
+class Filtered:
+    """Motion of the tracks of a frame relative to the camera."""
+
+    by_method: Mapping[str, FilteredRanges]  # of the filtered methods, and "fused"
+    lateral: LateralMotion
+
+    @property
+    def fused(self) -> FilteredRanges:
+        """The motion by the fused distances."""
+        return self.by_method["fused"]
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """Closing speed and time to collision of N tracks, (N,) each, by the filtered fused distance;
+    NaN = unknown.
+    """
+
+    closing_mps: FloatArray  # positive = approaching
+    closing_sigma_mps: FloatArray
+    ttc_s: FloatArray  # distance / closing speed; NaN = not approaching
+    ttc_sigma_s: FloatArray
+
+    @classmethod
+    def of(cls, motion: FilteredRanges, shared_sigma: float) -> "Approach":
+        """The approach by filtered distances; an error of all distances is one of the speed, too,
+        but not of the time to collision.
+        """
+        rate_mps, sigma_mps = motion.rate_mps, motion.rate_sigma_mps
+        sigma_mps = np.hypot(sigma_mps, shared_sigma * rate_mps)
+        return cls(-rate_mps, sigma_mps, motion.ttc_s, motion.ttc_sigma_s)
+
+    @classmethod
+    def unknown(cls, n: int) -> "Approach":
+        """The approach of n tracks whose motion is unknown."""
+        return cls(*np.full((4, n), np.nan))
+
+
+class FilterStage:
+    """Filters the distances of all tracks of a drive.
+
+    `has_visible_boxes`: see `MethodContext`. `is_ahead`: whether the camera looks along the road;
+    else there is no time to collision.
+    """
+
+    def __init__(
+        self, camera: PinholeCamera, *, has_visible_boxes: bool = False, is_ahead: bool = True
+    ) -> None:
+        self._camera = camera
+        self._has_visible_boxes, self._is_ahead = has_visible_boxes, is_ahead
+        self._distances, self._lateral = DistanceFilters(noise_shares()), LateralFilters(camera)
+
+    def update(
+        self, tracks: Tracks, measured: FrameRanges, fused: Fused, ego: EgoMotion, time_s: float
+    ) -> Filtered:
+        """The motion of the tracks at `time_s`, after the measurements of this frame."""
+        filtered = self._distances.update(
+            {**measured.ranges, "fused": fused.ranges},
+            time_s,
+            conditions={"fused": fused.condition},
+            ego_speed_mps=ego.speed_mps,
+            ego_sigma_mps=ego.speed_sigma_mps,
+            yaw_rad_s=ego.yaw_rad_s,
+            growth=measured.growth,
+            class_id=tracks.class_id,
+            may_be_static=self._may_be_static(tracks, fused.ranges, ego),
+            cut=CutBoxes.of(tracks, self._camera),
+            is_hidden=self._are_hidden(tracks, fused),
+        )
+        motion = filtered["fused"]
+        is_ego_known = math.isfinite(ego.speed_mps)
+        own_mps = motion.state.v + ego.speed_mps if is_ego_known else 0.0
+        lateral = self._lateral.update(
+            tracks,
+            motion.ranges.distance_m,
+            time_s,
+            distance_sigma_m=np.sqrt(motion.state.P_xx),
+            yaw_rad_s=ego.yaw_rad_s,
+            own_mps=own_mps,
+        )
+        if not self._is_ahead:
+            filtered["fused"] = replace(motion, ttc_s=np.full(len(tracks), np.nan))
+        return Filtered(filtered, lateral)
+
+    def _may_be_static(self, tracks: Tracks, fused: Ranges, ego: EgoMotion) -> BoolArray:
+        """(N,) False = the track certainly moves across the camera's axis."""
+        last = self._lateral.last(tracks.track_id)
+        across_mps = _ACROSS_MPS + _ACROSS_SIGMA * np.sqrt(last.P_vv)
+        across_mps += _TURN_ERROR * np.nan_to_num(abs(ego.yaw_rad_s) * fused.distance_m)
+        return np.asarray(~(np.abs(last.v) > across_mps))
+
+    def _are_hidden(self, tracks: Tracks, fused: Fused) -> BoolArray | None:
+        """(N,) whether distances come from boxes with hidden sides; None = no box has any."""
+        if not self._has_visible_boxes:
+            return None
+        hidden = have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
+        return np.asarray(hidden)
+
+
+def reported(
+    measured: FrameRanges, fused: Fused, filtered: Filtered, doubt: Doubt
+) -> dict[str, Ranges]:
+    """All distances of a frame by name, the filtered ones as NAME_kf, with the errors that neither
+    fusion nor filters reduce.
+    """
+    sigma = doubt.shared_sigma
+    by_method = {**measured.ranges, "fused": fused.ranges}
+    ranges = {name: of_method.widened(sigma[name]) for name, of_method in by_method.items()}
+    for name, of_method in filtered.by_method.items():
+        ranges[f"{name}_kf"] = of_method.ranges.widened(sigma[name])
+    return ranges

@@ -1,0 +1,162 @@
+"""RangingStage: distances of the tracks of a frame by every method, and what they show of the scale
+of the drive.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import FloatArray32
+from track_range.foundation.errors import named_errors
+from track_range.foundation.files.input_files import counted
+from track_range.pipeline.clock import StageClock
+from track_range.ranging.filtering.key_distance import Growth
+from track_range.ranging.method import MethodError, Ranger, checked_ranges
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import methods
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import Ego
+from track_range.tracking.tracks import Tracks
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRanges:
+    """Distances of the tracks of a frame by the methods that ran."""
+
+    ranges: Mapping[str, Ranges]  # by name of the method, in the order of execution
+    evidence: tuple[ScaleEvidence, ...] = ()  # of the scale of the drive
+    disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
+
+    @property
+    def by_size(self) -> Ranges | None:
+        """Distances by size, without the correction of the drive's scale; None = no method measures
+        them.
+        """
+        return next((item.by_size for item in self.evidence if item.by_size is not None), None)
+
+    @property
+    def by_rig(self) -> Ranges | None:
+        """Distances with the scale of the rig; None = no method has it."""
+        names = [method.name for method in methods() if method.has_rig_scale]
+        return next((self.ranges[name] for name in names if name in self.ranges), None)
+
+    @property
+    def growth(self) -> Growth | None:
+        """Growth of the tracks in the images; None = no method measures it."""
+        return next((item.growth for item in self.ranges.values() if item.growth is not None), None)
+
+
+@dataclass(slots=True)
+class RangingStage:
+    """The ranging methods by name, in the order of execution
+    (`ranging.registry.create_rangers`).
+    """
+
+    rangers: Mapping[str, Ranger]
+    _reads: Mapping[str, tuple[str, ...]] = field(
+        default_factory=lambda: {method.name: method.reads for method in methods()}
+    )
+    _lanes: LaneLines | None = None
+    # values by method and invalid column
+    _n_invalid: Counter[tuple[str, str]] = field(default_factory=Counter)
+    # messages of methods that failed at the end
+    _failures: dict[str, None] = field(default_factory=dict)
+
+    def start(self, frame: Frame) -> None:
+        """Start the methods that work in the background, before the tracks are known."""
+        for name, ranger in self.rangers.items():
+            with _named(name, ranger, f", frame {frame.index}"):
+                ranger.start(frame)
+
+    def measure(
+        self,
+        tracks: Tracks,
+        frame: Frame,
+        lanes: LaneLines | None,
+        ego: Ego,
+        scale: DriveScale,
+        clock: StageClock,
+    ) -> FrameRanges:
+        """Distances of the tracks by every method; each is timed under its name.
+
+        Raises MethodError if a ranger of another package failed, or did not return ranges of these
+        tracks.
+        """
+        ranges: dict[str, Ranges] = {}
+        evidence: list[ScaleEvidence] = []
+        for name, ranger in self.rangers.items():
+            others = {
+                other: ranges[other] for other in self._reads.get(name, ()) if other in ranges
+            }
+            with clock.stage(name), _named(name, ranger, f", frame {frame.index}"):
+                if ego.road is not None:
+                    ranger.update_road(ego.road)
+                if ego.step is not None:
+                    ranger.update_motion(ego.step)
+                if lanes is not None and lanes is not self._lanes:
+                    ranger.update_lanes(lanes)
+                measured = ranger.measure_at_scale(tracks, frame, others, scale)
+                ranges[name] = checked_ranges(name, measured.ranges, tracks, self._n_invalid)
+            if measured.evidence is not None:
+                evidence.append(measured.evidence)
+        self._lanes = lanes
+        return FrameRanges(ranges, tuple(evidence), self._disparity())
+
+    def _disparity(self) -> FloatArray32 | None:
+        disparities = (ranger.disparity for ranger in self.rangers.values())
+        return next((disparity for disparity in disparities if disparity is not None), None)
+
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user: of the methods at their end, and on invalid values and methods."""
+        notes = [
+            note
+            for of_method in self._answers(lambda ranger: tuple(ranger.notes))
+            for note in of_method
+        ]
+        for name in self.rangers:
+            counts = {
+                column: n for (method, column), n in self._n_invalid.items() if method == name and n
+            }
+            if counts:
+                reasons = ", ".join(f"{column} in {n}" for column, n in counts.items())
+                skipped = (
+                    f"skipped {counted(sum(counts.values()), 'value')}, since only positive and "
+                    "finite values are valid"
+                )
+                notes.append(f"Ranging method {name!r}: {skipped} ({reasons}).")
+        return (*notes, *self._failures)
+
+    def summary(self) -> dict[str, Any]:
+        """Entries of the methods for summary.json."""
+        answers = self._answers(lambda ranger: ranger.summary())
+        return {key: value for entries in answers for key, value in entries.items()}
+
+    def _answers(self, ask: Callable[[Ranger], _T]) -> list[_T]:
+        """The answers of the methods at the end, without the methods that fail then: the distances
+        are complete.
+        """
+        answers = []
+        for name, ranger in self.rangers.items():
+            try:
+                with _named(name, ranger, ", end of the run"):
+                    answers.append(ask(ranger))
+            except MethodError as error:
+                self._failures.setdefault(str(error))
+        return answers
+
+    def close(self, clock: StageClock) -> None:
+        """End the methods' threads, and add their time to the clock."""
+        for name, ranger in self.rangers.items():
+            with _named(name, ranger, ", end of the run"):
+                ranger.close()
+            clock.add(name, ranger.background_s)
+
+
+def _named(name: str, ranger: Ranger, where: str) -> AbstractContextManager[None]:
+    return named_errors(type(ranger).__module__, f"ranging method {name!r}{where}", MethodError)

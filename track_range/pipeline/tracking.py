@@ -1,0 +1,17 @@
+"""The tracks of a frame, with the tracker's errors."""
+
+from track_range.detection.detections import Detections
+from track_range.foundation.errors import named_errors
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.registry import ObjectTracker, TrackerError, checked_tracks
+from track_range.tracking.tracks import Tracks
+
+
+def tracked(tracker: ObjectTracker, detections: Detections, frame: Frame) -> Tracks:
+    """Tracks of the frame; TrackerError names a tracker of another package and the frame at which
+    it failed.
+    """
+    kind = type(tracker)
+    where = f"{kind.__module__}:{kind.__qualname__}, frame {frame.index}"
+    with named_errors(kind.__module__, where, TrackerError):
+        return checked_tracks(tracker, tracker.update(detections, frame.time_s, frame.left))
