@@ -1,14 +1,17 @@
 """The structure of the product: statements per room, and the sizes of its functions.
 
-    python -m tests.repository.structure            prints both
-    python -m tests.repository.structure --write    writes `large_functions.txt`, after a function became smaller
+    python -m tests.repository.structure [FOLDER ...]    prints the figures, of other code too
+    python -m tests.repository.structure --write         shortens `large_functions.txt`
 
-A function is large if it has a cognitive complexity of more than 20 (complexipy, which counts conditional expressions,
-boolean operators and conditions in comprehensions), more than 70 lines without its docstring, or more than 8 arguments.
+A function is large if it has a cognitive complexity of more than 20 (complexipy, which counts
+conditional expressions, boolean operators and conditions in comprehensions), more than 70 lines
+without its docstring, or more than 8 arguments.
 """
 
 import ast
+import io
 import sys
+import tokenize
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,16 +60,18 @@ def rooms() -> dict[str, list[Path]]:
     return {name: paths for name, paths in files.items() if paths}
 
 
-def n_statements(tree: ast.AST) -> int:
-    """Number of statements without docstrings."""
-    is_text = [
+def _is_text(node: ast.AST) -> bool:
+    """Whether a node is a docstring, or a text that stands for itself."""
+    return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
         and isinstance(node.value.value, str)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.stmt)
-    ]
-    return is_text.count(False)
+    )
+
+
+def n_statements(tree: ast.AST) -> int:
+    """Number of statements without docstrings."""
+    return sum(isinstance(node, ast.stmt) and not _is_text(node) for node in ast.walk(tree))
 
 
 def functions(source: str, path: str) -> Iterator[Function]:
@@ -110,10 +115,75 @@ def listed() -> dict[str, Function]:
     return {name: Function(name, *map(int, numbers)) for name, *numbers in rows}
 
 
-def main() -> None:
+def n_tokens(source: str) -> int:
+    """Number of tokens without comments, line breaks and docstrings."""
+    ignored = {
+        *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+        *(tokenize.ENDMARKER, tokenize.ENCODING),
+    }
+    tokens = list(tokenize.generate_tokens(io.StringIO(source).readline))
+    docstrings = _docstring_lines(ast.parse(source))
+    return sum(token.type not in ignored and token.start[0] not in docstrings for token in tokens)
+
+
+def _docstring_lines(tree: ast.AST) -> set[int]:
+    lines = set[int]()
+    for node in ast.walk(tree):
+        if _is_text(node):
+            lines |= set(range(node.lineno, node.end_lineno + 1))
+    return lines
+
+
+def figures(paths: list[Path]) -> dict[str, float]:
+    """Sizes of the code of files, and numbers of their complex functions."""
+    sources = [path.read_text(encoding="utf-8") for path in paths]
+    trees = [ast.parse(source) for source in sources]
+    code = [
+        line.strip()
+        for source, tree in zip(sources, trees, strict=True)
+        for number, line in enumerate(source.splitlines(), start=1)
+        if line.strip()
+        and not line.strip().startswith("#")
+        and number not in _docstring_lines(tree)
+    ]
+    n_conditional = sum(isinstance(node, ast.IfExp) for tree in trees for node in ast.walk(tree))
+    measured = [
+        f for source, path in zip(sources, paths, strict=True) for f in functions(source, str(path))
+    ]
+    over = {
+        f"functions over {limit}": sum(f.complexity > limit for f in measured)
+        for limit in (15, 25, 40)
+    }
+    return {
+        "tokens": sum(map(n_tokens, sources)),
+        "statements": sum(map(n_statements, trees)),
+        "code lines": len(code),
+        "characters per code line": sum(map(len, code)) / len(code),
+        "conditional expressions per 1000 code lines": 1000 * n_conditional / len(code),
+        "functions": len(measured),
+        **over,
+        f"functions over {MAX_LINES} lines": sum(f.lines > MAX_LINES for f in measured),
+        f"functions over {MAX_ARGUMENTS} arguments": sum(
+            f.arguments > MAX_ARGUMENTS for f in measured
+        ),
+    }
+
+
+def main(arguments: list[str]) -> None:
     """Print the figures, or write the list."""
+    if arguments and "--write" not in arguments:
+        for folder in map(Path, arguments):
+            links = [path for path in folder.rglob("*") if path.is_symlink()]
+            paths = [
+                path
+                for path in sorted(folder.rglob("*.py"))
+                if not any(path.is_relative_to(link) for link in links)
+            ]
+            for name, value in figures(paths).items():
+                print(f"{value:12,.1f}  {name}")
+        return
     large = large_functions()
-    if "--write" in sys.argv:
+    if "--write" in arguments:
         LIST.write_text("".join(f"{f.row}\n" for f in large), encoding="utf-8")
     for name, paths in rooms().items():
         total = sum(n_statements(ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
@@ -121,7 +191,9 @@ def main() -> None:
     for function in large:
         print(function.row)
     print(f"{len(large)} large functions")
+    for name, value in figures([path for paths in rooms().values() for path in paths]).items():
+        print(f"{value:12,.1f}  {name}")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
