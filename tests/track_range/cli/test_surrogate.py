@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
+from tests.track_range.pipeline.frame_results import changed
 from tests.track_range.results.test_results import result, writing
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import SafetyMeasures
@@ -34,10 +35,7 @@ def frame(index):
     )
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
     time = type(given.frame)(index, index / 10, given.frame.left, None)
-    return type(given)(**{
-        **{name: getattr(given, name) for name in type(given).__slots__},
-        "frame": time, "safety": safety, "motion": motion, "ego_pose": pose,
-    })  # fmt: skip
+    return changed(given, frame=time, safety=safety, motion=motion, ego_pose=pose)
 
 
 @pytest.fixture

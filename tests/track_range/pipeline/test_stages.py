@@ -1,0 +1,216 @@
+"""The stages of a frame, one by one: what each returns is all that the next ones see."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.track_range.pipeline.frame_results import frame_result
+from track_range.pipeline.alarming import AlarmStage
+from track_range.pipeline.doubting import DoubtStage
+from track_range.pipeline.ego import EgoStage
+from track_range.pipeline.filtering import Approach, Filtered, FilterStage, reported
+from track_range.pipeline.ranging import FrameRanges
+from track_range.pipeline.world import WorldStage
+from track_range.ranging.doubt.doubt import Doubt, SharedErrors
+from track_range.ranging.doubt.scale_check import ScaleCheck
+from track_range.ranging.doubt.scale_doubt import ScaleDoubt
+from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.ego_speed import EgoSpeed
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
+from track_range.tracking.tracks import Tracks
+
+CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
+IMAGE = np.zeros((80, 100, 3), np.uint8)
+IDS = np.array([1, 2])
+CARS = Tracks(
+    IDS,
+    np.array([[40.0, 40.0, 60.0, 60.0], [70.0, 40.0, 80.0, 50.0]]),
+    np.array([2, 2]),
+    np.ones(2),
+    np.ones(2, np.bool_),
+)
+NO_BOXES = np.zeros((0, 4))
+KNOWN = EgoMotion(12.0, 0.2)
+
+
+def frame(time_s: float = 0.0) -> Frame:
+    return Frame(round(10 * time_s), time_s, IMAGE, None)
+
+
+def ranges(*distances_m: float, sigma: float = 0.02) -> Ranges:
+    distance_m = np.array(distances_m)
+    return Ranges(IDS, distance_m, sigma * distance_m)
+
+
+def measured(**by_method: Ranges) -> FrameRanges:
+    evidence = ScaleEvidence(CARS.class_id, by_size=ranges(20.0, 30.0))
+    return FrameRanges(by_method, (evidence,))
+
+
+# -- Ego
+
+
+def test_given_speed_is_used_while_it_is_trusted():
+    stage = EgoStage(speed=EgoSpeed(np.array([0.0, 0.5]), np.array([12.0, 12.0]), "a file"))
+    trusted = stage.update(frame(), NO_BOXES)
+    doubted = stage.update(frame(0.1), NO_BOXES, trusts_given=False)
+    assert (trusted.motion.speed_mps, trusted.trusts_given) == (12.0, True)
+    assert math.isnan(doubted.motion.speed_mps)
+    assert doubted.given is not None
+    assert (doubted.given.speed_mps, doubted.trusts_given) == (12.0, False)
+
+
+def test_speed_known_for_a_frame_replaces_the_source():
+    stage = EgoStage(speed=EgoSpeed(np.array([0.0, 0.5]), np.array([12.0, 12.0]), "a file"))
+    ego = stage.update(frame(), NO_BOXES, EgoMotion(5.0, 0.1))
+    assert (ego.motion.speed_mps, ego.motion.speed_sigma_mps) == (5.0, 0.1)
+
+
+def test_source_of_the_speed_is_named_unless_it_is_given():
+    assert EgoStage().speed_source is None
+    given = EgoSpeed(np.array([0.0]), np.array([1.0]), "a file")
+    assert EgoStage(speed=given).speed_source is None
+
+
+# -- Ranges
+
+
+def test_distances_with_the_scale_of_the_rig_are_declared_by_their_method():
+    by_rig, by_size = ranges(20.0, 30.0), ranges(21.0, 31.0)
+    assert FrameRanges({"mono": by_size, "stereo": by_rig}).by_rig is by_rig
+    assert FrameRanges({"mono": by_size}).by_rig is None
+
+
+def test_widened_by_an_independent_error():
+    plain = ranges(20.0, np.nan, sigma=0.03)
+    wide = plain.widened(0.04)
+    np.testing.assert_allclose(wide.sigma_m, [0.05 * 20.0, np.nan])
+    assert plain.widened(0.0) is plain
+
+
+# -- Doubt
+
+
+def test_doubt_is_returned_with_a_scale_without_evidence():
+    n = 30
+    ids, true_m = np.arange(n), np.linspace(10.0, 40.0, n)
+    boxes = np.tile([40.0, 40.0, 60.0, 60.0], (n, 1))
+    tracks = Tracks(ids, boxes, np.full(n, 2), np.ones(n), np.ones(n, np.bool_))
+    by_size = Ranges(ids, true_m, 0.1 * true_m)
+    by_rig = Ranges(ids, 2.0 * true_m, 0.04 * true_m)  # the baseline is twice the true one
+    evidence = ScaleEvidence(tracks.class_id, by_size=by_size, reference=by_rig)
+    frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,))
+    stage, scale = DoubtStage(ScaleCheck(CAMERA, baseline_m=0.5), 0.03), DriveScale()
+    doubts = []
+    for k in range(20):
+        ego = Ego(motion=EgoMotion())
+        doubt, scale = stage.update(tracks, frame_ranges, ego, None, scale, 0.1 * k)
+        doubts.append(doubt)
+    assert doubts[0].scale is None
+    assert doubts[0].shared_sigma["stereo"] == 0.03
+    assert doubt.scale is not None
+    assert doubt.scale.cause_names == ["baseline"]
+    assert scale.n_tracks == 0
+    # half the distance is possible, so that sigma is half the distance at least
+    in_doubt = doubt.sigma["baseline"]
+    assert 0.5 < in_doubt < 0.6
+    assert doubt.shared_sigma["stereo"] == pytest.approx(math.hypot(0.03, in_doubt))
+    assert doubt.shared_sigma["mono"] == 0.03
+    assert "baseline" in stage.notes()[0]
+
+
+def test_speed_alone_in_doubt_is_not_used_and_widens_no_distance():
+    doubt = SharedErrors(0.0, has_rig=True).doubt(ScaleDoubt(3.6, 0.1, 3, (("speed", 3.6),), ""))
+    assert not doubt.trusts_speed
+    assert set(doubt.shared_sigma.values()) == {0.0}
+
+
+def test_odometry_has_the_doubt_of_the_cameras_and_a_given_speed_has_not():
+    doubt = Doubt.of(ScaleDoubt(2.0, 0.1, 3, (("focal length", 2.0),), ""))
+    odometry = doubt.widened(Ego(motion=KNOWN))
+    assert odometry.speed_sigma_mps == pytest.approx(math.hypot(0.2, 0.55 * 12.0))
+    assert doubt.widened(Ego(motion=KNOWN, given=KNOWN)) is KNOWN
+    assert Doubt().widened(Ego(motion=KNOWN)) is KNOWN
+
+
+# -- Filters, world, alarms
+
+
+def filtered(camera_is_ahead: bool = True) -> tuple[FrameRanges, Filtered, Doubt]:
+    stage, fusion = FilterStage(CAMERA, is_ahead=camera_is_ahead), Fusion()
+    for k in range(15):
+        frame_ranges = measured(mono=ranges(20.0 - k, 30.0))
+        fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
+        motion = stage.update(CARS, frame_ranges, fused, KNOWN, 0.1 * k)
+    return frame_ranges, fused, motion
+
+
+def test_all_distances_are_reported_with_their_shared_errors():
+    frame_ranges, fused, motion = filtered()
+    shared = SharedErrors(0.1, has_rig=False).doubt(None)
+    wide = reported(frame_ranges, fused, motion, shared)
+    plain = reported(frame_ranges, fused, motion, SharedErrors(0.0, has_rig=False).doubt(None))
+    assert list(wide) == ["mono", "fused", "mono_kf", "fused_kf"]
+    for name, one in plain.items():
+        np.testing.assert_allclose(
+            wide[name].sigma_m, np.hypot(one.sigma_m, 0.1 * one.distance_m), rtol=1e-12
+        )
+
+
+def test_view_to_the_side_has_closing_speeds_but_no_times_to_collision():
+    _, _, ahead = filtered()
+    _, _, aside = filtered(camera_is_ahead=False)
+    np.testing.assert_array_equal(aside.fused.rate_mps, ahead.fused.rate_mps)
+    assert np.isfinite(Approach.of(ahead.fused, 0.0).ttc_s[0])
+    assert np.isnan(Approach.of(aside.fused, 0.0).ttc_s).all()
+
+
+def test_alarms_of_a_run_without_warnings_are_empty():
+    frame_ranges, fused, motion = filtered()
+    approach = Approach.of(motion.fused, 0.0)
+    stage = AlarmStage(CAMERA, None)
+    alarms = stage.update(CARS, fused.ranges, motion, approach, KNOWN, Doubt(), None, 0.0)
+    assert not alarms.has_warnings
+    assert not alarms.has_safety
+    assert not alarms.warnings.active.any()
+    assert np.isnan(alarms.safety.gap_m).all()
+    result = frame_result(frame(), CARS, dict(frame_ranges.ranges))
+    assert result.warnings.probability.shape == (2,)
+    assert result.scale_doubt is None
+
+
+def test_no_alarm_is_active_while_the_scale_is_in_doubt():
+    doubtful = Doubt.of(ScaleDoubt(2.0, 0.1, 3, (("baseline", 2.0),), ""))
+    is_active = {}
+    for doubt in (Doubt(), doubtful):
+        stage, filters, fusion = (
+            AlarmStage(CAMERA, CollisionWarning()),
+            FilterStage(CAMERA),
+            Fusion(),
+        )
+        active = np.zeros(2, np.bool_)
+        for k in range(25):
+            frame_ranges = measured(mono=ranges(30.0 - k, 60.0, sigma=0.01))
+            fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
+            motion = filters.update(CARS, frame_ranges, fused, KNOWN, 0.1 * k)
+            approach = Approach.of(motion.fused, 0.0)
+            alarms = stage.update(CARS, fused.ranges, motion, approach, KNOWN, doubt, None, 0.1 * k)
+            active |= alarms.warnings.active
+        is_active[doubt.scale is None] = active.tolist()
+    assert is_active == {True: [True, False], False: [False, False]}
+
+
+def test_positions_are_on_the_rays_of_the_boxes():
+    frame_ranges, fused, motion = filtered()
+    doubt = SharedErrors(0.0, has_rig=False).doubt(None)
+    distances = reported(frame_ranges, fused, motion, doubt)
+    world = WorldStage(CAMERA).update(CARS, motion, distances, KNOWN, 0.0)
+    x_m = (50.0 - CAMERA.cx_px) / CAMERA.fx_px * fused.ranges.distance_m[0]
+    np.testing.assert_allclose(world.xyz_m[0], [x_m, 0.105 * 6.0, 6.0], rtol=1e-9)
+    assert world.ego_pose.x_m == 0.0
