@@ -1,11 +1,9 @@
 """BoxErrors: systematic errors of the sizes of a detector's boxes, by road class.
 
-    log(size of the box / size of the object in the image) ~ N(mean, sigma) over the objects of a
-    class
+    log(size of the box / size of the object in the image) ~ N(mean, sigma) over the objects of a class
 
-How tight boxes are depends on the labels that a detector was trained with, on its input size and on
-the object. The error of an object hardly changes while it is in view, so that it does not average
-out over its frames.
+How tight boxes are depends on the labels that a detector was trained with, on its input size and on the object. The
+error of an object hardly changes while it is in view, so that it does not average out over its frames.
 """
 
 from collections.abc import Mapping

@@ -1,10 +1,9 @@
-"""track-range: distance, uncertainty and closing speed of every road user in a video, from one
-camera or two.
+"""track-range: distance, uncertainty and closing speed of every road user in a video, from one camera or two.
 
     import track_range as tr
 
-    run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4",
-    focal_px=1150) for frame in run:
+    run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4", focal_px=1150)
+    for frame in run:
         for t in frame.objects:
             print(t.id, t.class_name, t.distance_m, t.sigma_m, t.closing_mps, t.ttc_s)
     table = run.to_arrow()

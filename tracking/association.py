@@ -1,12 +1,10 @@
 """Association of tracks and detections: cost matrices, their gates, and the best assignment.
 
     c_ij = 1 - IoU(predicted box i, detected box j)      inf for incompatible classes
-    minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij
-    <= max_cost
+    minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij <= max_cost
 
-Most tracks and detections of a frame have only one possible partner: these pairs are matched
-directly, and only the remaining ones form a linear assignment problem (scipy's solver: Crouse's
-variant of the Jonker-Volgenant algorithm).
+Most tracks and detections of a frame have only one possible partner: these pairs are matched directly, and only the
+remaining ones form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
 """
 
 from typing import Literal
@@ -116,11 +114,9 @@ def iou_cost(
 def distance_cost(
     filters: BoxFilters, detected_xyxy_px: FloatArray, step_s: float, noise: MotionNoise
 ) -> FloatArray:
-    """(N, M) squared Mahalanobis distances of boxes (M, 4) from the predictions of N filters,
-    `step_s` after a frame.
+    """(N, M) squared Mahalanobis distances of boxes (M, 4) from the predictions of N filters, `step_s` after a frame.
 
-    For objects that move by more than their width from frame to frame, with y the difference of the
-    centres:
+    For objects that move by more than their width from frame to frame, with y the difference of the centres:
         d^2 = (y_x^2 + y_y^2) / S + log(h / h')^2 / (2 r^2 + (growth step)^2)        chi-square distributed, 3 degrees
     """
     box = cxcywh(detected_xyxy_px)

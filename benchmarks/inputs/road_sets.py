@@ -1,8 +1,7 @@
-"""Road data sets for distances of one camera: labelled boxes with true distances, camera height and
-region.
+"""Road data sets for distances of one camera: labelled boxes with true distances, camera height and region.
 
-tusimple  clips of US highways: drawn boxes, truth = the nearest point of a vehicle nuscenes
-Boston, six cameras: boxes and truth from 3-D boxes; boxes that end at the border are left out
+tusimple  clips of US highways: drawn boxes, truth = the nearest point of a vehicle
+nuscenes  Boston, six cameras: boxes and truth from 3-D boxes; boxes that end at the border are left out
 kitti     tracking labels of 13 sequences: exact boxes, boxes with a noise of 2 px, boxes of a detector (RRC)
 """
 

@@ -1,28 +1,23 @@
-"""Import of Darknet networks (cfg and weights) as ONNX files: YOLOv3, YOLOv4 and their tiny
-versions.
+"""Import of Darknet networks (cfg and weights) as ONNX files: YOLOv3, YOLOv4 and their tiny versions.
 
-The outputs are the inputs of the [yolo] layers, [1, A (5 + classes), rows, columns], in the cfg's
-order and named after their strides (`head_s32`, ...). `detection.yolo.decoders.anchored` decodes
-them into boxes; the class names, anchors and scale_x_y that it needs are written to the file's
-metadata (`detection.models.metadata`).
+The outputs are the inputs of the [yolo] layers, [1, A (5 + classes), rows, columns], in the cfg's order and named after
+their strides (`head_s32`, ...). `detection.yolo.decoders.anchored` decodes them into boxes; the class names, anchors
+and scale_x_y that it needs are written to the file's metadata (`detection.models.metadata`).
 
-    [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->
-    head_s32, head_s16, ...
+    [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->  head_s32, head_s16, ...
 
-Reader of Darknet's weights files: a header and the float32 values of every convolution in the cfg's
-order.
+Reader of Darknet's weights files: a header and the float32 values of every convolution in the cfg's order.
 
     int32 major, minor, revision; number of training images: uint64 from version 0.2, uint32 before
-    per convolution: bias[F], with batch norm also scale[F], mean[F], variance[F], then weights[F, C
-    / groups, k, k]
+    per convolution: bias[F], with batch norm also scale[F], mean[F], variance[F], then weights[F, C / groups, k, k]
 
 All values are little-endian. Batch norm is folded into the convolution, in float64:
 
     a = scale / sqrt(variance + epsilon)        weights' = a weights        bias' = bias - a mean
 
-with epsilon = 0.00001 as in AlexeyAB's `fuse_conv_batchnorm` (network.c), with which YOLOv4 was
-trained. Redmon's Darknet uses sqrt(variance) + 0.000001 and OpenCV sqrt(variance + 0.000001); the
-difference matters only for channels with a tiny variance.
+with epsilon = 0.00001 as in AlexeyAB's `fuse_conv_batchnorm` (network.c), with which YOLOv4 was trained. Redmon's
+Darknet uses sqrt(variance) + 0.000001 and OpenCV sqrt(variance + 0.000001); the difference matters only for channels
+with a tiny variance.
 """
 
 import json

@@ -1,14 +1,12 @@
-"""Measurement of the systematic errors of a detector's boxes on labelled images
-(`detection.box_errors`).
+"""Measurement of the systematic errors of a detector's boxes on labelled images (`detection.box_errors`).
 
     e = log(size of the box / size of the label)    of width and height, for the matches of a class
-    m = median of e over all matches, s = its standard error from the medians of blocks of
-    successive images
+    m = median of e over all matches, s = its standard error from the medians of blocks of successive images
     mean  = g m,   g = c^2 / (c^2 + s^2)            d: deviation of a drive from the mean over drives
     sigma = sqrt(g s^2 + d^2)                       c^2 + d^2: variance of an unknown detector
 
-Blocks are used because an object is in many images of a video. No set of images shows d; its value
-was measured with the detectors of `UNKNOWN_DETECTOR`.
+Blocks are used because an object is in many images of a video. No set of images shows d; its value was measured with
+the detectors of `UNKNOWN_DETECTOR`.
 """
 
 from collections.abc import Mapping

@@ -1,21 +1,19 @@
-"""Fit of the scores of a detector to labelled images, so that they are probabilities (Platt scaling
-by class).
+"""Fit of the scores of a detector to labelled images, so that they are probabilities (Platt scaling by class).
 
     p = sigma(a_c logit(s) + b_c),    a_c = exp(alpha + alpha_c) > 0,    b_c = beta + beta_c
 
-for a detection of class c with score s. The coefficients maximise the likelihood of the matches of
-the detections with labels, with penalties that pull the common coefficients towards the identity
-and each class towards the common coefficients:
+for a detection of class c with score s. The coefficients maximise the likelihood of the matches of the detections with
+labels, with penalties that pull the common coefficients towards the identity and each class towards the common
+coefficients:
 
     minimise   sum over detections of (log(1 + exp(z)) - t z) + 2 (alpha^2 + sum over c of (4 alpha_c^2 + beta_c^2))
-    z = a_c logit(s) + b_c t = (n+ + 1) / (n+ + 2) for matches, 1 / (n- + 2) for others; n+ and n-
-    are their numbers in the class
+    z = a_c logit(s) + b_c
+    t = (n+ + 1) / (n+ + 2) for matches, 1 / (n- + 2) for others; n+ and n- are their numbers in the class
 
-The targets t replace 1 and 0, as in Platt's paper: otherwise, scores that separate the samples
-would become 0 and 1. Classes with fewer than `MIN_POSITIVES` matches have the coefficients
-exp(alpha) and beta, fitted without the detections of these classes, unless all classes have too
-few. (Platt, "Probabilistic outputs for support vector machines", 1999; for detectors: Küppers et
-al., "Multivariate Confidence Calibration for Object Detection", 2020.)
+The targets t replace 1 and 0, as in Platt's paper: otherwise, scores that separate the samples would become 0 and 1.
+Classes with fewer than `MIN_POSITIVES` matches have the coefficients exp(alpha) and beta, fitted without the detections
+of these classes, unless all classes have too few. (Platt, "Probabilistic outputs for support vector machines", 1999;
+for detectors: Küppers et al., "Multivariate Confidence Calibration for Object Detection", 2020.)
 """
 
 from __future__ import annotations

@@ -2,28 +2,24 @@
 
 In each image, two of the proposed straight lines are chosen, by the score
 
-    score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a
-    typical lane)
+    score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a typical lane)
                                           - cost * (squared distance in sigmas from the tracked lane)
 
-with the deviations of lane width / camera height, horizon, vanishing point and lateral camera
-position. The lane is then fitted with the prediction as the prior. The fit updates the state; if
-several images in a row contradict the state, it is reset. Lines that have not been seen for a while
-are not reported.
+with the deviations of lane width / camera height, horizon, vanishing point and lateral camera position. The lane is
+then fitted with the prediction as the prior. The fit updates the state; if several images in a row contradict the
+state, it is reset. Lines that have not been seen for a while are not reported.
 
-The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both
-is learnt. Then, where a line of the lane is hidden, the line of the neighbouring lane is not
-mistaken for it, since the lane would be twice as wide.
+The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both is learnt. Then,
+where a line of the lane is hidden, the line of the neighbouring lane is not mistaken for it, since the lane would be
+twice as wide.
 
-Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's
-biweight.
+Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's biweight.
 
     minimise over s  sum_i rho((x_i - x(y_i; s)) / sigma_i) + (s - s0)' P^-1 (s - s0)
 
-s is the lane state, s0 and P are the mean and covariance of the expected state. The minimum is
-found by iterative reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are
-correlated, so the pixels of a line have the weight of only a few independent ones. If only one line
-is visible, the other follows from the expected width.
+s is the lane state, s0 and P are the mean and covariance of the expected state. The minimum is found by iterative
+reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are correlated, so the pixels of a line have the
+weight of only a few independent ones. If only one line is visible, the other follows from the expected width.
 """
 
 import math

@@ -1,23 +1,20 @@
 """NetLaneFinder: detection of the ego lane's lines with an ONNX network.
 
-Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection,
-CULane and TuSimple heads), which are recognised by the shapes of their outputs (see below). The
-network's input is the part of the image that is most similar to its training images. Otherwise
-LSTR, which was trained with one camera, draws lines towards the horizon of that camera, with errors
-of 10 % of the lane width, and TwinLiteNet misses thin lines in images wider than 16:9.
+Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple
+heads), which are recognised by the shapes of their outputs (see below). The network's input is the
+part of the image that is most similar to its training images. Otherwise LSTR, which was trained with one camera, draws
+lines towards the horizon of that camera, with errors of 10 % of the lane width, and TwinLiteNet misses thin lines in
+images wider than 16:9.
 
 Decoders of lane networks' outputs into pixels on lines.
 
     segmentation  [1, 2, h, w] or [1, 1, h, w]      a pixel is on a line if the score of the last channel is the larger
     curves        [1, K, 2] scores, [1, K, 8] rows  LSTR (Liu et al., WACV 2021): y0, y1, k, f, m, n, b, b' with
-                                                    x = k / (y - f)^2 + m / (y - f) + n + b y - b',
-                                                    all in 0..1
+                                                    x = k / (y - f)^2 + m / (y - f) + n + b y - b', all in 0..1
     row anchors   [1, cells + 1, rows, 4]           Ultra Fast Lane Detection (Qin et al., ECCV 2020): in each of a few
-                                                    fixed rows, scores of the cells of four lines;
-                                                    the last = no line
+                                                    fixed rows, scores of the cells of four lines; the last = no line
 
-Decoders return pixels of the network's input, with pixel centres at integers, and the line number
-of each pixel.
+Decoders return pixels of the network's input, with pixel centres at integers, and the line number of each pixel.
 """
 
 from collections.abc import Callable, Mapping, Sequence

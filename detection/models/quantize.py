@@ -2,27 +2,25 @@
 
     q = clip(round(x / scale) + zero_point, 0, 255)        x ~ (q - zero_point) * scale
 
-Weights are signed bytes with one scale per output channel, activations unsigned bytes with one
-scale per tensor (signed bytes took 1.6 to 2.7 times as long). The range of an activation extends
-from the mean of the images' minima to the mean of their maxima. Clipping the extremes reduces the
-disagreement with the float network by 30 to 60 %, compared with the range of all values. (A
-percentile was equally accurate on YOLOX-nano, but took eight times as long.)
+Weights are signed bytes with one scale per output channel, activations unsigned bytes with one scale per tensor (signed
+bytes took 1.6 to 2.7 times as long). The range of an activation extends from the mean of the images' minima to the mean
+of their maxima. Clipping the extremes reduces the disagreement with the float network by 30 to 60 %, compared with the
+range of all values. (A percentile was equally accurate on YOLOX-nano, but took eight times as long.)
 
 These parts stay in float, which determines the accuracy:
 
 - the last convolutions and everything after them, where one tensor contains both pixels (0..640) and scores (0..1);
 - convolutions with an input or output whose channels differ so much in range that the rounding of a common scale
-  exceeds the values of the smaller channels (YOLOX-nano's stem and the depthwise convolution after
-  it: quantising these two halves its average precision);
+  exceeds the values of the smaller channels (YOLOX-nano's stem and the depthwise convolution after it: quantising these
+  two halves its average precision);
 - everything before the first quantised convolution.
 
-Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is
-corrected by that shift, layer by layer in the network's order, measured on some of the images, as
-in Nagel et al., Data-Free Quantization Through Weight Equalization and Bias Correction, ICCV 2019,
-section 4.2.
+Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is corrected by that shift,
+layer by layer in the network's order, measured on some of the images, as in Nagel et al., Data-Free Quantization
+Through Weight Equalization and Bias Correction, ICCV 2019, section 4.2.
 
-INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits,
-which saturates and is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
+INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits, which saturates and
+is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 """
 
 import copy

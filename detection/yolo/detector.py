@@ -1,16 +1,13 @@
-"""YoloDetector: detection of road users with any network whose output layout is in
-`detection.yolo.layouts`.
+"""YoloDetector: detection of road users with any network whose output layout is in `detection.yolo.layouts`.
 
 The networks are YOLO, DETR-like networks, NanoDet and PicoDet.
 
-`detect` consists of three steps that reuse their buffers: `fill` resizes the image into the
-network's input, `infer` runs the network, `decode` turns the outputs into detections. `prepared`
-does only the first step, in separate buffers, so that another thread can meanwhile do the other
-steps for the previous image.
+`detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
+runs the network, `decode` turns the outputs into detections. `prepared` does only the first step, in separate buffers,
+so that another thread can meanwhile do the other steps for the previous image.
 
     one thread      prepared(k+1), prepared(k+2), ...
-    another thread  function that prepared(k) returned; or detect; or fill, infer, decode;
-    candidates, input_blob
+    another thread  function that prepared(k) returned; or detect; or fill, infer, decode; candidates, input_blob
 """
 
 from __future__ import annotations

@@ -3,11 +3,10 @@ r"""Reference distances of labelled objects by the definitions of published eval
     surface   z at which the ray through the middle of the box meets the 3-D box: the distance of this project
     centre    z of the centre of the 3-D box, as in KITTI's labels (Vajgl et al., Dist-YOLO, Applied Sciences 2022)
     lidar     depth of the (0.1 n)-th nearest of the n lidar points in the 3-D box (Zhu and Fang, Learning
-              object-specific distance from a monocular image, ICCV 2019; Panariello et al.,
-              DistFormer, CVIU 2025)
+              object-specific distance from a monocular image, ICCV 2019; Panariello et al., DistFormer, CVIU 2025)
 
-All are depths in the frame of the left camera. The methods measure the surface; `centre_offset_m`
-of the evaluation converts their distances for the reference `centre`.
+All are depths in the frame of the left camera. The methods measure the surface; `centre_offset_m` of the evaluation
+converts their distances for the reference `centre`.
 
         z                 Box in KITTI's convention: bottom centre (X, Y, Z), height h along -y, length l along the x
 ray   / |____             axis and width w along the z axis of the box, rotated by rotation_y about the camera's y

@@ -1,5 +1,4 @@
-"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et
-al.).
+"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et al.).
 
 cuboids       priors over sizes (`prior_fit`), from labels with 3-D boxes
 log-linear    one log-linear curve per class (`curve_fit`)
@@ -8,8 +7,7 @@ others        monotonic plain curves of one box measure (`plain_curves.SAFE_CURV
 
 The comparison fits all plain curves to the boxes of a class (Zhang et al., Table 3):
 
-residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table
-3)
+residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table 3)
 cross-validated error   = mean |d_fitted - d| / d, with each sequence measured by a curve fitted to other sequences
 """
 

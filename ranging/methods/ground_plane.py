@@ -2,38 +2,34 @@ r"""GroundRanger: distance from the contact point of an object, the camera heigh
 
     d = fy H / (y - y0)
 
-              o camera -------------- y0, horizon (vanishing line of the road; moves with pitch and
-              slope)
+              o camera -------------- y0, horizon (vanishing line of the road; moves with pitch and slope)
               |  \
             H |     \   y, bottom edge of the box
     __________|________\[object]___
 
-The horizon y0 is not part of a calibration: it moves with every bump, and differs between roads by
-3 degrees or 40 px. Image motion measures it, and the curvature k of the road in the vertical plane
-(`stereo.odometry.road_horizon`):
+The horizon y0 is not part of a calibration: it moves with every bump, and differs between roads by 3 degrees or 40 px.
+Image motion measures it, and the curvature k of the road in the vertical plane (`stereo.odometry.road_horizon`):
 
     y = y0 + H s - fy k d / 2,   s = fy / d
 
-The objects on the road add to this estimate, and replace it where there are no images or no motion.
-With its distance d_i by size, object i is a measurement
+The objects on the road add to this estimate, and replace it where there are no images or no motion. With its distance
+d_i by size, object i is a measurement
 
     y_i = y0 + H s_i (1 - b) - fy k d_i / 2,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
     R = pitch^2 + edge^2 + (kerb s_i)^2 + (crossfall x_i)^2 + curvature ahead^2
 
-of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least
-squares over all tracks, with priors from image motion, the camera height and the drive
-(`DriveScale`). A track contributes the average of its recent measurements once, since its size
-error is the same in every frame. For the same reason each object is ranged with the road from the
-other objects only; otherwise its distance would repeat the distance by size. Without image motion,
-k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
+of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
+tracks, with priors from image motion, the camera height and the drive (`DriveScale`). A track contributes the average
+of its recent measurements once, since its size error is the same in every frame. For the same reason each object is
+ranged with the road from the other objects only; otherwise its distance would repeat the distance by size. Without
+image motion, k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
 
-Where the camera height is known, distances from image motion alone, without any size, are the
-reference from which the drive's scale is measured.
+Where the camera height is known, distances from image motion alone, without any size, are the reference from which the
+drive's scale is measured.
 
-The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray
-through the box centre meets the object, for a car seen from the side up to half a metre farther
-(`surface_offset_m`). The box of a detector ends at the tyres, which in a rear view are behind the
-bumper.
+The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
+meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`). The box of a detector
+ends at the tyres, which in a rear view are behind the bumper.
 """
 
 from __future__ import annotations

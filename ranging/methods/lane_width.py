@@ -5,23 +5,19 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
       |box|        sigma_d / d = sqrt((sigma_w / w)^2 + (sigma_W / W)^2 + (w' sigma_y / w)^2)
      /-----\
     /   W   \      w' = dw/dy. On a flat road w = w' (y - y0) with the horizon y0, so the last term, the error of the
-                   bottom edge, grows with the distance as for all methods that use the contact
-                   point.
+                   bottom edge, grows with the distance as for all methods that use the contact point.
 
-Pitch cancels if lines and box come from the same image; a run detects lines ten times per second
-and uses the latest lines in between. The contact point belongs to the nearest surface, or to tyres
-behind it (`surface_offset_m`).
+Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
+lines in between. The contact point belongs to the nearest surface, or to tyres behind it (`surface_offset_m`).
 
-W has a prior by region and road, and is learnt from the distances d_i of the tracks by another
-method:
+W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
 
     log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: error of the track (its size)
 
-A track counts once, and the width that ranges a track is learnt from other tracks, since its own
-width would repeat d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`):
-the prior of W keeps a part of its weight, and the error source `drive_scale` is what both methods
-have in common. A width far from the prior does not belong to a lane. Where the height H of the
-camera is known, the lines show their distance: W = H w' fy / fx.
+A track counts once, and the width that ranges a track is learnt from other tracks, since its own width would repeat
+d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its
+weight, and the error source `drive_scale` is what both methods have in common. A width far from the prior does not
+belong to a lane. Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
 """
 
 import math

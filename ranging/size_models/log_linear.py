@@ -1,14 +1,11 @@
-"""SizeCurves: distance from the size of a box by a log-linear curve per class, with sizes divided
-by the focal length.
+"""SizeCurves: distance from the size of a box by a log-linear curve per class, with sizes divided by the focal length.
 
-    log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan
-    bearing|
+    log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan bearing|
 
-For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres.
-Unlike the polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and
-monotonic also outside the fitted range. Boxes truncated at a side are ranged by a second set of
-coefficients without the width. Sigma has a relative part (residuals on left-out sequences) and a
-part from the noise of the box in px.
+For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres. Unlike the
+polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and monotonic also outside the fitted
+range. Boxes truncated at a side are ranged by a second set of coefficients without the width. Sigma has a relative
+part (residuals on left-out sequences) and a part from the noise of the box in px.
 """
 
 from collections.abc import Mapping

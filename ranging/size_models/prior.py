@@ -1,16 +1,13 @@
-"""SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that
-this prior implies.
+"""SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that this prior implies.
 
-    log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)  over the objects of all
-    drives
+    log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)  over the objects of all drives
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
     log distance                ~ N(mean, sigma)                            wide: it only makes 500 m unlikely
 
-The components b are body types (small van, high-roof van, lorry); classes whose sizes vary little
-have a single type.
+The components b are body types (small van, high-roof van, lorry); classes whose sizes vary little have a single type.
 
-`ShapeTables` contain the geometry of `cuboid.py` at nodes of yaw, bearing and log distance, with
-slopes for linear interpolation, so that the boxes of a frame need a single look-up.
+`ShapeTables` contain the geometry of `cuboid.py` at nodes of yaw, bearing and log distance, with slopes for linear
+interpolation, so that the boxes of a frame need a single look-up.
 """
 
 from collections.abc import Mapping

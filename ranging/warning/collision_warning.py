@@ -1,22 +1,20 @@
-"""CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis
-for each.
+"""CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis for each.
 
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
-Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on
-another object. The filtered rate v has a model of the motion, and takes about a second to forget
-another object; so a filter without a model has to confirm it before an alarm starts.
+Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on another object.
+The filtered rate v has a model of the motion, and takes about a second to forget another object; so a filter without a
+model has to confirm it before an alarm starts.
 
-Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the
-density q. In its coordinates, an object at the distance z, which the ego vehicle reaches after T =
-z / V, has
+Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the density q. In its
+coordinates, an object at the distance z, which the ego vehicle reaches after T = z / V, has
 
     o = x - V (w T^2 / 2 + w' T^3 / 6)         o' = u_x - (w T + w' T^2 / 2) u
     var o = P_oo + V^2 (P_ww T^4 / 4 + P_ww' T^5 / 6 + P_w'w' T^6 / 36 + q T^7 / 252)
 
-both of which are constant for static objects and for all vehicles that follow the road. Traffic
-lights and signs have no probability of contact: they hang above the road, or are beside it.
+both of which are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
+no probability of contact: they hang above the road, or are beside it.
 """
 
 import math

@@ -1,12 +1,10 @@
-"""DriftMonitor: measures the offset of a rig again during a drive; DriftingAlignment: the alignment
-at each time.
+"""DriftMonitor: measures the offset of a rig again during a drive; DriftingAlignment: the alignment at each time.
 
-    every 30 s or more:  16 frames -> bundle adjustment -> offset, with slope and curvature as at
-    the start
+    every 30 s or more:  16 frames -> bundle adjustment -> offset, with slope and curvature as at the start
     state (o, r):  o += r dt,  r: random walk          Kalman filter of offset o in px and drift r in px/s
 
-A frame is corrected with the measurements that ended before it, so that results do not depend on
-the order in which threads run. A change that is not significant is not applied.
+A frame is corrected with the measurements that ended before it, so that results do not depend on the order in which
+threads run. A change that is not significant is not applied.
 """
 
 import math

@@ -1,14 +1,11 @@
-"""measured_lag: by how much the right image of a rectified pair is late, from the vertical motion
-of its points.
+"""measured_lag: by how much the right image of a rectified pair is late, from the vertical motion of its points.
 
     f = y_left - y_before    motion of a point from an earlier left image to the left image
     v = y_right - y_left     its row offset: 0 in simultaneous images; in a late right image, the point has moved less:
-                             v = a + b x + c y + d x y - lag f,  lag in times between the left
-                             images
+                             v = a + b x + c y + d x y - lag f,  lag in times between the left images
 
-All that moves up or down counts: the expansion of the image in forward motion, pitch, and other
-road users. The other terms describe a rig that does not fit the images. Without vertical motion,
-the lag is unknown.
+All that moves up or down counts: the expansion of the image in forward motion, pitch, and other road users. The other
+terms describe a rig that does not fit the images. Without vertical motion, the lag is unknown.
 """
 
 import math

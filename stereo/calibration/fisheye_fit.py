@@ -1,14 +1,12 @@
-"""Fit of one or two Kannala-Brandt cameras to views of a flat board, without an initial focal
-length.
+"""Fit of one or two Kannala-Brandt cameras to views of a flat board, without an initial focal length.
 
 1. For focal lengths f from a telephoto to a 300-degree lens, corners become directions of an ideal equidistant lens
    (theta = r / f about the image centre), and each view a pose of the board:
 
        d x (H (X, Y, 1)^T) = 0,   H = s (r1 r2 t)        d = direction of a corner (X, Y) of the board
 
-   The f with the smallest residual, as the median of the views, is the start. Directions need no
-   division by z, so corners beyond 90 degrees do no harm; cv2.fisheye.calibrate divides by z, and
-   stops with an error.
+   The f with the smallest residual, as the median of the views, is the start. Directions need no division by z, so
+   corners beyond 90 degrees do no harm; cv2.fisheye.calibrate divides by z, and stops with an error.
 2. Intrinsics, coefficients and poses are optimised together (`solve_blocks`), with both cameras of a pair and
    their relative pose in one problem.
 """

@@ -1,17 +1,15 @@
-"""Confidence measures of the median of dense disparities in a box, as alternatives to its standard
-deviation.
+"""Confidence measures of the median of dense disparities in a box, as alternatives to its standard deviation.
 
     spread       median absolute deviation of the disparities in the inner half, relative to their median
     invalid      fraction of pixels in the inner half without a disparity: rejected by OpenCV's uniqueness, left-right
                  check or speckle filter
-    disagreeing  fraction of pixels in the inner half without a disparity or more than `NEAR` away
-    from the median
+    disagreeing  fraction of pixels in the inner half without a disparity or more than `NEAR` away from the median
     left_right   fraction of pixels in the inner half without a disparity, or whose disparity differs by more than
                  `MAX_DIFFERENCE_PX` from the disparity of the matched pixel in the right image
 
-All are uncertainties: larger = less certain. (Poggi et al., "On the confidence of stereo matching
-in a deep-learning era", PAMI 2022, compares measures of single pixels.) Margins of costs are not
-among them, since OpenCV does not return its costs.
+All are uncertainties: larger = less certain. (Poggi et al., "On the confidence of stereo matching in a deep-learning
+era", PAMI 2022, compares measures of single pixels.) Margins of costs are not among them, since OpenCV does not return
+its costs.
 """
 
 from collections.abc import Iterable, Iterator

@@ -2,12 +2,10 @@
 
     FOLDER/image_2/NAME.png     left image      FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
     FOLDER/image_3/NAME.png     right image     FOLDER/obj_map/NAME.png     number of the car, 0 = none
-    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file
-    given by the user
+    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file given by the user
 
-The box of an instance is the bounding box of its pixels, its truth the median of the true
-disparities in the inner half of the box. (Menze & Geiger, "Object scene flow for autonomous
-vehicles", CVPR 2015.)
+The box of an instance is the bounding box of its pixels, its truth the median of the true disparities in the inner half
+of the box. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
 """
 
 from collections.abc import Iterator

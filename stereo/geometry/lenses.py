@@ -39,11 +39,10 @@ class Lens:
 
 
 def _pinhole_distort(xyz: FloatArray, coefficients: Sequence[float]) -> FloatArray:
-    """OpenCV's radial and tangential terms, Kalibr's `radtan`, with 0, 4, 5, 8, 12 or 14
-    coefficients.
+    """OpenCV's radial and tangential terms, Kalibr's `radtan`, with 0, 4, 5, 8, 12 or 14 coefficients.
 
-    a = x / z,  b = y / z,  r^2 = a^2 + b^2 m = (a, b) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2
-    + k5 r^4 + k6 r^6) + tangential (p1, p2), thin prism, tilt
+    a = x / z,  b = y / z,  r^2 = a^2 + b^2
+    m = (a, b) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + tangential (p1, p2), thin prism, tilt
 
     (docs.opencv.org, calib3d: k1 k2 p1 p2 k3 k4 k5 k6 s1 .. s4 tau_x tau_y.)
     """

@@ -406,8 +406,7 @@ class PatchMatcher:
     def _sigma(self, search: SurfaceSearch, surface: RefinedSurface) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction
-        scatter)^2
+        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction scatter)^2
                   + (tilt_fraction tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
@@ -415,8 +414,7 @@ class PatchMatcher:
             tilt    = (|p1| + |p2|) / 2             over the inner half of the box
             choice^2 = sum over the other surfaces of P (d - p0)^2
 
-        Windows that overlap share pixels: G_independent is the number of windows that fit side by
-        side.
+        Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
         """
         settings, tiles, surfaces, choice = (
             self._settings,

@@ -1,21 +1,20 @@
-"""Disparities of the windows of tiles: census costs, and semi-global matching on the grid of a
-tile's windows.
+"""Disparities of the windows of tiles: census costs, and semi-global matching on the grid of a tile's windows.
 
     xi(p)   = 24 bits; bit i = 1 if neighbour i in the 5 x 5 window of pixel p is brighter than p
     h(p, d) = Hamming distance of xi_left(p) and xi_right(p - (d, 0)): 0 .. 24, about 12 by chance
     C(w, d) = mean of h(p, d) over the pixels p of window w, bits per pixel
 
-Only the order of grey values counts, so the exposure and gain of the cameras may differ (Zabih &
-Woodfill 1994). The cost of a path that reaches window w at disparity d, from the left, right, above
-or below (Hirschmueller 2008); v is the window before:
+Only the order of grey values counts, so the exposure and gain of the cameras may differ (Zabih & Woodfill 1994). The
+cost of a path that reaches window w at disparity d, from the left, right, above or below (Hirschmueller 2008); v is the
+window before:
 
-    L(w, d) = C(w, d) + min(L(v, d), L(v, d - 1) + P1, L(v, d + 1) + P1, min_i L(v, i) + P2) - min_i
-    L(v, i) S(w, d) = sum of L(w, d) over the four paths
+    L(w, d) = C(w, d) + min(L(v, d), L(v, d - 1) + P1, L(v, d + 1) + P1, min_i L(v, i) + P2) - min_i L(v, i)
+    S(w, d) = sum of L(w, d) over the four paths
 
-A window without a clear minimum, on glass or paint, takes the minimum of its neighbours through S.
-The disparity is the minimum of the window's cost C next to the minimum of S, with a V-shaped
-(equiangular) fit between pixels, because a sum of absolute differences is linear on both sides of
-the minimum (Shimizu & Okutomi 2005). S is not interpolated: the steps P1 bias it to whole pixels.
+A window without a clear minimum, on glass or paint, takes the minimum of its neighbours through S. The disparity is the
+minimum of the window's cost C next to the minimum of S, with a V-shaped (equiangular) fit between pixels, because a sum
+of absolute differences is linear on both sides of the minimum (Shimizu & Okutomi 2005). S is not interpolated: the
+steps P1 bias it to whole pixels.
 """
 
 import math

@@ -329,11 +329,9 @@ def _rotation(vector: FloatArray) -> FloatArray:
 def _reprojection(
     motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by
-    inverse depth.
+    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
 
-    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d
-    q_z) / q_z.
+    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
     """
     u_x, u_y, u_z = motion.rotation @ rays.T
     t_x, t_y, t_z = motion.translation_m.tolist()

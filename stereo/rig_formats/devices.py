@@ -1,16 +1,14 @@
-"""Factory calibrations of stereo cameras: ZED's SN*.conf, DepthAI's (OAK) EEPROM, the output of
-rs-enumerate-devices.
+"""Factory calibrations of stereo cameras: ZED's SN*.conf, DepthAI's (OAK) EEPROM, the output of rs-enumerate-devices.
 
     ZED        [LEFT_CAM_HD] fx fy cx cy k1 k2 p1 p2 k3, ...   one section per resolution
                [STEREO] Baseline TY TZ, millimetres; RX_HD CV_HD RZ_HD, a rotation vector
                x_right = R x_left - (Baseline, TY, TZ)
     DepthAI    cameraData: [socket, {intrinsicMatrix, distortionCoeff, width, height, extrinsics}]
                extrinsics: x_to = rotationMatrix x + translation, centimetres; toCameraSocket
-    RealSense  Intrinsic of "Infrared 1" / 848x480 ...; Extrinsic from "Infrared 1" To "Infrared 2",
-    metres
+    RealSense  Intrinsic of "Infrared 1" / 848x480 ...; Extrinsic from "Infrared 1" To "Infrared 2", metres
 
-(stereolabs/zed-open-capture, examples/include/calibration.hpp; luxonis/depthai-core,
-CalibrationHandler; IntelRealSense/librealsense, tools/enumerate-devices.)
+(stereolabs/zed-open-capture, examples/include/calibration.hpp; luxonis/depthai-core, CalibrationHandler;
+IntelRealSense/librealsense, tools/enumerate-devices.)
 """
 
 # ruff: noqa: N815 - names of values are keys of the file

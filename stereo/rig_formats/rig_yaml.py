@@ -1,22 +1,19 @@
-"""rig.yaml, track-range's format for rigs and single cameras; numbers are written with full
-precision.
+"""rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
-Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1,
-p2, k3, ..., or the distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4,
-double-sphere: xi alpha, omni: xi k1 k2 p1 p2):
+Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or the
+distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2
+p1 p2):
 
-    track_range_rig: 1 left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px:
-    1242, height_px: 375, distortion: []} right: {...} right_from_left: {rotation: [[1, 0, 0], [0,
-    1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
+    track_range_rig: 1
+    left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
+    right: {...}
+    right_from_left: {rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
 
-A camera that was calibrated from the road has the uncertainty of its focal length, and its height
-and pitch:
+A camera that was calibrated from the road has the uncertainty of its focal length, and its height and pitch:
 
-    mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg:
-    1.1, ...}
+    mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
 
-A calibration with a board has the relative standard deviations of focal length and scale (focal
-length times baseline):
+A calibration with a board has the relative standard deviations of focal length and scale (focal length times baseline):
 
     accuracy: {focal_sigma: 0.0008, scale_sigma: 0.0011}
 """

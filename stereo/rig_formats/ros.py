@@ -1,15 +1,12 @@
 """ROS: camera_info of one camera per YAML document, two files or documents for a pair.
 
-    camera_calibration  image_width image_height camera_matrix distortion_model
-    distortion_coefficients
+    camera_calibration  image_width image_height camera_matrix distortion_model distortion_coefficients
                         rectification_matrix projection_matrix             matrices as {rows, cols, data}
     topic echo          width height distortion_model D K R P (d k r p)    lists; `---` after each message
 
-The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info
-come from the driver (image_raw), and D, K and R rectify them; P describes the rectified images
-(image_rect). Both have the same size.
-(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html,
-http://wiki.ros.org/camera_calibration_parsers.)
+The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info come from the driver
+(image_raw), and D, K and R rectify them; P describes the rectified images (image_rect). Both have the same size.
+(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html, http://wiki.ros.org/camera_calibration_parsers.)
 """
 
 import re

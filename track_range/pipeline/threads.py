@@ -1,8 +1,6 @@
-r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping
-threads.
+r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping threads.
 
-reading thread -> lanes thread --> detection thread -> caller's thread ------------------->
-FrameResult
+reading thread -> lanes thread --> detection thread -> caller's thread -------------------> FrameResult
 decode            lane lines,      network, boxes      FramePipeline.step
 network's input  \---> background work of rangers ---/
 """

@@ -1,14 +1,11 @@
-r"""Numbers of threads and queue lengths for reading videos (for the pipeline see
-`track_range.pipeline`).
+r"""Numbers of threads and queue lengths for reading videos (for the pipeline see `track_range.pipeline`).
 
     recorded pair    left file  -> [thread: decode] -> FRAMES_AHEAD frames --\
-                     right file -> [thread: decode] -> FRAMES_AHEAD frames ---> caller's thread:
-                     pair, rectify
+                     right file -> [thread: decode] -> FRAMES_AHEAD frames ---> caller's thread: pair, rectify
     one video        caller's thread: decode, undistort
     live             camera -> [thread: receive, decode] -> newest LIVE_FRAMES frames -> caller's thread
 
-Reading threads run at low priority, so that inference goes first when there are fewer cores than
-busy threads.
+Reading threads run at low priority, so that inference goes first when there are fewer cores than busy threads.
 """
 
 from track_range.foundation.processes import n_usable_cores

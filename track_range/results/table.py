@@ -39,15 +39,12 @@ FRAMES_PER_BATCH = 512
 
 
 class RunTable:
-    """Rows of a run in Apache Arrow's columnar format, one per track and frame; also a context
-    manager.
+    """Rows of a run in Apache Arrow's columnar format, one per track and frame; also a context manager.
 
-        frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) -->
-        memory-mapped table
+        frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> memory-mapped table
 
-    Only the buffer of `rows_per_batch` rows is held in memory, so that memory use does not grow
-    over hours; a run that is shorter than one batch writes no file. The file is deleted with the
-    `RunTable`.
+    Only the buffer of `rows_per_batch` rows is held in memory, so that memory use does not grow over hours; a run that
+    is shorter than one batch writes no file. The file is deleted with the `RunTable`.
     """
 
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:

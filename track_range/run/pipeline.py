@@ -1,11 +1,8 @@
-"""Pipeline: everything that a run does with a frame, for frames in memory, from a driver, a robot
-or a ROS node.
+"""Pipeline: everything that a run does with a frame, for frames in memory, from a driver, a robot or a ROS node.
 
-    check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next
-    frame
+    check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
 
-Nothing is read ahead: the alignment of a pair is estimated while the frames come
-(`StepwiseAlignment`).
+Nothing is read ahead: the alignment of a pair is estimated while the frames come (`StepwiseAlignment`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""ReidModel: appearance embeddings from a re-identification network (ONNX), such as OSNet (Zhou et
-al., ICCV 2019).
+"""ReidModel: appearance embeddings from a re-identification network (ONNX), such as OSNet (Zhou et al., ICCV 2019).
 
-    crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation ->
-    unit-norm features
+    crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation -> unit-norm features
 
 Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNet's, with which
 torchreid and FastReID train. Crops are processed in batches.

@@ -1,19 +1,16 @@
-"""Preprocessing of KITTI's and MOTChallenge's evaluations: the truth and result boxes of a sequence
-that count.
+"""Preprocessing of KITTI's and MOTChallenge's evaluations: the truth and result boxes of a sequence that count.
 
     KITTI     results are dropped that match a neighbouring class (Van for Car, Person for Pedestrian), or truth that is
-              truncated or more than largely occluded; also unmatched results at most 25 px high, or
-              with more than half of their area in a DontCare region. The remaining truth of the
-              class counts.
-    MOT16-20  results that match a person on a vehicle, a static person, a distractor or a
-    reflection are dropped, in MOT20 also results that match a vehicle without a motor. Truth that
-    is flagged as evaluated and of
+              truncated or more than largely occluded; also unmatched results at most 25 px high, or with more than half
+              of their area in a DontCare region. The remaining truth of the class counts.
+    MOT16-20  results that match a person on a vehicle, a static person, a distractor or a reflection are dropped, in
+    MOT20 also results that match a vehicle without a motor. Truth that is flagged as evaluated and of
               the class pedestrian counts.
     MOT15     truth that is flagged as evaluated counts.
 
-Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules follow
-`evaluate_tracking.py` in KITTI's development kit, and MOTChallenge; TrackEval implements them in
-`kitti_2d_box.py` and `mot_challenge_2d_box.py`.)
+Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules follow `evaluate_tracking.py` in
+KITTI's development kit, and MOTChallenge; TrackEval implements them in `kitti_2d_box.py` and
+`mot_challenge_2d_box.py`.)
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,14 +1,13 @@
 """HOTA: one score for detection, association and localisation, and its three parts.
 
     for each IoU threshold a:  DetA = TP / (TP + FN + FP)
-        A(c) = TPA / (TPA + FNA + FPA) for the pair of identities of a match c, over the whole
-        sequence
+        A(c) = TPA / (TPA + FNA + FPA) for the pair of identities of a match c, over the whole sequence
         AssA = mean of A over the matches     LocA = mean IoU of the matches     HOTA = sqrt(DetA AssA)
     the scores are means over a = 0.05, 0.10, ..., 0.95
 
-In each frame, the matching prefers identities that overlap most over the whole sequence, then a
-larger IoU. (Luiten et al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking", IJCV
-2021. Details follow its reference implementation, TrackEval.)
+In each frame, the matching prefers identities that overlap most over the whole sequence, then a larger IoU. (Luiten et
+al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking", IJCV 2021. Details follow its reference
+implementation, TrackEval.)
 """
 
 from __future__ import annotations

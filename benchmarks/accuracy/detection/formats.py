@@ -3,8 +3,7 @@
 Boxes in 2,000 frames, of 10 tracks, with distances for 80 % of them, are written and read again:
 
     edges, distance, score   largest difference; "-" = not in the format
-    ids, classes, predicted  fraction of the boxes for which the value is the same; "-" = not in the
-    format
+    ids, classes, predicted  fraction of the boxes for which the value is the same; "-" = not in the format
 """
 
 from __future__ import annotations

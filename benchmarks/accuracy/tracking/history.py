@@ -1,9 +1,8 @@
 """Median label prediction (`tracking/history.py`) by median length, form and gates.
 
-jitter = |second difference of a box's edges over three consecutive frames| in px: median of each
-track minus that of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number
-of such triples label  = the paper's median-smoothed box ("after" in its figure); its error is the
-median |edge - true edge|
+jitter = |second difference of a box's edges over three consecutive frames| in px: median of each track minus that
+of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number of such triples
+label  = the paper's median-smoothed box ("after" in its figure); its error is the median |edge - true edge|
 """
 
 from __future__ import annotations

@@ -1,16 +1,12 @@
-"""Run trackers of other packages on boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` ->
-OUT_FOLDER/NAME.npz.
+"""Run trackers of other packages on boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` -> OUT_FOLDER/NAME.npz.
 
-The script runs with the interpreter of a peer's environment and imports only the standard library,
-numpy and the peer. Trackers have their published defaults, a new instance per sequence, and the
-frame rate if they have such a parameter.
+The script runs with the interpreter of a peer's environment and imports only the standard library, numpy and the peer.
+Trackers have their published defaults, a new instance per sequence, and the frame rate if they have such a parameter.
 
     IN   n; for sequence i: i/begin (frames + 1) first row of each frame, i/xyxy_px (N, 4), i/score (N,),
-         i/descriptor (N, D) embeddings, i/fps, i/size_px (2), i/min_score confidence threshold for
-         trackers with one threshold, i/max_s processor time in s after which the sequence is
-         stopped
-    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time
-    of the tracker's
+         i/descriptor (N, D) embeddings, i/fps, i/size_px (2), i/min_score confidence threshold for trackers with one
+         threshold, i/max_s processor time in s after which the sequence is stopped
+    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time of the tracker's
          update with the conversion of its input, without that of its output; version
 
 abewley/sort is not a package; it is represented by the SORT tracker of `trackers`.

@@ -1,13 +1,11 @@
 """Reader of labelled images with YOLO, KITTI or COCO labels.
 
     yolo   one NAME.txt per image: `class cx cy w h` as fractions of the image size
-    kitti  one NAME.txt per image (object labels), or one file per sequence (tracking labels), by
-    frame number
+    kitti  one NAME.txt per image (object labels), or one file per sequence (tracking labels), by frame number
     coco   one JSON file: images, annotations (bbox x y w h in pixels, iscrowd), categories
 
-YOLO and COCO labels use the corner convention (the image's left edge is 0); half a pixel is
-subtracted, so that pixel centres are at integers. KITTI labels are used without change
-(`detection.formats.video_labels.kitti`).
+YOLO and COCO labels use the corner convention (the image's left edge is 0); half a pixel is subtracted, so that pixel
+centres are at integers. KITTI labels are used without change (`detection.formats.video_labels.kitti`).
 """
 
 from collections import defaultdict

@@ -2,18 +2,16 @@
 
     videos       [{id, name, width, height, fps}]                   as in COCO-VID and TAO; optional when reading
     images       [{id, file_name, width, height, video_id, frame_index}]
-    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, segmentation, iscrowd,
-    track_id, score,
+    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, segmentation, iscrowd, track_id, score,
                    attributes}]
     categories   [{id, name}]
 
-Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the left edge of the image
-is 0, so coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has
-distance_m, sigma_m and predicted. `iscrowd` marks regions of many objects, which are not evaluated.
-When reading, the identity is `track_id` or `instance_id`, also in `attributes` (as CVAT writes it);
-the frame number is `frame_index`, `frame_id`, or the last number in `file_name`. Attributes may be
-texts, as CVAT writes attributes of the input type text. Boxes with a true attribute outside are
-left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave
+Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the left edge of the image is 0, so
+coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has distance_m, sigma_m and predicted.
+`iscrowd` marks regions of many objects, which are not evaluated. When reading, the identity is `track_id` or
+`instance_id`, also in `attributes` (as CVAT writes it); the frame number is `frame_index`, `frame_id`, or the last
+number in `file_name`. Attributes may be texts, as CVAT writes attributes of the input type text. Boxes with a true
+attribute outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave
 et al., "TAO", ECCV 2020, for videos.)
 """
 

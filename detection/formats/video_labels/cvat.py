@@ -4,23 +4,20 @@
       <version>1.1</version>
       <meta><task> name, size, start_frame, stop_frame, labels, original_size </task></meta>
       <track id="0" label="car">
-        <box frame="0" keyframe="1" outside="0" occluded="0" xtl="9.5" ytl="20" xbr="50.5" ybr="60"
-        z_order="0">
+        <box frame="0" keyframe="1" outside="0" occluded="0" xtl="9.5" ytl="20" xbr="50.5" ybr="60" z_order="0">
           <attribute name="distance_m">21.4</attribute>
         </box>
 
-Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so
-coordinates are 0.5 px larger than with pixel centres at integers. `outside="1"` ends the visible
-part of a track, which has no box in that frame. Between two boxes of a track, all four edges are
-interpolated linearly, as in CVAT. The attributes distance_m, sigma_m, score and predicted are
-optional; CVAT keeps attributes that the labels of its task declare. It repeats the attributes of a
-keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the
-label dontcare are regions that are not evaluated.
+Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so coordinates are 0.5 px larger
+than with pixel centres at integers. `outside="1"` ends the visible part of a track, which has no box in that frame.
+Between two boxes of a track, all four edges are interpolated linearly, as in CVAT. The attributes distance_m, sigma_m,
+score and predicted are optional; CVAT keeps attributes that the labels of its task declare. It repeats the attributes
+of a keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare
+are regions that are not evaluated.
 
-Written files list every box, and mark as keyframes the boxes from which all others can be
-interpolated to 1 px or 2 % of the box, and to 2 % of the distance, so that a person has fewer boxes
-to correct. (CVAT's documentation, "XML annotation format", version 1.1; the interpolation follows
-CVAT's `TrackManager`.)
+Written files list every box, and mark as keyframes the boxes from which all others can be interpolated to 1 px or 2 %
+of the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML
+annotation format", version 1.1; the interpolation follows CVAT's `TrackManager`.)
 """
 
 import math

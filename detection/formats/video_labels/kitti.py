@@ -1,13 +1,12 @@
 """Reader of KITTI's label and detection files.
 
-Each row describes one object, in columns separated by spaces. A tracking file covers a sequence, an
-object file one image:
+Each row describes one object, in columns separated by spaces. A tracking file covers a sequence, an object file one
+image:
     tracking: frame id TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
     object:            TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
-x1 .. y2 are pixels from 0; h w l are the size and X Y Z the bottom centre of the 3-D box in metres,
-in the frame of the rectified reference camera (camera 0). Detection files have -1 or -1000 for
-unknown values. (Geiger et al., "Are we ready for autonomous driving?", CVPR 2012, and the
-development kit's readme.)
+x1 .. y2 are pixels from 0; h w l are the size and X Y Z the bottom centre of the 3-D box in metres, in the frame of the
+rectified reference camera (camera 0). Detection files have -1 or -1000 for unknown values.
+(Geiger et al., "Are we ready for autonomous driving?", CVPR 2012, and the development kit's readme.)
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
-"""Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file
-for each image.
+"""Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file for each image.
 
-`LAYOUTS` has a row for each layout: the marks in the first 64 kB, and a function that lists its
-boxes. Boxes have the corner convention, where the left edge of the image is 0, except in Scalabel
-(BDD100K) and Supervisely, whose edges are the first and last pixel. Frames are given by number, or
-by the last number in the name of the image.
+`LAYOUTS` has a row for each layout: the marks in the first 64 kB, and a function that lists its boxes. Boxes
+have the corner convention, where the left edge of the image is 0, except in Scalabel (BDD100K) and Supervisely, whose
+edges are the first and last pixel. Frames are given by number, or by the last number in the name of the image.
 
     BDD100K        https://doc.bdd100k.com/format.html, Scalabel's format: images (det_20) and videos (box_track_20)
     LabelMe        https://github.com/wkentaro/labelme, one file for each image; group_id is the identity
     Label Studio   https://labelstud.io/guide/export, in per cent of the image; JSON, JSON-MIN and video labels
     VIA            https://www.robots.ox.ac.uk/~vgg/software/via, version 1 and 2, JSON, project or CSV
     Supervisely    https://docs.supervisely.com, annotations of images and videos
-    CreateML, CSV  as Roboflow exports them: the centre and size of boxes; columns filename, class,
-    xmin, ...
+    CreateML, CSV  as Roboflow exports them: the centre and size of boxes; columns filename, class, xmin, ...
     supervision    JSONSink and CSVSink, with the frame number among the custom data
     Pascal VOC     Everingham et al., IJCV 2010, as CVAT, LabelImg and Roboflow write it
     UA-DETRAC      Wen et al., CVIU 2020, frames from 1

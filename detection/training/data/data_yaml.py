@@ -9,17 +9,14 @@
     manifest: manifest.csv      # columns file, split, labels_complete (which classes are labelled)
     labels_pseudo: teacher      # detections `class cx cy w h score`, used for classes that are not completely labelled
     pseudo_scores: thresholds   # use of their scores, or `probabilities`
-    pseudo_names: [person, ...] # with probabilities: the classes that the detector knows; default:
-    all names
+    pseudo_names: [person, ...] # with probabilities: the classes that the detector knows; default: all names
 
-If an entry is another data.yaml, its images of the same split are used; they count as unlabelled
-for classes that this data.yaml does not name. Names that are not road classes are ignored. A
-pseudo-label that does not overlap a label is an object if its score is at least 0.5 (cars: 0.4) and
-its class is not completely labelled in the image; otherwise the box is ignored, so that a detection
-there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each pseudo-label
-of a class that is not completely labelled is an object whose confidence is the score, and the
-classes that the detector knows count as completely labelled. `detection.training.ensemble` makes
-such pseudo-labels.
+If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for classes that this
+data.yaml does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an
+object if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box
+is ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
+pseudo-label of a class that is not completely labelled is an object whose confidence is the score, and the classes that
+the detector knows count as completely labelled. `detection.training.ensemble` makes such pseudo-labels.
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
 """Fusion of the boxes of several detectors (weighted boxes fusion).
 
-The boxes of all detectors and views are visited in order of decreasing score s. A box without a
-cluster starts a new one, which takes all free boxes of easily confused classes whose IoU with this
-box exceeds 0.55. A cluster C becomes
+The boxes of all detectors and views are visited in order of decreasing score s. A box without a cluster starts a new
+one, which takes all free boxes of easily confused classes whose IoU with this box exceeds 0.55. A cluster C becomes
 
-    box = (sum over i in C of s_i^2 b_i) / (sum over i in C of s_i^2) s_dc = min(1, 1/2 sum over i
-    in C of s_i), for the boxes i of detector d and class c in both views
+    box = (sum over i in C of s_i^2 b_i) / (sum over i in C of s_i^2)
+    s_dc = min(1, 1/2 sum over i in C of s_i), for the boxes i of detector d and class c in both views
 
-which is the mean score over the views, as non-maximum suppression leaves hardly more than one such
-box per view.
+which is the mean score over the views, as non-maximum suppression leaves hardly more than one such box per view.
 
-(Solovyev, Wang, Gabruseva, "Weighted boxes fusion", Image and Vision Computing 2021, with squared
-weights, clusters around their best box, and one score per detector and class, which `calibration`
-combines, instead of a mean score.)
+(Solovyev, Wang, Gabruseva, "Weighted boxes fusion", Image and Vision Computing 2021, with squared weights, clusters
+around their best box, and one score per detector and class, which `calibration` combines, instead of a mean score.)
 """
 
 from collections.abc import Sequence

@@ -1,24 +1,21 @@
-"""DetectionLoss: the loss of a network's raw heads from labels and, optionally, the outputs of a
-teacher.
+"""DetectionLoss: the loss of a network's raw heads from labels and, optionally, the outputs of a teacher.
 
-    loss = batch * (3 / heads) * sum over heads of (0.05 box + g_h (size / 640)^2 objectness + 0.5
-    (C / 80) class)
+    loss = batch * (3 / heads) * sum over heads of (0.05 box + g_h (size / 640)^2 objectness + 0.5 (C / 80) class)
 
     box         mean over the positive cells of 1 - CIoU or 1 - EIoU
-    objectness  mean over all cells of the binary cross-entropy; the target is the box's CIoU or
-    EIoU, 0 for background
+    objectness  mean over all cells of the binary cross-entropy; the target is the box's CIoU or EIoU, 0 for background
     class       mean over the positive cells and classes of the binary cross-entropy
     g_h         4, 1, 0.4 for strides 8, 16, 32 (YOLOv5 v6, hyp.scratch-low.yaml and its balance)
 
-Cells inside an ignored box do not contribute to the objectness. With a teacher, the teacher's
-objectness is the target of every cell that is not assigned to a label, and its confident cells are
-additional positives, weighted by that objectness. Their targets are the teacher's box and class
-scores, or the box and class of a label that overlaps the teacher's box. If the labels of the class
-are complete and no label overlaps, the teacher's detection is a false positive and is not used.
+Cells inside an ignored box do not contribute to the objectness. With a teacher, the teacher's objectness is the target
+of every cell that is not assigned to a label, and its confident cells are additional positives, weighted by that
+objectness. Their targets are the teacher's box and class scores, or the box and class of a label that overlaps the
+teacher's box. If the labels of the class are complete and no label overlaps, the teacher's detection is a false
+positive and is not used.
 
-Objects that have neither a label nor a pseudo-label nor a detection of the teacher are background
-for the objectness, which all classes share. A class that is not labelled in an image is therefore
-learnt only as well as the pseudo-labels or the teacher detect it.
+Objects that have neither a label nor a pseudo-label nor a detection of the teacher are background for the objectness,
+which all classes share. A class that is not labelled in an image is therefore learnt only as well as the pseudo-labels
+or the teacher detect it.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,22 +1,17 @@
-"""RoadNet: YOLOv5n's backbone and neck with four decoupled, anchor-free heads; the network of the
-packaged detector.
+"""RoadNet: YOLOv5n's backbone and neck with four decoupled, anchor-free heads; the network of the packaged detector.
 
-    image -> P3 (stride 8), P4 (16), P5 (32), P6 (64) -> one head per level -> C class scores and 4
-    distances per cell
+    image -> P3 (stride 8), P4 (16), P5 (32), P6 (64) -> one head per level -> C class scores and 4 distances per cell
 
-A head has two branches, each a 3x3 convolution and a linear 1x1 convolution: one predicts the
-logits of the classes, the other one the distances from the cell's centre to the four sides of the
-box, as distributions over R + 1 bins:
+A head has two branches, each a 3x3 convolution and a linear 1x1 convolution: one predicts the logits of the classes,
+the other one the distances from the cell's centre to the four sides of the box, as distributions over R + 1 bins:
 
     distance = stride * sum over k of k P(k),   P = softmax(bins),   k = 0 .. R
 
-There is no objectness: a class score is the probability of the class times the expected overlap of
-the box. The fourth level is for objects that fill the image, of which a cell of P5 sees only a
-part.
+There is no objectness: a class score is the probability of the class times the expected overlap of the box. The fourth
+level is for objects that fill the image, of which a cell of P5 sees only a part.
 
-(Backbone and neck: Jocher et al., "YOLOv5", v6.0. Decoupled heads: Ge et al., "YOLOX", 2021.
-Distributions of distances: Li et al., "Generalized Focal Loss", NeurIPS 2020. The fourth level: Yu
-et al., "PP-PicoDet", 2021.)
+(Backbone and neck: Jocher et al., "YOLOv5", v6.0. Decoupled heads: Ge et al., "YOLOX", 2021. Distributions of
+distances: Li et al., "Generalized Focal Loss", NeurIPS 2020. The fourth level: Yu et al., "PP-PicoDet", 2021.)
 """
 
 import math

@@ -1,14 +1,11 @@
-r"""CameraFit: focal length, camera height, pitch and roll from known metres, by Bayesian non-linear
-least squares.
+r"""CameraFit: focal length, camera height, pitch and roll from known metres, by Bayesian non-linear least squares.
 
     theta = (log f, log H, y0, r, b)     f: focal length in px, H: height of the camera above the road in m,
-                                         y0: row of the horizon below the image centre in px, pitch
-                                         = atan(y0 / f) down, r: slope of the horizon (tangent of
-                                         the roll), b: log ratio of the sizes of this drive's road
-                                         users to the size model
+                                         y0: row of the horizon below the image centre in px, pitch = atan(y0 / f) down,
+                                         r: slope of the horizon (tangent of the roll), b: log ratio of the sizes of
+                                         this drive's road users to the size model
 
-Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w
-x h px):
+Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w x h px):
 
     known distance Z, by size         log D(f) - log Z + b             D(f): distance by the size model, ~ f S / h
     known distance Z, on the road     v - y0 - r u - f H / Z'          Z' = Z - offset of the contact point
@@ -19,10 +16,10 @@ x h px):
     other road users                  v - y0 - r u - H e^-b f / D'     Cauchy loss; D' = D(f) - offset with the last f
     priors                            f (focal_evidence), H, y0, r, b
 
-Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all
-images of flat objects unchanged. Known distances and the prior of f separate the two. The
-covariance is (J'J)^-1 at the solution (Laplace's approximation). Standard deviations are computed
-at the parameters of the previous fit, so that they do not attract the fit.
+Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
+unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
+approximation). Standard deviations are computed at the parameters of the previous fit, so that they do not attract the
+fit.
 """
 
 import math

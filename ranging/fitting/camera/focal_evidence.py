@@ -1,24 +1,21 @@
-r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its
-logarithm.
+r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its logarithm.
 
-One image of objects of known size does not give the focal length f: with f and all distances twice
-as large, the image is the same, as long as the objects are flat. But a car beside the camera's path
-also shows its side. The part of its box that is the side is as wide as the car is long in units of
-its distance:
+One image of objects of known size does not give the focal length f: with f and all distances twice as large, the image
+is the same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its
+box that is the side is as wide as the car is long in units of its distance:
 
       |  far end           u (Z + L) = f X           u: column of the inner side at its far end, from the image centre
      /   u                 w / h = (W + |u| L / f) / S
     /____|  near end       W, S, L: width, height and length, w, h: box in px
 
-so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence`
-is the likelihood of a box over sizes, yaws and distances; the curve is
+so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence` is the likelihood
+of a box over sizes, yaws and distances; the curve is
 
-    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h |
-    u / f)
+    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h | u / f)
 
-with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most.
-Cars that are parked askew, and shapes that are not cuboids, affect all boxes of a drive alike: the
-likelihood is smoothed with `_SHAPE_SIGMA`.
+with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most. Cars that are parked
+askew, and shapes that are not cuboids, affect all boxes of a drive alike: the likelihood is smoothed with
+`_SHAPE_SIGMA`.
 """
 
 import math

@@ -1,11 +1,9 @@
-"""Containers of calibrations: YAML, XML, JSON, INI, assignments, NumPy's and MATLAB's files, as
-text or plain values.
+"""Containers of calibrations: YAML, XML, JSON, INI, assignments, NumPy's and MATLAB's files, as text or plain values.
 
-    file -> text (`calibration_text`; arrays of .npy, .npz and .mat as JSON) -> values by key
-    (`plain_values`)
+    file -> text (`calibration_text`; arrays of .npy, .npz and .mat as JSON) -> values by key (`plain_values`)
 
-Pickles are never loaded, archives never unpacked beyond the sizes of calibrations, and large arrays
-(remap tables, chessboard corners) are left out.
+Pickles are never loaded, archives never unpacked beyond the sizes of calibrations, and large arrays (remap tables,
+chessboard corners) are left out.
 """
 
 import contextlib

@@ -1,14 +1,11 @@
-"""MATLAB's .mat files of version 5 to 7: numbers, texts, structs, cells and the structs of saved
-objects.
+"""MATLAB's .mat files of version 5 to 7: numbers, texts, structs, cells and the structs of saved objects.
 
-    header of 128 bytes, then elements: (type, size in bytes, content); matrices are elements of
-    elements matrix = flags with its class, dimensions, name, content by class; a compressed element
-    is one in zlib's format
+    header of 128 bytes, then elements: (type, size in bytes, content); matrices are elements of elements
+    matrix = flags with its class, dimensions, name, content by class; a compressed element is one in zlib's format
 
-Objects such as `stereoParameters` are saved as structs in a nested file, the last element (MAT-File
-Format, MathWorks, 2023; the nested file is undocumented). Sizes are checked before memory is
-allocated: the content of a compressed element and the depth are limited, and no array is larger
-than the bytes of the file.
+Objects such as `stereoParameters` are saved as structs in a nested file, the last element (MAT-File Format, MathWorks,
+2023; the nested file is undocumented). Sizes are checked before memory is allocated: the content of a compressed
+element and the depth are limited, and no array is larger than the bytes of the file.
 """
 
 import math

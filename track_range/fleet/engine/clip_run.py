@@ -1,10 +1,8 @@
 """Processing of one clip in a worker: fetch, run, publish.
 
-    fetch -> compare the content -> open -> frames -> tracks.parquet -> other files -> record (the
-    clip is complete)
+    fetch -> compare the content -> open -> frames -> tracks.parquet -> other files -> record (the clip is complete)
 
-A clip that cannot be processed is a record with an error. Only storage that refuses the results
-ends the fleet.
+A clip that cannot be processed is a record with an error. Only storage that refuses the results ends the fleet.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """VideoFile: the frames of a video file with their timestamps, decoded with PyAV (FFmpeg).
 
-    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip
-    damaged frames
+    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip damaged frames
 
     time_s = pts * time_base,    including the stream's start offset, since the videos of a pair may start apart
 

@@ -1,7 +1,6 @@
 """find_layout: how the images of a recording contain the images of two cameras.
 
-given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video
-tracks of equal size
+given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video tracks of equal size
       -> stated by the name (drive_SBS.mp4) -> halves that match as left and right do
 """
 

@@ -1,9 +1,7 @@
-r"""VideoPair: the frames of two videos, paired by time; the first pairs can be read before the main
-pass.
+r"""VideoPair: the frames of two videos, paired by time; the first pairs can be read before the main pass.
 
 pairs -> read_ahead() -> alignment, checks
-               \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one
-               by one), the rest
+               \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one by one), the rest
 """
 
 from abc import ABC, abstractmethod

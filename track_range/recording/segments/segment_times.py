@@ -1,7 +1,6 @@
 """Order and times of the files of one recording, which dashcams cut every few minutes.
 
-time stamps that continue from file to file (exact)  >  creation times of the headers, or times in
-the names (1 s)
+time stamps that continue from file to file (exact)  >  creation times of the headers, or times in the names (1 s)
 >  the given order, or the natural order of the names (no gaps can be seen)
 
 start of file i+1 = end of file i        unless the times of the headers or names show a gap or an overlap, or the first

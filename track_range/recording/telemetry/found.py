@@ -1,8 +1,6 @@
-"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed
-order of preference.
+"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed order of preference.
 
-    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, VBO, TCX, KML, FIT,
-    70mai's and
+    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, VBO, TCX, KML, FIT, 70mai's and
                               BlackVue's logs
 
 Telemetry that cannot be used is a note, and the next file is tried.

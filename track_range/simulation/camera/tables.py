@@ -2,15 +2,14 @@
 
 truth.csv         exact ground truth of every labelled object in every frame, with the boxes of truth.txt:
                       frame,time_s,id,class,x1,y1,x2,y2,visible_share,distance_m,closing_mps,lane
-                  `distance_m` is the z, in the left camera's frame, at which the ray through the
-                  box centre meets the drawn body (KITTI's 3-D box is accurate to about 10 cm only);
-                  `closing_mps` is the rate at which z of the object's location decreases; `lane`
-                  counts from the ego lane, 1 = the next lane to the right, empty = outside all
-                  lanes.
+                  `distance_m` is the z, in the left camera's frame, at which the ray through the box centre meets the
+                  drawn body (KITTI's 3-D box is accurate to about 10 cm only); `closing_mps` is the rate at which z of
+                  the object's location decreases; `lane` counts from the ego lane, 1 = the next lane to the right,
+                  empty = outside all lanes.
 truth.txt         rows of KITTI's tracking format
 contacts.csv      one row per contact of the ego vehicle, earliest first: object_id,class,contact_s
-                  `object_id` is the id of truth.csv; `contact_s` is the time since the first frame.
-                  `world/contacts.py` defines which contacts count.
+                  `object_id` is the id of truth.csv; `contact_s` is the time since the first frame. `world/contacts.py`
+                  defines which contacts count.
 ego_speed.csv     the camera's speed along the road at the times of the left frames: time_s,speed_mps
 """
 

@@ -1,12 +1,10 @@
 r"""Pieces of faces that a camera sees: culling, splitting and projection of a table of faces.
 
-A face is C + s U + t V in the camera's frame. With the texture's texel (i, j) at s = (i + 1/2) / n,
-its pixel is
+A face is C + s U + t V in the camera's frame. With the texture's texel (i, j) at s = (i + 1/2) / n, its pixel is
     (u w, v w, w)^T = K [U V C] (s, t, 1)^T                   a homography, drawn exactly by cv2.warpPerspective
-and on its plane n . P = d, n = U x V, the inverse depth is affine in the pixel, 1/z = n . (x, y,
-1)^T / d. To avoid aliasing, which would shift a texture relative to its surface, faces that extend
-far in depth are split into pieces of nearly constant depth, and the texture of each piece is
-averaged to its resolution in the image.
+and on its plane n . P = d, n = U x V, the inverse depth is affine in the pixel, 1/z = n . (x, y, 1)^T / d.
+To avoid aliasing, which would shift a texture relative to its surface, faces that extend far in depth are split into
+pieces of nearly constant depth, and the texture of each piece is averaged to its resolution in the image.
 """
 
 from __future__ import annotations

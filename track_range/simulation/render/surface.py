@@ -1,7 +1,7 @@
 r"""Exact intersection of rays with the drawn surface of a body.
 
-A ray l r (r_z = 1, so that l is the depth) meets a face C + s U + t V where  [U V -r] (s t l)^T =
--C,  if s and t are in [0, 1), the face is seen from outside, and its texture is opaque there.
+A ray l r (r_z = 1, so that l is the depth) meets a face C + s U + t V where  [U V -r] (s t l)^T = -C,  if s and t are
+in [0, 1), the face is seen from outside, and its texture is opaque there.
 """
 
 from __future__ import annotations

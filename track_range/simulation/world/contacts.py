@@ -1,24 +1,21 @@
 r"""Contacts of the ego vehicle with road users, exact from the geometry of the scene.
 
-The ego vehicle is a box of `EGO_HWL_M` on the road. The left camera is above its centre line,
-`CAMERA_TO_FRONT_M` behind its front; the box follows the road's direction and slope but not the
-wobble of the camera.
+The ego vehicle is a box of `EGO_HWL_M` on the road. The left camera is above its centre line, `CAMERA_TO_FRONT_M`
+behind its front; the box follows the road's direction and slope but not the wobble of the camera.
 
     rear |-------- 2.7 m ---------(camera)--- 1.5 m ---| front
 
-A contact is the first instant at which the boxes of the ego vehicle and of a road user touch in
-three dimensions. Two kinds count:
+A contact is the first instant at which the boxes of the ego vehicle and of a road user touch in three dimensions. Two
+kinds count:
 
     real          the boxes touch while all move as in the scene. It ends the search: what follows is the crash.
-    hypothetical  the ego vehicle brakes in the scene. For each time b at which it starts to brake
-    (0 if it brakes
-                  already), it continues from its position at b along the centre of its lane with
-                  its speed at b, while all others move as in the scene; the first contact until b +
-                  `UNBRAKED_S` counts, ... unless it is with a vehicle that the ego vehicle merely
-                  followed: a vehicle with wheels in the same direction, in its path at b, at a time
-                  gap of at least `FOLLOWING_GAP_S`. A driver who reacts normally to normal braking
-                  of the traffic ahead (queue, city) has no conflict; a driver in front of whom a
-                  car has cut in (cut-in), or a person crosses, has one.
+    hypothetical  the ego vehicle brakes in the scene. For each time b at which it starts to brake (0 if it brakes
+                  already), it continues from its position at b along the centre of its lane with its speed at b, while
+                  all others move as in the scene; the first contact until b + `UNBRAKED_S` counts, ...
+                  unless it is with a vehicle that the ego vehicle merely followed: a vehicle with wheels in the same
+                  direction, in its path at b, at a time gap of at least `FOLLOWING_GAP_S`. A driver who reacts
+                  normally to normal braking of the traffic ahead (queue, city) has no conflict; a driver in front of
+                  whom a car has cut in (cut-in), or a person crosses, has one.
 
 Contacts after the end of the drive do not count. An object has one contact, the earliest.
 """

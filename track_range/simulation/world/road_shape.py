@@ -1,11 +1,10 @@
 r"""The shape of the road, and the pose of a camera that drives on it.
 
-World axes: x right, y down, z forward, as for a level camera on the road at time 0. The centre of
-the ego lane is at
+World axes: x right, y down, z forward, as for a level camera on the road at time 0. The centre of the ego lane is at
     x(z) = swing (sin(2 pi z / l + p) - sin p)        y(z) = -hill (sin(2 pi z / m + q) - sin q)
-and the cross-section at every z is parallel to x: the road is a straight road, sheared laterally
-and vertically, so that every stretch is a parallelogram. Positions on the road are (across, z),
-`across` metres to the right of the ego lane's centre.
+and the cross-section at every z is parallel to x: the road is a straight road, sheared laterally and vertically, so
+that every stretch is a parallelogram. Positions on the road are (across, z), `across` metres to the right of the ego
+lane's centre.
 """
 
 from dataclasses import dataclass

@@ -1,12 +1,10 @@
 """Scene: a road and its road users, with exact position, size, heading and type at any time.
 
-World axes are the left camera's axes at time 0, shifted to the road: x right, y down, z forward, y
-= 0 on the asphalt. A road user at `start` with heading `rotation_y` (KITTI's: 0 along x, -pi/2
-along z) moves in a straight line:
+World axes are the left camera's axes at time 0, shifted to the road: x right, y down, z forward, y = 0 on the asphalt.
+A road user at `start` with heading `rotation_y` (KITTI's: 0 along x, -pi/2 along z) moves in a straight line:
     x(t) = x0 + speed cos(rotation_y) t        z(t) = z0 - speed sin(rotation_y) t
-unless its speed or lane changes. The camera, `camera_height_m` above the road, moves along z with
-the ego speed. On a winding road (`road_shape.py`), x counts from the centre of the ego lane. The
-town's road from above:
+unless its speed or lane changes. The camera, `camera_height_m` above the road, moves along z with the ego speed. On a
+winding road (`road_shape.py`), x counts from the centre of the ego lane. The town's road from above:
 
     wall | pavement | parked | oncoming | ego lane | right lane | parked | pavement | wall
        -11        -7.6     -5.25      -1.75       1.75        5.25     7.6        11      x in m

@@ -2,18 +2,16 @@ r"""Irreversible blur of regions: low-pass filter, mosaic, noise and quantizatio
 
 The colours of a region are replaced by a mosaic with cells of c px:
 
-    image -> average of c/4 px, twice -> Gaussian, sigma = c -> average of c px -> noise ->
-    quantization -> cells
+    image -> average of c/4 px, twice -> Gaussian, sigma = c -> average of c px -> noise -> quantization -> cells
 
 Why it cannot be inverted:
 - One image: a head has about 2 x 3 cells, a plate 3 x 1, with at most 16 levels per colour and noise of half a level.
   A deconvolution can only choose one of the many images with these averages.
 - Many images: a mosaic alone samples a moving head at different positions, from which details could be
-  reconstructed (super-resolution). The Gaussian removes them before the sampling: a sine with the
-  Nyquist frequency of the cells, 1 / (2 c), keeps 0.6 % of its amplitude, and with a higher
-  frequency at most 0.4 % (measured; a test holds it). A contrast of 100 grey levels becomes 0.4 to
-  0.6, where the noise of a cell is 8: to measure it, hundreds of perfectly registered images of an
-  unchanged head are necessary.
+  reconstructed (super-resolution). The Gaussian removes them before the sampling: a sine with the Nyquist frequency of
+  the cells, 1 / (2 c), keeps 0.6 % of its amplitude, and with a higher frequency at most 0.4 % (measured; a test holds
+  it). A contrast of 100 grey levels becomes 0.4 to 0.6, where the noise of a cell is 8: to measure it, hundreds of
+  perfectly registered images of an unchanged head are necessary.
 - The operating system seeds the generator of the noise, and the seed is not stored, so that the noise cannot be
   subtracted.
 

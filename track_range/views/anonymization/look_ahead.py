@@ -1,11 +1,10 @@
 """Stage of a run that anonymizes the images of its results before they are shown or written.
 
-    pipeline -> results, held back -> regions from earlier and later frames -> blurred image ->
-    overlay, writers
+    pipeline -> results, held back -> regions from earlier and later frames -> blurred image -> overlay, writers
 
-A region does not flicker: boxes that a track lacks are interpolated between the detections before
-and after, and extrapolated to the frames before its first and after its last box. Detections that
-are not part of a track, including low scores, are covered in their frame and its neighbours.
+A region does not flicker: boxes that a track lacks are interpolated between the detections before and after, and
+extrapolated to the frames before its first and after its last box. Detections that are not part of a track, including
+low scores, are covered in their frame and its neighbours.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""GoPro's telemetry format GPMF: the streams GPS5 and GPS9 of the track `gpmd`, or payloads alone
-in a file.
+"""GoPro's telemetry format GPMF: the streams GPS5 and GPS9 of the track `gpmd`, or payloads alone in a file.
 
-Format: github.com/gopro/gpmf-parser. A payload holds devices (DEVC) with streams (STRM); an entry
-has a key of four characters, the type of its values, the size and the number of its rows, all
-big-endian, and is padded to four bytes.
+Format: github.com/gopro/gpmf-parser. A payload holds devices (DEVC) with streams (STRM); an entry has a key of four
+characters, the type of its values, the size and the number of its rows, all big-endian, and is padded to four bytes.
 
-GPS5  latitude, longitude, altitude, horizontal speed, speed in space; with GPSF (fix), GPSP
-(dilution of precision)
+GPS5  latitude, longitude, altitude, horizontal speed, speed in space; with GPSF (fix), GPSP (dilution of precision)
       and GPSU (date and time in UTC) for the payload; HERO5 to HERO10, Fusion, MAX
-GPS9  as GPS5, then days since 2000, seconds of the day, dilution of precision and fix of each row;
-since HERO11
+GPS9  as GPS5, then days since 2000, seconds of the day, dilution of precision and fix of each row; since HERO11
 """
 
 import math

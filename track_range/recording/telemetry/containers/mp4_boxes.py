@@ -1,15 +1,15 @@
 """MP4 and QuickTime files: boxes, tracks, and the offsets and times of samples (ISO/IEC 14496-12).
 
-    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = offsets, stts and ctts
-    = times mdat  the samples
+    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = offsets, stts and ctts = times
+    mdat  the samples
 
 Cameras write fragments, too, so that a power cut loses only a second (8.8):
 
-    moov  tracks without samples; mvex/trex = defaults of each track moof  traf of each track: tfhd
-    = defaults, tfdt = first time, trun = size and duration of each sample
+    moov  tracks without samples; mvex/trex = defaults of each track
+    moof  traf of each track: tfhd = defaults, tfdt = first time, trun = size and duration of each sample
 
-Only headers and tables are read, never the media data, so that a video of many gigabytes takes
-milliseconds. Damaged tables give fewer samples, and damaged fragments none, never an exception.
+Only headers and tables are read, never the media data, so that a video of many gigabytes takes milliseconds. Damaged
+tables give fewer samples, and damaged fragments none, never an exception.
 """
 
 import os

@@ -1,11 +1,9 @@
 """McapWriter: run.mcap, written with foxglove-sdk, in chunks of at most one second.
 
-    frame result -> messages of the profile -> foxglove-sdk (chunks, indexes) -> file, whole chunks
-    only
+    frame result -> messages of the profile -> foxglove-sdk (chunks, indexes) -> file, whole chunks only
 
-The messages of the last frame are held back until the next one, so that they can be discarded. A
-killed run leaves all chunks but the last; a file without an index at its end is read by Foxglove
-and by `mcap recover`.
+The messages of the last frame are held back until the next one, so that they can be discarded. A killed run leaves all
+chunks but the last; a file without an index at its end is read by Foxglove and by `mcap recover`.
 """
 
 from __future__ import annotations
