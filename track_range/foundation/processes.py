@@ -54,27 +54,34 @@ def _quota_cores(root: Path = Path("/")) -> float:
     whatever name the host has for it. inf = no limit.
     """
     quotas = [math.inf]
+    for folder, names in _control_groups(root):
+        with suppress(OSError, ValueError):  # no such file, or "max" or -1: no limit
+            texts = [text for name in names for text in (folder / name).read_text().split()]
+            quota_us, period_us = map(int, texts)
+            if quota_us > 0 and period_us > 0:
+                quotas.append(quota_us / period_us)
+    return min(quotas)
+
+
+def _control_groups(root: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """Folders of the control groups of this process and their parents, and the names of the files
+    with their quotas.
+    """
     try:
-        groups = [
-            line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()
-        ]
+        lines = (root / "proc/self/cgroup").read_text().splitlines()
     except OSError:  # not Linux
-        return math.inf
-    for _, controllers, name in groups:
+        return
+    for line in lines:
+        _, controllers, name = line.split(":", 2)
         if controllers and "cpu" not in controllers.split(","):
             continue
+        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
         top = root / "sys/fs/cgroup" / controllers
         group = top / name.lstrip("/")
         for folder in (group, *group.parents):
-            with suppress(OSError, ValueError):  # no such file, or "max" or -1: no limit
-                names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
-                quota_us, period_us = (
-                    int(text) for name in names for text in (folder / name).read_text().split()
-                )
-                quotas += [quota_us / period_us] if quota_us > 0 < period_us else []
+            yield folder, names
             if folder == top:
                 break
-    return min(quotas)
 
 
 @contextmanager

@@ -121,20 +121,31 @@ def read_csv_table(
     lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
     header = tuple(cell.lower() for cell in rows[0])
     if separator != ",":
-        rows = [
-            [_DECIMAL_COMMA.sub(r"\1.\2", c) if _DECIMAL_COMMA.fullmatch(c) else c for c in row]
-            for row in rows
-        ]
+        rows = [[_with_decimal_point(cell) for cell in row] for row in rows]
     if default_header and not set(header) & set(default_header):
         header = tuple(default_header[: len(rows[0])])
     else:
         rows, lines = rows[1:], lines[1:]
     table = CsvTable(path, header, rows, lines, error, expected)
-    n_columns, unnamed = len(header), [column for column, name in enumerate(header) if not name]
-    for index, row in enumerate(rows):
+    _complete(table, exact=exact)
+    return table
+
+
+def _with_decimal_point(cell: str) -> str:
+    return _DECIMAL_COMMA.sub(r"\1.\2", cell) if _DECIMAL_COMMA.fullmatch(cell) else cell
+
+
+def _complete(table: CsvTable, *, exact: bool) -> None:
+    """Append the missing cells of each row; raises the table's error for a wrong number of
+    cells.
+    """
+    n_columns = len(table.header)
+    unnamed = [column for column, name in enumerate(table.header) if not name]
+    for index, row in enumerate(table.rows):
         if len(row) < n_columns and not exact:
             row.extend([""] * (n_columns - len(row)))
-        if len(row) != n_columns and (exact or len(row) > n_columns + 1 or row[-1]):
+        has_separator_at_end = not exact and len(row) == n_columns + 1 and not row[-1]
+        if len(row) != n_columns and not has_separator_at_end:
             raise table.fault(
                 index,
                 f"expected {n_columns} cells as in the header, got {len(row)}; write decimals with "
@@ -142,7 +153,6 @@ def read_csv_table(
             )
         if any(row[column] for column in unnamed):
             raise table.fault(index, "expected a name in the header for each column with values.")
-    return table
 
 
 def _separator(text: str) -> str:

@@ -10,7 +10,7 @@ start of file i+1 = end of file i        unless the times of the headers or name
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from track_range.foundation.files.input_files import counted
@@ -39,6 +39,8 @@ class SegmentFacts:
     in_name: Stamp | None  # the same in the name
 
 
+# files with the dates of their starts, sorted by them
+_Dated = list[tuple[SegmentFacts, Stamp]]
 # overlap of a file and the next one in s; 0 = none
 Repeated = Callable[[SegmentFacts, SegmentFacts], float]
 
@@ -70,45 +72,61 @@ def arranged(
     _check_one_camera([file.path for file in files])
     by_name = sorted(files, key=lambda file: natural_key(file.path.name))
     clock, notes = _clock(by_name)
-    ordered, stamps_s = _continuing(by_name), tuple[float, ...]()
-    if ordered is not None and clock is not None and [file for file, _ in clock] != ordered:
-        ordered = None
+    continuing = _continuing(by_name)
+    if continuing is not None and clock is not None and [file for file, _ in clock] != continuing:
+        continuing = None
         notes.append(
             f"{_first_name(by_name)}: the time stamps in the files contradict the dates of the "
             "files, which are used."
         )
-    if ordered is not None:
-        pairs = itertools.pairwise(ordered)
-        starts_s = tuple(file.first_s for file in ordered)
-        gaps_s = [after.first_s - before.first_s - before.duration_s for before, after in pairs]
-        utc = start_of(ordered[0].in_header, ordered[0].in_name, ordered[0].duration_s)
+    if continuing is not None:
+        plan, gaps_s = _by_time_stamps(continuing)
     elif clock is None:
-        ordered = list(files) if is_given_order else by_name
         order = "given order" if is_given_order else "order of their names"
         notes.append(
             f"{counted(len(files), 'file')} without usable dates are joined in the {order}, "
             "without gaps between them."
         )
-        gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
-        steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
-        starts_s = tuple(itertools.accumulate(steps_s, initial=ordered[0].first_s))
-        # equal dates come from a copy or an editor, after the recording
-        utc = start_of(
-            ordered[0].in_header, ordered[0].in_name, sum(file.duration_s for file in ordered)
-        )
+        plan, gaps_s = _joined(list(files) if is_given_order else by_name, repeated_s)
     else:
-        ordered, stamps_s = [file for file, _ in clock], tuple(stamp.time_s for _, stamp in clock)
-        if is_given_order and ordered != list(files):
+        plan, gaps_s = _by_dates(clock, repeated_s)
+        if is_given_order and plan.facts != tuple(files):
             notes.append(
                 f"{_first_name(files)}: the order of the given files differs from the order of "
                 "their times, which is used."
             )
-        starts_s, gaps_s = _dated_starts_s(ordered, stamps_s, repeated_s)
-        stamp, named = clock[0][1], ordered[0].in_name
-        utc = start_of(None if stamp is named else stamp, named, ordered[0].duration_s)
-    return SegmentPlan(
-        tuple(ordered), starts_s, stamps_s, utc, (*notes, *_cut_notes(ordered, gaps_s))
-    )
+    return replace(plan, notes=(*notes, *_cut_notes(plan.facts, gaps_s)))
+
+
+def _by_time_stamps(ordered: Sequence[SegmentFacts]) -> tuple[SegmentPlan, Sequence[float]]:
+    """Files whose time stamps continue from file to file, and the gaps after them, s."""
+    first, pairs = ordered[0], itertools.pairwise(ordered)
+    gaps_s = [after.first_s - before.first_s - before.duration_s for before, after in pairs]
+    utc = start_of(first.in_header, first.in_name, first.duration_s)
+    return SegmentPlan(tuple(ordered), tuple(file.first_s for file in ordered), utc=utc), gaps_s
+
+
+def _joined(
+    ordered: Sequence[SegmentFacts], repeated_s: Repeated
+) -> tuple[SegmentPlan, Sequence[float]]:
+    """Files without times, each of which follows the one before, and the gaps after them, s."""
+    first = ordered[0]
+    gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
+    steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
+    starts_s = tuple(itertools.accumulate(steps_s, initial=first.first_s))
+    # equal dates come from a copy or an editor, after the recording
+    utc = start_of(first.in_header, first.in_name, sum(file.duration_s for file in ordered))
+    return SegmentPlan(tuple(ordered), starts_s, utc=utc), gaps_s
+
+
+def _by_dates(clock: _Dated, repeated_s: Repeated) -> tuple[SegmentPlan, Sequence[float]]:
+    """Files in the order of their dates, and the gaps after them, s."""
+    ordered = [file for file, _ in clock]
+    stamps_s = tuple(stamp.time_s for _, stamp in clock)
+    starts_s, gaps_s = _dated_starts_s(ordered, stamps_s, repeated_s)
+    stamp, named = clock[0][1], ordered[0].in_name
+    utc = start_of(None if stamp is named else stamp, named, ordered[0].duration_s)
+    return SegmentPlan(tuple(ordered), starts_s, stamps_s, utc), gaps_s
 
 
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
@@ -122,38 +140,43 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
         plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
     )
     if plan.clock_s and left.clock_s and has_equal_clocks:
-        starts_s = []
-        for file, clock_s in zip(plan.facts, plan.clock_s, strict=True):
-            nearest = min(
-                range(len(left.clock_s)), key=lambda number: abs(left.clock_s[number] - clock_s)
-            )
-            later_s = clock_s - left.clock_s[nearest]
-            if abs(later_s) <= _PARTNER_S:
-                later_s = (
-                    file.first_s - left.facts[nearest].first_s
-                    if abs(file.first_s) < _PARTNER_S
-                    else 0.0
-                )
-            starts_s.append(left.starts_s[nearest] + later_s)
-        return tuple(starts_s)
+        return _starts_by_clock_s(plan, left)
+    continues = _continuing(plan.facts) is not None
     if len(plan.facts) == len(left.facts):
+        if continues:
+            return plan.starts_s
         firsts_s = zip(plan.facts, left.facts, left.starts_s, strict=True)
-        if _continuing(plan.facts) is None:
-            return tuple(
-                start_s + file.first_s - other.first_s for file, other, start_s in firsts_s
-            )
-    elif _continuing(plan.facts) is None or _continuing(left.facts) is None:
-        durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
-        shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
-        # a file is missing
-        if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):
-            raise VideoError(
-                f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
-                f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in "
-                "their names or headers; give the files that belong together, as in --stereo L1 R1 "
-                "--stereo L2 R2."
-            )
+        return tuple(start_s + file.first_s - other.first_s for file, other, start_s in firsts_s)
+    if not continues or _continuing(left.facts) is None:
+        _check_equal_durations(plan, left)
     return plan.starts_s
+
+
+def _starts_by_clock_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
+    """Starts of the files by the dates of both sides."""
+    starts_s = []
+    for file, clock_s in zip(plan.facts, plan.clock_s, strict=True):
+        distances_s = [abs(left_s - clock_s) for left_s in left.clock_s]
+        nearest = distances_s.index(min(distances_s))
+        later_s = clock_s - left.clock_s[nearest]
+        if abs(later_s) <= _PARTNER_S:  # they start together, but for their time stamps
+            is_stamped = abs(file.first_s) < _PARTNER_S
+            later_s = file.first_s - left.facts[nearest].first_s if is_stamped else 0.0
+        starts_s.append(left.starts_s[nearest] + later_s)
+    return tuple(starts_s)
+
+
+def _check_equal_durations(plan: SegmentPlan, left: SegmentPlan) -> None:
+    """VideoError: one side lacks a file."""
+    durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
+    shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
+    if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):
+        raise VideoError(
+            f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
+            f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in "
+            "their names or headers; give the files that belong together, as in --stereo L1 R1 "
+            "--stereo L2 R2."
+        )
 
 
 def _dated_starts_s(
@@ -214,9 +237,6 @@ def _continuing(files: Sequence[SegmentFacts]) -> list[SegmentFacts] | None:
         for before, after in itertools.pairwise(ordered)
     )
     return ordered if is_continuing else None
-
-
-_Dated = list[tuple[SegmentFacts, Stamp]]  # files with the dates of their starts, sorted by them
 
 
 def _clock(files: Sequence[SegmentFacts]) -> tuple[_Dated | None, list[str]]:

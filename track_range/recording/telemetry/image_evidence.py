@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -153,39 +153,49 @@ def _pairs(
         decoder, base_s = stream.codec_context, float(stream.time_base or 1)
         decoder.thread_type = "SLICE"  # threads by frame delay the images
         decoder.skip_frame = "NONREF"  # frames that no other one needs
-        due_s, key_s = from_s, -np.inf
-        group: list[Packet[VideoStream]] = []
-        for packet_s, packet in _packets(container, from_s):
-            if packet_s >= until_s or n_left <= 0:
+        for key_s, group in _groups(_packets(container, from_s), from_s, until_s, spacing_s):
+            if n_left <= 0:
                 return
-            if packet.is_keyframe and packet_s >= due_s - TIME_EPSILON_S:
-                group, key_s, due_s = [packet], packet_s, packet_s + spacing_s
-            elif group:
-                group.append(packet)
-                if packet_s >= key_s + _STEP_S:
-                    frames = [frame for one in (*group, None) for frame in decoder.decode(one)]
-                    decoder.flush_buffers()
-                    n_left, group = n_left - len(frames), []
-                    times_s = [
-                        np.nan if frame.pts is None else frame.pts * base_s for frame in frames
-                    ]
-                    key = next(
-                        (
-                            i
-                            for i, time_s in enumerate(times_s)
-                            if abs(time_s - key_s) <= TIME_EPSILON_S
-                        ),
-                        None,
-                    )
-                    later = next(
-                        (i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None
-                    )
-                    if key is not None and later is not None:
-                        for i in (key, later):
-                            yield (
-                                times_s[i],
-                                np.asarray(frames[i].to_ndarray(format="gray"), np.uint8),
-                            )
+            frames = [frame for packet in (*group, None) for frame in decoder.decode(packet)]
+            decoder.flush_buffers()
+            n_left -= len(frames)
+            times_s = [np.nan if frame.pts is None else frame.pts * base_s for frame in frames]
+            for i in _key_and_later(times_s, key_s):
+                yield times_s[i], np.asarray(frames[i].to_ndarray(format="gray"), np.uint8)
+
+
+def _groups(
+    packets: Iterable[tuple[float, Packet[VideoStream]]],
+    from_s: float,
+    until_s: float,
+    spacing_s: float,
+) -> Iterator[tuple[float, list[Packet[VideoStream]]]]:
+    """Time of a key frame, and its packets up to the first one `_STEP_S` later, `spacing_s` or more
+    apart.
+    """
+    due_s, key_s = from_s, -np.inf
+    group: list[Packet[VideoStream]] = []
+    for packet_s, packet in packets:
+        if packet_s >= until_s:
+            return
+        if packet.is_keyframe and packet_s >= due_s - TIME_EPSILON_S:
+            group, key_s, due_s = [packet], packet_s, packet_s + spacing_s
+        elif group:
+            group.append(packet)
+            if packet_s >= key_s + _STEP_S:
+                yield key_s, group
+                group = []
+
+
+def _key_and_later(times_s: Sequence[float], key_s: float) -> tuple[int, ...]:
+    """Places of the key frame and of the first frame `_STEP_S` later; empty if one was not
+    decoded.
+    """
+    is_key = [abs(time_s - key_s) <= TIME_EPSILON_S for time_s in times_s]
+    is_later = [time_s >= key_s + _STEP_S for time_s in times_s]
+    if not (any(is_key) and any(is_later)):
+        return ()
+    return is_key.index(True), is_later.index(True)
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:

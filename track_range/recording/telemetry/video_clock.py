@@ -7,6 +7,7 @@ UTC or local time, video without        from the start of the video, if both hav
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -16,6 +17,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.utc import UtcStart
 
 ZONES_H = (  # differences between local times and UTC in use, hours
     *(float(hours) for hours in range(-12, 15)),
@@ -46,70 +48,18 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
     if track.clock == "video":
         return track, _VIDEO_SIGMA_S
     if part.utc is None:
-        length_s = float(track.time_s[-1] - track.time_s[0])
-        tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
-        if (
-            not part.duration_s
-            or not math.isfinite(length_s)
-            or abs(length_s - part.duration_s) > tolerance_s
-        ):
-            raise TelemetryError(
-                "the video states no date and time that could be matched with its times; give the "
-                "time of the first frame with --start-utc."
-            )
-        note = (
-            "the video states no date and time; it is as long as the telemetry, so both are taken "
-            "to start together."
-        )
-        shifted = replace(
-            track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note)
-        )
-        return shifted, _CLOCK_SIGMA_S
+        return _started_together(track, part.duration_s), _CLOCK_SIGMA_S
     if track.time_s[-1] < 2 * DAY_S:  # times of the day, without a date
         days = round((part.utc.start_s - float(track.time_s[0])) / DAY_S)
         track = replace(track, time_s=track.time_s + days * DAY_S)
-    starts_s = [part.utc.start_s]
-    is_local, uncertainty_s = (
-        track.clock == "local" or part.utc.is_local,
-        part.utc.uncertainty_s or 0.0,
-    )
-    if (
-        not part.utc.is_local
-        and part.duration_s > 0
-        and uncertainty_s > max(2.0, 0.5 * part.duration_s)
-    ):
-        # some recorders state the end without saying so
-        starts_s.append(part.utc.start_s - part.duration_s)
-    fits = [
-        (0.0, start_s)
-        for start_s in starts_s
-        if covered(track.time_s - start_s, part.duration_s) > 0
-    ]
+    starts_s = _possible_starts_s(part.utc, part.duration_s)
+    is_local = track.clock == "local" or part.utc.is_local
+    fits = [] if is_local else _fits(track.time_s, [0.0], starts_s, part.duration_s, 0.0)
     if is_local or not (fits or part.utc.is_stated):
-        fits = [
-            (zone_s, start_s)
-            for zone_s in (3600.0 * hours for hours in sorted(ZONES_H, key=abs))
-            for start_s in starts_s
-            if covered(track.time_s + zone_s - start_s, part.duration_s) >= _MIN_COVERED
-        ]
+        zones_s = [3600.0 * hours for hours in sorted(ZONES_H, key=abs)]
+        fits = _fits(track.time_s, zones_s, starts_s, part.duration_s, _MIN_COVERED)
     if not fits:
-        zones = [
-            3600.0 * h
-            for h in ZONES_H
-            if covered(track.time_s + 3600.0 * h - starts_s[0], part.duration_s) > 0
-        ]
-        advice = (
-            ": another day, or another drive."
-            if not zones
-            else (
-                "; if the time of the video is local, give --start-utc as "
-                f"{_text(starts_s[0] - zones[0])}."
-            )
-        )
-        raise TelemetryError(
-            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, do "
-            f"not overlap the video, which starts {_text(part.utc.start_s)}{advice}"
-        )
+        raise TelemetryError(_no_overlap(track, part.utc.start_s, part.duration_s))
     together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
     if len(together or fits) > 1:
         raise TelemetryError(
@@ -117,13 +67,68 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
             "the first frame with --start-utc."
         )
     zone_s, start_s = (together or fits)[0]
+    notes = track.notes
+    if zone_s and not is_local:
+        hours = f"{zone_s / 3600:+g} h"
+        notes += (f"its times differ from the video's times by a time zone; {hours} are added.",)
+    time_s = track.time_s + zone_s - start_s
+    return replace(track, time_s=time_s, clock="video", notes=notes), _CLOCK_SIGMA_S
+
+
+def _started_together(track: TelemetryTrack, duration_s: float) -> TelemetryTrack:
+    """A track as long as a video without a date, from its start; TelemetryError: it is not."""
+    length_s = float(track.time_s[-1] - track.time_s[0])
+    tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * duration_s)
+    is_known = bool(duration_s) and math.isfinite(length_s)
+    if not is_known or abs(length_s - duration_s) > tolerance_s:
+        raise TelemetryError(
+            "the video states no date and time that could be matched with its times; give the "
+            "time of the first frame with --start-utc."
+        )
     note = (
-        f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h are added."
+        "the video states no date and time; it is as long as the telemetry, so both are taken "
+        "to start together."
     )
-    notes = (*track.notes, note) if zone_s and not is_local else track.notes
-    return replace(
-        track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes
-    ), _CLOCK_SIGMA_S
+    time_s = track.time_s - track.time_s[0]
+    return replace(track, time_s=time_s, clock="video", notes=(*track.notes, note))
+
+
+def _possible_starts_s(utc: UtcStart, duration_s: float) -> list[float]:
+    """The start that a video states; of an uncertain one also the start if it is the end: some
+    recorders state the end without saying so.
+    """
+    is_uncertain = (utc.uncertainty_s or 0.0) > max(2.0, 0.5 * duration_s)
+    if not utc.is_local and duration_s > 0 and is_uncertain:
+        return [utc.start_s, utc.start_s - duration_s]
+    return [utc.start_s]
+
+
+def _fits(
+    time_s: FloatArray,
+    zones_s: Sequence[float],
+    starts_s: Sequence[float],
+    duration_s: float,
+    least: float,
+) -> list[tuple[float, float]]:
+    """Zones and starts, s, with which the times cover the video by `least`, or at all (0)."""
+    fits = []
+    for zone_s in zones_s:
+        for start_s in starts_s:
+            fraction = covered(time_s + zone_s - start_s, duration_s)
+            if fraction > 0 and fraction >= least:
+                fits.append((zone_s, start_s))
+    return fits
+
+
+def _no_overlap(track: TelemetryTrack, start_s: float, duration_s: float) -> str:
+    zones_s = [3600.0 * hours for hours in ZONES_H]
+    fits = _fits(track.time_s, zones_s, [start_s], duration_s, 0.0)
+    advice = ": another day, or another drive."
+    if fits:
+        local = _text(start_s - fits[0][0])
+        advice = f"; if the time of the video is local, give --start-utc as {local}."
+    times = f"{_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}"
+    return f"its times, {times}, do not overlap the video, which starts {_text(start_s)}{advice}"
 
 
 def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:

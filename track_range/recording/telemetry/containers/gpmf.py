@@ -112,37 +112,70 @@ def _entries(content: bytes, start: int, end: int) -> Iterator[tuple[str, str, i
         start = start + 8 + (row_bytes * n_rows + 3) // 4 * 4
 
 
-def _stream_rows(content: bytes, start: int, end: int, device: int) -> Iterator[GpsRows]:
-    """GPS rows of a stream; the entries before them give their scale, types, fix, precision and
-    time.
+class _Stream:
+    """A stream of a payload: its entries state the scale, types, fix, precision and time of the rows
+    that follow them.
     """
-    scale, types, fix, dop, utc_s = np.ones(1), "", 3.0, math.nan, math.nan
-    for key, letter, first, last, row_bytes in _entries(content, start, end):
-        value = content[first:last]
+
+    def __init__(self, device: int) -> None:
+        self._device = device
+        self._scale: FloatArray = np.ones(1)
+        self._types, self._fix, self._dop, self._utc_s = "", 3.0, math.nan, math.nan
+
+    def state(self, key: str, value: bytes, letter: str) -> None:
+        """Store what an entry states about the next rows."""
         if key == "TYPE":
-            types = value.decode("latin-1")
+            self._types = value.decode("latin-1")
         elif key == "GPSU":
-            utc_s = _utc_s(value.decode("latin-1"))
-        elif key == "GPS9":
-            rows = _complex_rows(value, types if letter == "?" else letter * 9, row_bytes)
-            if len(rows) and rows.shape[1] >= 9:
-                values = _scaled(rows[:, :9], scale)
-                times_s = _YEAR_2000_S + values[:, 5] * 86_400.0 + values[:, 6]
-                has_fix = (values[:, 8] >= _MIN_FIX) & ~(values[:, 7] >= _NO_FIX_DOP)
-                yield GpsRows("GPS9", device, values[:, :5], times_s, values[:, 7], has_fix)
-        elif key in ("SCAL", "GPSF", "GPSP", "GPS5"):
+            self._utc_s = _utc_s(value.decode("latin-1"))
+        elif key in ("SCAL", "GPSF", "GPSP"):
             numbers = _complex_rows(value, letter, 0)[:, 0]
-            if key == "SCAL":
-                scale = numbers if len(numbers) and (numbers != 0).all() else np.ones(1)
-            elif key == "GPSF":
-                fix = float(numbers[0]) if len(numbers) else 0.0
-            elif key == "GPSP":
-                dop = float(numbers[0]) / 100 if len(numbers) else math.nan
-            elif n := len(numbers) // 5:
-                values = _scaled(numbers[: 5 * n].reshape(n, 5), scale)
-                times_s = np.append(utc_s, np.full(n - 1, np.nan))
-                has_fix = np.full(n, fix >= _MIN_FIX and not dop >= _NO_FIX_DOP)
-                yield GpsRows("GPS5", device, values, times_s, np.full(n, dop), has_fix)
+            self._state_number(key, numbers)
+
+    def _state_number(self, key: str, numbers: FloatArray) -> None:
+        n = len(numbers)
+        if key == "SCAL":
+            self._scale = numbers if n and (numbers != 0).all() else np.ones(1)
+        elif key == "GPSF":
+            self._fix = float(numbers[0]) if n else 0.0
+        else:
+            self._dop = float(numbers[0]) / 100 if n else math.nan
+
+    def gps9(self, value: bytes, letter: str, row_bytes: int) -> GpsRows | None:
+        """Rows with a time, a precision and a fix each; None = the entry has none."""
+        rows = _complex_rows(value, self._types if letter == "?" else letter * 9, row_bytes)
+        if not len(rows) or rows.shape[1] < 9:
+            return None
+        values = _scaled(rows[:, :9], self._scale)
+        times_s = _YEAR_2000_S + values[:, 5] * 86_400.0 + values[:, 6]
+        has_fix = (values[:, 8] >= _MIN_FIX) & ~(values[:, 7] >= _NO_FIX_DOP)
+        return GpsRows("GPS9", self._device, values[:, :5], times_s, values[:, 7], has_fix)
+
+    def gps5(self, value: bytes, letter: str) -> GpsRows | None:
+        """Rows of which the first has the time of the payload; None = the entry has none."""
+        numbers = _complex_rows(value, letter, 0)[:, 0]
+        n = len(numbers) // 5
+        if not n:
+            return None
+        values = _scaled(numbers[: 5 * n].reshape(n, 5), self._scale)
+        times_s = np.append(self._utc_s, np.full(n - 1, np.nan))
+        has_fix = np.full(n, self._fix >= _MIN_FIX and not self._dop >= _NO_FIX_DOP)
+        return GpsRows("GPS5", self._device, values, times_s, np.full(n, self._dop), has_fix)
+
+
+def _stream_rows(content: bytes, start: int, end: int, device: int) -> Iterator[GpsRows]:
+    """GPS rows of a stream."""
+    stream = _Stream(device)
+    for key, letter, first, last, row_bytes in _entries(content, start, end):
+        value, rows = content[first:last], None
+        if key == "GPS9":
+            rows = stream.gps9(value, letter, row_bytes)
+        elif key == "GPS5":
+            rows = stream.gps5(value, letter)
+        else:
+            stream.state(key, value, letter)
+        if rows is not None:
+            yield rows
 
 
 def _complex_rows(value: bytes, types: str, row_bytes: int) -> FloatArray:
