@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.box_errors import BoxErrors, box_errors_of
 from track_range.detection.boxes import are_valid_boxes, area_px2
@@ -169,29 +170,38 @@ def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
         f"image of the size of the video, {width}x{height} px"
     )
     if Path(regions).suffix.lower() in MASK_SUFFIXES:
-        image = cv2.imread(regions, cv2.IMREAD_GRAYSCALE) if Path(regions).is_file() else None
-        if image is None:
-            raise UsageError(f"{expected}, found no readable image {quoted(regions)}.")
-        if image.shape != (height, width):
-            raise UsageError(
-                f"{expected}, found one of {image.shape[1]}x{image.shape[0]} px, {quoted(regions)}."
-            )
-        mask = (image > 127).astype(np.uint8)
+        mask = _bright_part(regions, size_px, expected)
     else:
         mask = np.zeros((height, width), np.uint8)
         for text in regions.split("/"):
-            try:
-                points = np.array(
-                    [[float(value) for value in point.split(",")] for point in text.split()]
-                )
-                if points.shape[0] < 3 or points.shape[1] != 2 or not (np.abs(points) < 1e5).all():
-                    raise ValueError("no polygon")
-            except (ValueError, IndexError):
-                raise UsageError(f"{expected}, found {quoted(text.strip())}.") from None
-            cv2.fillPoly(mask, [np.rint(points).astype(np.int32)], 1)
+            cv2.fillPoly(mask, [_polygon_px(text, expected)], 1)
     if not mask.any():
         raise UsageError(f"{expected}, found no pixel of the image in {quoted(regions)}.")
     return mask
+
+
+def _bright_part(name: str, size_px: tuple[int, int], expected: str) -> Image:
+    """(H, W) uint8, 1 where the mask image of this name is bright."""
+    image = cv2.imread(name, cv2.IMREAD_GRAYSCALE) if Path(name).is_file() else None
+    if image is None:
+        raise UsageError(f"{expected}, found no readable image {quoted(name)}.")
+    found_px = image.shape[1], image.shape[0]
+    if found_px != size_px:
+        raise UsageError(
+            f"{expected}, found one of {found_px[0]}x{found_px[1]} px, {quoted(name)}."
+        )
+    return np.asarray(image > 127, np.uint8)
+
+
+def _polygon_px(text: str, expected: str) -> npt.NDArray[np.int32]:
+    """(N, 2) int32 corners of a polygon `x,y x,y x,y`, at least three."""
+    try:
+        points = np.array([[float(value) for value in point.split(",")] for point in text.split()])
+        if points.shape[0] < 3 or points.shape[1] != 2 or not (np.abs(points) < 1e5).all():
+            raise ValueError("no polygon")
+    except (ValueError, IndexError):
+        raise UsageError(f"{expected}, found {quoted(text.strip())}.") from None
+    return np.asarray(np.rint(points), np.int32)
 
 
 def _fraction_inside(area_px: IntArray, xyxy_px: FloatArray) -> FloatArray:

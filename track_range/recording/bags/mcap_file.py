@@ -83,17 +83,9 @@ class McapFile:
                 try:
                     if offsets and index.message_end_time / 1e9 < from_s:
                         for channel in channels & offsets.keys():
-                            # after operation code, length and channel
-                            file.seek(offsets[channel] + 9 + 2)
-                            # two numbers of 8 bytes per message
-                            number += ReadDataStream(file).read4() // 16
-                    elif index.chunk_length > container.MAX_RECORD_BYTES:
-                        raise container.DamagedError("chunk too large")
+                            number += _n_indexed(file, offsets[channel])
                     else:
-                        file.seek(index.chunk_start_offset + 9)  # after operation code and length
-                        messages = list(
-                            self._messages_in([Chunk.read(ReadDataStream(file))], topic)
-                        )
+                        messages = list(self._messages_in([_chunk_at(file, index)], topic))
                 except _DAMAGE:
                     self.n_damaged += 1
                 for message in messages:
@@ -141,3 +133,17 @@ class McapFile:
                 f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB "
                 f"({type(error).__name__})"
             )
+
+
+def _n_indexed(file: BinaryIO, offset: int) -> int:
+    """Number of messages in the index of a channel at this place of the file."""
+    file.seek(offset + 9 + 2)  # after operation code, length and channel
+    return ReadDataStream(file).read4() // 16  # two numbers of 8 bytes per message
+
+
+def _chunk_at(file: BinaryIO, index: ChunkIndex) -> Chunk:
+    if index.chunk_length > container.MAX_RECORD_BYTES:
+        raise container.DamagedError("chunk too large")
+    file.seek(index.chunk_start_offset + 9)  # after operation code and length
+    chunk: Chunk = Chunk.read(ReadDataStream(file))
+    return chunk

@@ -9,12 +9,11 @@ else      natural order: fields of digits are compared as numbers
 1403636579763555584.png (EuRoC)   n015-2018-07-24-11-22-45+0800__CAM_FRONT__1532402927612460.jpg (nuScenes)
 """
 
-import contextlib
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -129,25 +128,37 @@ def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
     one camera.
     """
     for sides in _SIDES:
-        halves: dict[str, list[Path]] = {}
-        remaining: list[set[str]] = []
-        for side in sides:
-            digits = "0-9" if side[-1].isdigit() else ""
-            word = re.compile(rf"(?<![a-z]){side}(?![a-z{digits}])", re.IGNORECASE)
-            if matches := {
-                file: match for file in sorted(files) if (match := word.search(file.stem))
-            }:
-                remaining.append({word.sub("", file.stem.lower()) for file in matches})
-                first = next(iter(matches.values()))
-                start, end = (
-                    ("*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*")
-                    if len(side) == 1
-                    else "**"
-                )
-                halves[f"{start}{first[0]}{end}"] = list(matches)
-        if len(halves) == 2 and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
-            return halves
+        halves = [half for side in sides if (half := _Half.of(files, side)) is not None]
+        if len(halves) != 2:
+            continue
+        left, right = halves
+        n_common = len(left.remaining & right.remaining)
+        if n_common > min(len(left.remaining), len(right.remaining)) / 2:
+            return {left.pattern: left.files, right.pattern: right.files}
     return None
+
+
+class _Half(NamedTuple):
+    """Images whose names contain the word of a side."""
+
+    pattern: str
+    files: list[Path]
+    remaining: set[str]  # the names without the word
+
+    @classmethod
+    def of(cls, files: Sequence[Path], side: str) -> Self | None:
+        """The images of a side; None = there are none."""
+        digits = "0-9" if side[-1].isdigit() else ""
+        word = re.compile(rf"(?<![a-z]){side}(?![a-z{digits}])", re.IGNORECASE)
+        matches = {file: match for file in sorted(files) if (match := word.search(file.stem))}
+        if not matches:
+            return None
+        first = next(iter(matches.values()))
+        start, end = "*", "*"
+        if len(side) == 1:  # a letter is a word only between other characters
+            start, end = "*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*"
+        remaining = {word.sub("", file.stem.lower()) for file in matches}
+        return cls(f"{start}{first[0]}{end}", list(matches), remaining)
 
 
 def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tuple[int, Path]]:
@@ -182,28 +193,43 @@ def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
         return None
     dates = [list(_DATE.finditer(stem)) for stem in stems]
     if all(dates):
-        texts = [
-            "{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups()))
-            for parts in dates
-        ]
-        with contextlib.suppress(ValueError):  # such as of 30 February
-            times_s = np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9
-            if _are_distinct(times_s):
-                return times_s
+        times_s = _dates_s([matches[-1] for matches in dates])
+        if times_s is not None and _are_distinct(times_s):
+            return times_s
     decimals = [_DECIMAL.findall(stem) for stem in stems]
     if all(decimals):
-        # Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is
-        # 0.075304 s. The reading with the steadier steps is taken.
-        whole = np.array([float(parts[-1][0]) for parts in decimals])
-        fractions = [parts[-1][1][:18] for parts in decimals]
-        padded = [text.zfill(max(map(len, fractions))) for text in fractions]
-        readings = [whole + [float("0." + text) for text in texts] for texts in (fractions, padded)]
-        if distinct := [times_s for times_s in readings if _are_distinct(times_s)]:
+        readings = _decimals_s([parts[-1] for parts in decimals])
+        distinct = [times_s for times_s in readings if _are_distinct(times_s)]
+        if distinct:
             return min(distinct, key=lambda times_s: float(np.std(np.diff(np.sort(times_s)))))
     integers = [_INTEGER.findall(stem) for stem in stems]
-    return (
-        _in_seconds(np.array([float(parts[-1]) for parts in integers])) if all(integers) else None
-    )
+    if not all(integers):
+        return None
+    return _in_seconds(np.array([float(parts[-1]) for parts in integers]))
+
+
+def _dates_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
+    """(N,) seconds since 1970; None = a date does not exist, such as 30 February."""
+    texts = [
+        "{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in match.groups()))
+        for match in matches
+    ]
+    try:
+        return np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9
+    except ValueError:
+        return None
+
+
+def _decimals_s(parts: Sequence[tuple[str, str]]) -> list[FloatArray]:
+    """Two readings, (N,) each, of the digits before and after the points.
+
+    Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is
+    0.075304 s. The reading with the steadier steps is right.
+    """
+    whole = np.array([float(before) for before, _ in parts])
+    fractions = [after[:18] for _, after in parts]
+    padded = [text.zfill(max(map(len, fractions))) for text in fractions]
+    return [whole + [float("0." + text) for text in texts] for texts in (fractions, padded)]
 
 
 def _are_distinct(times_s: FloatArray) -> bool:
@@ -235,27 +261,15 @@ def _stated_times(
     """Name of a file of times in or beside the folder, (N,) times in seconds, and whether they are
     dates; or None.
     """
-    places = (
-        (folder.parent, folder.absolute().parent.parent)
-        if is_pattern(folder)
-        else (folder, folder.absolute().parent)
-    )
+    parent = folder.absolute().parent
+    places = (folder.parent, parent.parent) if is_pattern(folder) else (folder, parent)
     candidates = (place / name for name in _TIME_FILES for place in places)
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None
+    max_bytes = max(_MAX_LINE_BYTES * (len(files) + 1), MAX_TEXT_BYTES)
     expected = "a date and time, or seconds, per image"
-    text = read_text(
-        file,
-        VideoError,
-        expected,
-        max_bytes=max(_MAX_LINE_BYTES * (len(files) + 1), MAX_TEXT_BYTES),
-    )
-    lines = [
-        line.strip() for line in text.split("\n") if line.strip() and line.lstrip()[0] not in "#%"
-    ]
-    rows = [re.split(r"[,;\t]|\s+(?=\S*[a-zA-Z/])|(?<=\d)\s+(?=\d+$)", line) for line in lines]
-    rows = [row for row in rows if re.match(r"[-+.\d]", row[0])]
+    rows = _rows_with_times(read_text(file, VideoError, expected, max_bytes=max_bytes))
     by_name = {Path(cell.strip()).name: row[0] for row in rows for cell in row[1:]}
     if all(image.name in by_name for image in files):
         cells = [by_name[image.name] for image in files]
@@ -275,6 +289,17 @@ def _stated_times(
         return None
     notes.append(f"{file}: used for the frame times of {folder}.")
     return file.name, times_s, _TIMESTAMP.match(cells[0].strip()) is not None
+
+
+def _rows_with_times(text: str) -> list[list[str]]:
+    """Cells of the lines that start with a number: no comments, headings and empty lines."""
+    lines = [line.strip() for line in text.split("\n") if line.strip()]
+    rows = [
+        re.split(r"[,;\t]|\s+(?=\S*[a-zA-Z/])|(?<=\d)\s+(?=\d+$)", line)
+        for line in lines
+        if line[0] not in "#%"
+    ]
+    return [row for row in rows if re.match(r"[-+.\d]", row[0])]
 
 
 _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")

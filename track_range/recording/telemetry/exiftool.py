@@ -50,6 +50,8 @@ _DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d(?:\.\d+)?)")
 
 _MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 
+_Document = tuple[int, int]  # numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)
+
 
 def read_with_exiftool(path: Path) -> TelemetryTrack | None:
     """Telemetry that ExifTool finds; None = it is not installed, or finds none. Raises
@@ -102,35 +104,37 @@ def track_of_records(record: object) -> TelemetryTrack | None:
     """
     if not isinstance(record, Mapping):
         return None
-    documents: dict[_Document, dict[str, Any]] = {}
-    for name, value in record.items():
-        match = _KEY.fullmatch(str(name))
-        if match and match[3] in _TAGS:
-            documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
+    documents = _documents(record)
     times_s = _times_s(documents)
-    gps = {
-        key: tags for key, tags in documents.items() if "GPSLatitude" in tags or "GPSSpeed" in tags
-    }
+    gps = {key: tags for key, tags in documents.items() if _has_gps(tags)}
     samples = [
         _sample(tags, times_s.get(key, math.nan)) for key, tags in sorted(gps.items())[:MAX_SAMPLES]
     ]
     if not samples:
         return None
-    is_timed = all(math.isfinite(sample.time_s) for sample in samples)
-    if not is_timed:
+    clock: Clock = "video"
+    if not all(math.isfinite(sample.time_s) for sample in samples):
         samples = [sample.at(sample.utc_s) for sample in samples]
-    is_utc = all(str(tags.get("GPSDateTime", "Z")).endswith("Z") for tags in gps.values())
-    telemetry = track(
-        samples,
-        "ExifTool",
-        "video" if is_timed else "utc" if is_utc else "local",
-        has_own_speed=any("GPSSpeed" in tags for tags in gps.values()),
-    )
+        is_utc = all(str(tags.get("GPSDateTime", "Z")).endswith("Z") for tags in gps.values())
+        clock = "utc" if is_utc else "local"
+    has_own_speed = any("GPSSpeed" in tags for tags in gps.values())
+    telemetry = track(samples, "ExifTool", clock, has_own_speed=has_own_speed)
     unit = "m/s" if all("GPSSpeedRef" in tags for tags in gps.values()) else None
     return None if telemetry is None else replace(telemetry, unit=unit)
 
 
-_Document = tuple[int, int]  # numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)
+def _documents(record: Mapping[Any, Any]) -> dict[_Document, dict[str, Any]]:
+    """The tags that are read, by document."""
+    documents: dict[_Document, dict[str, Any]] = {}
+    for name, value in record.items():
+        match = _KEY.fullmatch(str(name))
+        if match and match[3] in _TAGS:
+            documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
+    return documents
+
+
+def _has_gps(tags: Mapping[str, Any]) -> bool:
+    return "GPSLatitude" in tags or "GPSSpeed" in tags
 
 
 def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document, float]:
@@ -141,16 +145,15 @@ def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document
         timed = next((key for key in keys if "SampleTime" in documents[key]), None)
         if timed is None:
             continue
-        start_s, duration_s = (
-            plain_number(documents[timed].get(name)) for name in ("SampleTime", "SampleDuration")
-        )
-        has_gps = [
-            key for key in keys if "GPSLatitude" in documents[key] or "GPSSpeed" in documents[key]
-        ]
-        step_s = duration_s / len(has_gps) if has_gps and math.isfinite(duration_s) else 0.0
+        start_s = plain_number(documents[timed].get("SampleTime"))
+        duration_s = plain_number(documents[timed].get("SampleDuration"))
+        has_gps = [key for key in keys if _has_gps(documents[key])]
+        is_spread = bool(has_gps) and math.isfinite(duration_s)
+        step_s = duration_s / len(has_gps) if is_spread else 0.0
         for i, key in enumerate(has_gps):
             own_s = plain_number(documents[key].get("SampleTime"))
-            times_s[key] = own_s if key != timed and math.isfinite(own_s) else start_s + i * step_s
+            has_own = key != timed and math.isfinite(own_s)
+            times_s[key] = own_s if has_own else start_s + i * step_s
     return times_s
 
 

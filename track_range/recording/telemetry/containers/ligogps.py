@@ -153,7 +153,7 @@ def _decrypted(content: bytes) -> bytes:
         control = content[start]
         start += 1
         masks = _MASKS.get(control >> 5)
-        if masks is None:
+        if masks is None:  # one byte, of which two bits are in the control byte
             if control >> 5 != 0 or start >= len(content):
                 break
             text.append(content[start] | control & 0x13)
@@ -163,14 +163,16 @@ def _decrypted(content: bytes) -> bytes:
             if mask is None:
                 text.append(0x20)
             elif start < len(content):
-                text.append(
-                    content[start] ^ 0x20
-                    if mask == 0x30
-                    else (content[start] | control & mask) ^ 0x20
-                )
-                text[-1] |= control & mask if mask == 0x30 else 0
+                text.append(_decrypted_byte(content[start], control, mask))
                 start += 1
     return bytes(text)
+
+
+def _decrypted_byte(byte: int, control: int, mask: int) -> int:
+    """A byte with the bits of `mask` from the control byte."""
+    if mask == 0x30:  # includes the bit that is inverted
+        return byte ^ 0x20 | control & mask
+    return (byte | control & mask) ^ 0x20
 
 
 def _from_json(content: bytes) -> Sample:

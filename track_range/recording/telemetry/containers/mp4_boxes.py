@@ -14,10 +14,10 @@ tables give fewer samples, and damaged fragments none, never an exception.
 
 import os
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -343,31 +343,49 @@ def _add_fragment(
     for box_type, fragment in boxes(content):
         if box_type != b"traf":
             continue
-        header = _first(fragment, b"tfhd")
-        flags, number = struct.unpack_from(">II", header)
-        duration, size = defaults.get(number, (0, 0))
-        # the base is the `moof`, or the data before
-        base, offset = start if flags & 0x20000 else end_of_data, 8
-        if flags & 0x1:
-            base, offset = (
-                min(struct.unpack_from(">Q", header, offset)[0], _MAX_INTEGER),
-                offset + 8,
-            )
-        offset += 4 * bool(flags & 0x2)  # sample description
-        if flags & 0x8:
-            (duration,), offset = struct.unpack_from(">I", header, offset), offset + 4
-        if flags & 0x10:
-            (size,) = struct.unpack_from(">I", header, offset)
-        track = samples.get(number)
+        header = _FragmentHeader.read(_first(fragment, b"tfhd"), defaults)
+        track = samples.get(header.number)
         if track is None:
             continue
-        end_of_data = base
+        if header.base is not None:
+            end_of_data = header.base
+        elif header.is_base_moof:
+            end_of_data = start
+        base = end_of_data
         for part_type, body in boxes(fragment):
             if part_type == b"tfdt":
                 (end,) = struct.unpack_from(">Q" if body[:1] == b"\x01" else ">I", body, 4)
                 track.end = min(end, _MAX_INTEGER)
             elif part_type == b"trun":
-                end_of_data = _add_run(track, body, base, end_of_data, duration, size)
+                end_of_data = _add_run(track, body, base, end_of_data, header.duration, header.size)
+
+
+class _FragmentHeader(NamedTuple):
+    """A box `tfhd`."""
+
+    number: int  # of the track
+    base: int | None  # of the offsets of the data in the file; None = not stated
+    is_base_moof: bool  # whether the base is the `moof`, else the end of the data before
+    duration: int  # of a sample, if its run states none
+    size: int
+
+    @classmethod
+    def read(cls, header: bytes, defaults: Mapping[int, tuple[int, int]]) -> Self:
+        """The box, with the durations and sizes of the tracks by number where it states none."""
+        flags, number = struct.unpack_from(">II", header)
+        duration, size = defaults.get(number, (0, 0))
+        base, offset = None, 8
+        if flags & 0x1:
+            base = min(struct.unpack_from(">Q", header, offset)[0], _MAX_INTEGER)
+            offset += 8
+        if flags & 0x2:  # sample description
+            offset += 4
+        if flags & 0x8:
+            (duration,) = struct.unpack_from(">I", header, offset)
+            offset += 4
+        if flags & 0x10:
+            (size,) = struct.unpack_from(">I", header, offset)
+        return cls(number, base, bool(flags & 0x20000), duration, size)
 
 
 def _add_run(

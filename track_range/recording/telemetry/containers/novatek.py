@@ -4,6 +4,7 @@ samples.
 The times are the video's at the same offset in the file, or one second per box.
 """
 
+import itertools
 import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
@@ -37,18 +38,22 @@ _CIPHER_MARK = b"4W`b]S<"  # `$GPRMC,` with 16 added to each character, at 0x3C
 def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the boxes `freeGPS ` of a movie; None = there are none that can be read."""
     for offsets in (_indexed(movie), _top_level(movie), _between_samples(file, movie)):
-        blocks = []
-        for offset in offsets:
-            block = read_at(file, offset, MAX_BLOCK_BYTES)
-            if block[4:12] == _MARK:
-                n_bytes = int.from_bytes(block[:4], "big")
-                blocks.append((offset, block[:n_bytes] if 12 <= n_bytes < len(block) else block))
-            if len(blocks) >= MAX_BLOCKS:
-                break
+        blocks = list(itertools.islice(_blocks(file, offsets), MAX_BLOCKS))
         if blocks:
             times_s = _block_times_s(np.array([offset for offset, _ in blocks]), movie)
             return track_of_blocks([block for _, block in blocks], times_s, path)
     return _seventymai_table(file, movie)
+
+
+def _blocks(file: BinaryIO, offsets: Iterable[int]) -> Iterator[tuple[int, bytes]]:
+    """Offset and content of the boxes `freeGPS ` at these places."""
+    for offset in offsets:
+        block = read_at(file, offset, MAX_BLOCK_BYTES)
+        if block[4:12] != _MARK:
+            continue
+        n_bytes = int.from_bytes(block[:4], "big")
+        is_stated = 12 <= n_bytes < len(block)
+        yield offset, block[:n_bytes] if is_stated else block
 
 
 def _indexed(movie: Movie) -> Iterator[int]:
@@ -124,11 +129,7 @@ def track_of_blocks(
     Samples of one box are spread over a second. Raises TelemetryError for an unknown layout, or
     without pynmea2.
     """
-    is_cipher = [block[0x3C : 0x3C + len(_CIPHER_MARK)] == _CIPHER_MARK for block in blocks]
-    plain = [
-        bytes(byte - 16 for byte in block[0x3C:0x8C] if byte >= 16) if is_shifted else block
-        for block, is_shifted in zip(blocks, is_cipher, strict=True)
-    ]
+    plain = list(map(_deciphered, blocks))
     if any(map(has_rmc, plain)):
         sentences = [sample or Sample() for sample in rmc_samples(plain, str(path))]
         return track(_timed(((sample,) for sample in sentences), times_s), "freeGPS records")
@@ -147,6 +148,13 @@ def track_of_blocks(
             sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples
         ]
     return track(samples, "freeGPS records", unit=unit)
+
+
+def _deciphered(block: bytes) -> bytes:
+    """A box whose text is not shifted by 16."""
+    if not block.startswith(_CIPHER_MARK, 0x3C):
+        return block
+    return bytes(byte - 16 for byte in block[0x3C:0x8C] if byte >= 16)
 
 
 def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Sample]:

@@ -148,44 +148,57 @@ def _chosen(
     """The speeds to use, their unit, and a note that names both; raises TelemetryError if they are
     unknown.
     """
-    shown: dict[str, str] = {}  # units that the positions show
+    shown = _units_by_positions(speeds, positions, time_s)
+    agreeing = [column for column in speeds if column.name in shown]
+    stated = [column for column in speeds if column.unit is not None]
+    if agreeing:
+        # as stated before converted
+        column = min(agreeing, key=lambda one: one.unit not in (None, shown[one.name]))
+        unit = shown[column.name]
+        if column.unit is None:
+            how = "as the positions show"
+        elif column.unit == unit:
+            how = "as stated and as the positions show"
+        else:
+            how = f"as the positions show, not in {column.unit} as stated"
+    elif stated:
+        column, how = stated[0], "as stated; no positions confirm the unit"
+        unit = column.unit or "m/s"
+        _check_rivals(path, column, unit, stated)
+    else:
+        shows = "" if positions is None else ", and the positions do not move enough to show it"
+        raise TelemetryError(
+            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found "
+            f"none{shows}; rename it to speed_mps or speed_kmh."
+        )
+    others = {other.name for other in speeds} - {column.name}
+    unused = f"; not {shortened(', '.join(sorted(others)))}" if others else ""
+    return column, unit, f"the speed is {shortened(column.name)} in {unit}, {how}{unused}."
+
+
+def _units_by_positions(
+    speeds: Sequence[_Speeds], positions: TelemetryTrack | None, time_s: FloatArray
+) -> dict[str, str]:
+    """Units that the positions show, by the name of the column."""
+    shown = {}
     for column in speeds:
         ratio = speed_ratio(positions, time_s, column.values, _MIN_MOVING)
         if not math.isnan(ratio.median) and ratio.scatter <= _MAX_SCATTER:
             unit = unit_of_ratio(ratio.median, _UNIT_TOLERANCE)
-            shown |= {column.name: unit} if unit is not None else {}
-    agreeing = [column for column in speeds if column.name in shown]
-    # as stated before converted
-    agreeing.sort(key=lambda column: column.unit not in (None, shown[column.name]))
-    stated = [column for column in speeds if column.unit is not None]
-    others = {column.name for column in speeds}
-    if agreeing:
-        column, unit = agreeing[0], shown[agreeing[0].name]
-        how = {unit: "as stated and as the positions show", None: "as the positions show"}.get(
-            column.unit, f"as the positions show, not in {column.unit} as stated"
-        )
-    elif stated:
-        column, unit, how = (
-            stated[0],
-            stated[0].unit or "m/s",
-            "as stated; no positions confirm the unit",
-        )
-        rivals = [other for other in stated if other.rank == column.rank and _differ(other, column)]
-        if rivals:
-            raise TelemetryError(
-                f"{path}: expected one speed of the car, found {shortened(repr(column.name))} and "
-                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right "
-                f"column to ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
-            )
-    else:
+            if unit is not None:
+                shown[column.name] = unit
+    return shown
+
+
+def _check_rivals(path: Path, column: _Speeds, unit: str, stated: Sequence[_Speeds]) -> None:
+    """TelemetryError: another column is as likely the speed of the car, and differs."""
+    rivals = [other for other in stated if other.rank == column.rank and _differ(other, column)]
+    if rivals:
         raise TelemetryError(
-            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found "
-            f"none{'' if positions is None else ', and the positions do not move enough to show it'}; "
-            "rename it to speed_mps or speed_kmh."
+            f"{path}: expected one speed of the car, found {shortened(repr(column.name))} and "
+            f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right "
+            f"column to ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
         )
-    others.discard(column.name)
-    unused = f"; not {shortened(', '.join(sorted(others)))}" if others else ""
-    return column, unit, f"the speed is {shortened(column.name)} in {unit}, {how}{unused}."
 
 
 def _differ(first: _Speeds, second: _Speeds) -> bool:
