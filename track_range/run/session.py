@@ -120,15 +120,14 @@ class RunSession:
         with ExitStack() as on_error:
             on_error.callback(self.recording.close)
             report(LOADING)
-            if detector is not None:
-                self.box_source = boxes_of(detector)
-            else:  # an object may depend on the order of the frames, so that it cannot look ahead
-                models = partial(ready_model, console=console)
-                self.box_source = open_box_source(settings, self.recording, models, open_detector)
-            self.box_source = outside_regions(
-                self.box_source, settings.ignore, self.recording.calibration
-            )
             if detector is None:
+                models = partial(ready_model, console=console)
+                boxes = open_box_source(settings, self.recording, models, open_detector)
+            else:
+                boxes = boxes_of(detector)
+            uncalibrated = self.recording.calibration
+            self.box_source = outside_regions(boxes, settings.ignore, uncalibrated)
+            if detector is None:  # an object may depend on the order of the frames
                 self._estimate_focal_length(shapes, progress)
             calibration, path = self.recording.calibration, settings.truth
             shift_m = calibration.left_from_reference_m
@@ -154,13 +153,17 @@ class RunSession:
             )
             on_error.pop_all()
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
-        self._paced: PacedFrames | None = None
-        if settings.realtime and self.recording.live is None:
-            self._paced = PacedFrames(
-                self.recording.frames, 1 / (self.recording.fps or settings.folder_fps)
-            )
+        self._paced = self._paced_frames()
         self.meter = FrameMeter(self.recording.live or self._paced, every=settings.every)
         self.findings = Findings()
+
+    def _paced_frames(self) -> PacedFrames | None:
+        """The frames at the pace of a camera, if the settings ask for it."""
+        recording = self.recording
+        if not self.settings.realtime or recording.live is not None:
+            return None
+        fps = recording.fps or self.settings.folder_fps
+        return PacedFrames(recording.frames, 1 / fps)
 
     def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
         """Estimate the unknown focal length of a recording that is not live from the boxes in its

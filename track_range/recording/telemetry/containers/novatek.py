@@ -143,11 +143,14 @@ def track_of_blocks(
         return None
     unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
     samples = _timed((record.samples if record else () for record in records), times_s)
-    if not has_plausible_positions(samples):  # encrypted by some makers
-        samples = [
-            sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples
-        ]
-    return track(samples, "freeGPS records", unit=unit)
+    return track(_with_plausible_positions(samples), "freeGPS records", unit=unit)
+
+
+def _with_plausible_positions(samples: list[Sample]) -> list[Sample]:
+    """The samples, without positions if these are encrypted, as by some makers."""
+    if has_plausible_positions(samples):
+        return samples
+    return [sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
 
 
 def _deciphered(block: bytes) -> bytes:
