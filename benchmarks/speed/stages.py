@@ -27,6 +27,7 @@ from track_range.pipeline.filtering import Approach, noise_shares
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.world import World
 from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.ranges import Ranges
@@ -184,7 +185,12 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
         ranges["fused"] = fused.ranges
         timed(
             "filters",
-            partial(filters.update, ranges, frame.time_s, conditions={"fused": fused.condition}),
+            partial(
+                filters.update,
+                ranges,
+                frame.time_s,
+                observation=Observation(conditions={"fused": fused.condition}),
+            ),
         )
     median = {name: median_ms(times) for name, times in times_s.items()}
     sums = {"box-only methods": tuple(rangers), "fusion and filters": ("fuse", "filters")}

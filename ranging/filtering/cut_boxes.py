@@ -67,81 +67,112 @@ class CutBoxes:
 
 
 class SideState(NamedTuple):
-    """Estimate of k of the filters of M methods for N tracks, (M, N) each."""
+    """Estimate of k in the filters of M methods, G models and N tracks, (M, G, N) each.
 
-    q: FloatArray  # of the last box
+    With d and v it is the state x = [d v k]', with the steps
+
+        F = [1 dt 0; 0 1 0; 0 0 1]   of the far end, Q_kk = dt 0.25^2    between T and T^-1,
+        T = [G 0 J; 0 1 0; 0 0 1]    from the surface to the far end, z_f = G d and J = dz_f / dk
+        H = [1 0 0]                  of a distance
+
+    d, v and their covariance P_dd, P_dv, P_vv are a `ConstantVelocity`.
+    """
+
     k: FloatArray
     P_dk: FloatArray
     P_vk: FloatArray
     P_kk: FloatArray  # 0 = the last box was not cut
 
-    def predicted(
-        self, state: ConstantVelocity, cut: CutBoxes, dt: FloatArray, *, q: FloatArray | float
-    ) -> tuple[ConstantVelocity, SideState, FloatArray]:
-        """State of d and v and of k after `dt`, and the relative variance of d by the noise of the
-        free edges.
+    @classmethod
+    def none(cls) -> SideState:
+        """The estimate without a cut box, () each."""
+        zero = np.array(0.0)
+        return cls(zero, zero, zero, zero)
 
-        `q` is the noise of the acceleration, see `ConstantVelocity.predict`.
+    @property
+    def is_cut(self) -> BoolArray:
+        """(M, G, N) whether the last box was cut."""
+        return np.asarray(self.P_kk > 0)
+
+    def predict(
+        self,
+        motion: ConstantVelocity,
+        last_q: FloatArray,
+        cut: CutBoxes,
+        dt: FloatArray,
+        *,
+        noise: FloatArray | float,
+        slides: BoolArray,
+    ) -> tuple[ConstantVelocity, SideState, FloatArray]:
+        """The motion and k after `dt`, and the relative variance of d by the noise of free edges.
+
+        `last_q` is q of the last boxes, `noise` that of the acceleration, see
+        `ConstantVelocity.predict`; `slides` are the boxes that are cut or were.
         """
-        was_cut = self.P_kk > 0
-        begins, moves = cut.is_cut & ~was_cut, cut.is_cut | was_cut
-        k, P_kk = np.where(begins, 1.0, self.k), np.where(begins, _K_SIGMA**2, self.P_kk)
-        P_dk, P_vk = self.P_dk, self.P_vk  # 0 at the beginning
+        near_m = np.where(slides, cut.length_m, 0.0)
+        side = self._begin(cut)
 
         # From the surface to the far end.
-        shrinks = np.maximum(1 - k * self.q, _LEAST)
-        was_side = moves & (state.x / shrinks < state.x + cut.length_m)
-        G = np.where(was_side, 1 / shrinks, 1.0)
-        J = np.where(was_side, state.x * self.q * G * G, 0.0)
-        far, P_dk = _transformed(state, G, J, (P_dk, P_vk, P_kk))
-        near_m = np.where(moves, cut.length_m, 0.0)
-        far_m = far.x + np.where(was_side, 0.0, near_m)
-        far = far.predict(dt, q=q)
-        far_m = far_m + dt * far.v
-        P_dk, P_kk = P_dk + dt * P_vk, P_kk + _K_NOISE**2 * dt
+        d = motion.x
+        last_ratio = np.maximum(1 - side.k * last_q, _LEAST)
+        far_m = d / last_ratio
+        was_side = slides & (far_m < d + cut.length_m)
+        G = np.where(was_side, 1 / last_ratio, 1.0)
+        J = np.where(was_side, d * last_q * G * G, 0.0)
+        far, side = side._transform(motion, G, J, np.where(was_side, 0.0, near_m))
 
-        # And back. Within 2 sigma of the change from near end to side, the difference of both
-        # predictions is noise.
-        is_unclear = moves & (
-            np.abs(state.x / shrinks - state.x - cut.length_m) < 2 * _LENGTH_SIGMA_M
-        )
-        step_m, before = dt * state.v, shrinks
-        shrinks = np.maximum(1 - k * cut.q, _LEAST)
-        slide_m = (state.x / before + step_m) * shrinks - (state.x + step_m)
-        is_side = moves & (far_m * shrinks > far_m - cut.length_m)
-        G, J = np.where(is_side, shrinks, 1.0), np.where(is_side, -far_m * cut.q, 0.0)
+        # The motion of the far end.
+        far = far.predict(dt, q=noise)
+        side = side._replace(P_dk=side.P_dk + dt * side.P_vk, P_kk=side.P_kk + _K_NOISE**2 * dt)
+
+        # And back; which of both the ray met is not certain near the change.
+        ratio = np.maximum(1 - side.k * cut.q, _LEAST)
+        is_side = slides & (far.x * ratio > far.x - cut.length_m)
+        G = np.where(is_side, ratio, 1.0)
+        J = np.where(is_side, -far.x * cut.q, 0.0)
+        step_m = dt * motion.v
+        slide_m = (far_m + step_m) * ratio - (d + step_m)
+        is_unclear = slides & (np.abs(far_m - d - cut.length_m) < 2 * _LENGTH_SIGMA_M)
         P_xx = far.P_xx + np.where(is_side != was_side, _LENGTH_SIGMA_M**2, 0.0)
         P_xx += np.where(is_unclear, (_SLIDE_FACTOR * slide_m / G) ** 2, 0.0)
-        far = ConstantVelocity(far_m, far.v, P_xx, far.P_xv, far.P_vv)
-        state, P_dk = _transformed(far, G, J, (P_dk, P_vk, P_kk))
-        state = ConstantVelocity(state.x - np.where(is_side, 0.0, near_m), *state.columns[1:])
-        edge_variance = np.where(is_side, k * cut.q_sigma / G, 0.0) ** 2
-        kept = [np.where(cut.is_cut, part, 0.0) for part in (P_dk, P_vk, P_kk)]
-        return state, SideState(np.broadcast_to(cut.q, k.shape), k, *kept), edge_variance
+        far = ConstantVelocity(far.x, far.v, P_xx, far.P_xv, far.P_vv)
+        motion, side = side._transform(far, G, J, np.where(is_side, 0.0, -near_m))
+        edge_variance = np.where(is_side, side.k * cut.q_sigma / G, 0.0) ** 2
+        return motion, side._end(cut), edge_variance
 
-    def updated(
-        self, state: ConstantVelocity, nu: FloatArray, R: FloatArray, *, valid: BoolArray
-    ) -> SideState:
-        """The estimate after the measurements that update `state`, see
-        `ConstantVelocity.update`.
+    def correct(self, motion: ConstantVelocity, nu: FloatArray, S: FloatArray) -> SideState:
+        """The estimate after the distances with the innovations nu of variance S that correct
+        `motion`.
         """
-        K = np.where(valid, self.P_dk / (state.P_xx + R), 0.0)
-        k = np.clip(self.k + K * np.where(valid, nu, 0.0), *_K_RANGE)
-        P_dk, P_vk = self.P_dk - K * state.P_xx, self.P_vk - K * state.P_xv
-        return SideState(self.q, k, P_dk, P_vk, self.P_kk - K * self.P_dk)
+        K = self.P_dk / S
+        k = np.clip(self.k + K * nu, *_K_RANGE)
+        P_dk, P_vk = self.P_dk - K * motion.P_xx, self.P_vk - K * motion.P_xv
+        return SideState(k, P_dk, P_vk, self.P_kk - K * self.P_dk)
 
+    def restart(self, starts: BoolArray) -> SideState:
+        """The estimate where filters of d and v restart: k stays, and is not correlated."""
+        return self._replace(
+            P_dk=np.where(starts, 0.0, self.P_dk), P_vk=np.where(starts, 0.0, self.P_vk)
+        )
 
-def _transformed(
-    state: ConstantVelocity,
-    G: FloatArray,
-    J: FloatArray,
-    P_k: tuple[FloatArray, FloatArray, FloatArray],
-) -> tuple[ConstantVelocity, FloatArray]:
-    """The state with x times G, where J is the derivative of the product by k, and its covariance
-    with k.
-    """
-    P_dk, P_vk, P_kk = P_k
-    P_xx = G * (G * state.P_xx + 2 * J * P_dk) + J * J * P_kk
-    return ConstantVelocity(
-        G * state.x, state.v, P_xx, G * state.P_xv + J * P_vk, state.P_vv
-    ), G * P_dk + J * P_kk
+    def _begin(self, cut: CutBoxes) -> SideState:
+        """The estimate with boxes that the border begins to cut: a side along the axis, k = 1."""
+        begins = cut.is_cut & ~self.is_cut
+        if not begins.any():
+            return self
+        k = np.where(begins, 1.0, self.k)
+        return self._replace(k=k, P_kk=np.where(begins, _K_SIGMA**2, self.P_kk))
+
+    def _end(self, cut: CutBoxes) -> SideState:
+        """The estimate without boxes that the border no longer cuts."""
+        kept = (np.where(cut.is_cut, part, 0.0) for part in (self.P_dk, self.P_vk, self.P_kk))
+        return SideState(self.k, *kept)
+
+    def _transform(
+        self, motion: ConstantVelocity, G: FloatArray, J: FloatArray, shift_m: FloatArray
+    ) -> tuple[ConstantVelocity, SideState]:
+        """The state T x and T P T': d times G, plus `shift_m`, where J is its derivative by k."""
+        P_xx = G * (G * motion.P_xx + 2 * J * self.P_dk) + J * J * self.P_kk
+        P_xv = G * motion.P_xv + J * self.P_vk
+        moved = ConstantVelocity(G * motion.x + shift_m, motion.v, P_xx, P_xv, motion.P_vv)
+        return moved, self._replace(P_dk=G * self.P_dk + J * self.P_kk)

@@ -30,87 +30,145 @@ class Growth(NamedTuple):
 
 
 class KeyDistance(NamedTuple):
-    """Distance of the key frame in the filters of M methods for N tracks, (M, N) each."""
+    """Distance of the key frame in the filters of M methods, G models and N tracks, (M, G, N) each.
+
+    With d and v it is the state x = [d v r]', with the steps
+
+        F = [1 dt 0; 0 1 0; 0 0 1]    Q_rr = 0
+        H = [1 0 0]                   of a distance
+        H = d [-1/d 0 1/r]            of a growth in m, nu = d (log s - log r/d), R = d^2 sigma^2
+
+    d, v and their covariance P_dd, P_dv, P_vv are a `ConstantVelocity`.
+    """
 
     r: FloatArray  # m; NaN = there is no key frame
     P_dr: FloatArray
     P_vr: FloatArray
     P_rr: FloatArray
 
-    def predicted(self, dt: FloatArray) -> KeyDistance:
+    @classmethod
+    def none(cls) -> KeyDistance:
+        """The state without a key frame, () each."""
+        zero = np.array(0.0)
+        return cls(np.array(np.nan), zero, zero, zero)
+
+    @property
+    def exists(self) -> BoolArray:
+        """(M, G, N) whether there is a key frame."""
+        return np.isfinite(self.r)
+
+    def predict(self, dt: FloatArray) -> KeyDistance:
         """The state after `dt` seconds."""
         return self._replace(P_dr=self.P_dr + dt * self.P_vr)
 
-    def stepped(self, d: FloatArray, variance: FloatArray) -> KeyDistance:
+    def step(self, d: FloatArray, variance: FloatArray) -> KeyDistance:
         """The state after a relative step of both distances, which adds `variance` to the variance
         of d.
         """
         c = np.fmax(self.r / d, 0.0)  # 0 without a key frame
         return self._replace(P_dr=self.P_dr + c * variance, P_rr=self.P_rr + c * c * variance)
 
-    def updated(
-        self, state: ConstantVelocity, nu: FloatArray, R: FloatArray, *, valid: BoolArray
-    ) -> KeyDistance:
-        """The state after the measurements of d that update `state`, see
-        `ConstantVelocity.update`.
+    def correct(self, motion: ConstantVelocity, nu: FloatArray, S: FloatArray) -> KeyDistance:
+        """The state after the distances with the innovations nu of variance S that correct
+        `motion`.
         """
-        K = np.where(valid, self.P_dr / (state.P_xx + R), 0.0)
-        r = self.r + K * np.where(valid, nu, 0.0)
-        P_dr, P_vr = self.P_dr - K * state.P_xx, self.P_vr - K * state.P_xv
-        return KeyDistance(r, P_dr, P_vr, self.P_rr - K * self.P_dr)
+        K = self.P_dr / S
+        P_dr, P_vr = self.P_dr - K * motion.P_xx, self.P_vr - K * motion.P_xv
+        return KeyDistance(self.r + K * nu, P_dr, P_vr, self.P_rr - K * self.P_dr)
 
-    def grown(
-        self, state: ConstantVelocity, growth: Growth, *, valid: BoolArray, outlier_sigma: float
-    ) -> tuple[ConstantVelocity, KeyDistance, FloatArray, FloatArray]:
-        """Both states after the growth, and its innovation in m, NaN = not measured, with its
-        variance.
+    def innovation(
+        self, motion: ConstantVelocity, growth: Growth, *, valid: BoolArray
+    ) -> GrowthInnovation:
+        """Innovations of the growth of those `valid` filters that have a key frame."""
+        d = motion.x
+        nu = d * (growth.log_ratio - np.log(self.r / d))
+        valid = valid & np.isfinite(nu)
+        c = np.where(valid, d / self.r, 0.0)
+        P_dz = c * self.P_dr - motion.P_xx
+        P_vz = c * self.P_vr - motion.P_xv
+        P_rz = c * self.P_rr - self.P_dr
+        return GrowthInnovation(
+            valid=valid,
+            nu=np.where(valid, nu, 0.0),
+            R=(d * growth.sigma) ** 2,
+            P_dz=P_dz,
+            P_vz=P_vz,
+            P_rz=P_rz,
+            P_zz=np.maximum(c * P_rz - P_dz, 0.0),
+        )
+
+    def correct_by_growth(
+        self, motion: ConstantVelocity, growth: GrowthInnovation, *, outlier_sigma: float
+    ) -> tuple[ConstantVelocity, KeyDistance]:
+        """Motion and key distance after the growth; unchanged where it is not valid.
 
         Measurements beyond `outlier_sigma` standard deviations are down-weighted. Where the
         covariance would not be positive, since distances far apart are not linear, the key frame is
         given up instead.
         """
-        d, c = state.x, state.x / self.r
-        nu = d * (growth.log_ratio - np.log(self.r / d))
-        valid = valid & np.isfinite(nu)
-        # P H^T
-        H_d, H_v, H_r = (
-            c * self.P_dr - state.P_xx,
-            c * self.P_vr - state.P_xv,
-            c * self.P_rr - self.P_dr,
-        )
-        S = np.maximum(c * H_r - H_d, 0.0)
-        R = (d * growth.sigma) ** 2
-        innovation, variance = np.where(valid, nu, np.nan), S + R
-        R = R * np.maximum(1.0, np.abs(nu) / (outlier_sigma * np.sqrt(variance))) ** 2
-        weight, nu = np.where(valid, 1 / (S + R), 0.0), np.where(valid, nu, 0.0)
-        H_d, H_v, H_r = (np.where(valid, part, 0.0) for part in (H_d, H_v, H_r))
-        K_d, K_v, K_r = weight * H_d, weight * H_v, weight * H_r
+        nu, P_dz, P_vz, P_rz = growth.nu, growth.P_dz, growth.P_vz, growth.P_rz
+        excess = np.abs(nu) / (outlier_sigma * np.sqrt(growth.P_zz + growth.R))
+        R = growth.R * np.maximum(1.0, excess) ** 2
+        weight = np.where(growth.valid, 1 / (growth.P_zz + R), 0.0)
+        K_d, K_v, K_r = weight * P_dz, weight * P_vz, weight * P_rz
         grown = ConstantVelocity(
-            x=d + K_d * nu,
-            v=state.v + K_v * nu,
-            P_xx=state.P_xx - K_d * H_d,
-            P_xv=state.P_xv - K_d * H_v,
-            P_vv=state.P_vv - K_v * H_v,
+            x=motion.x + K_d * nu,
+            v=motion.v + K_v * nu,
+            P_xx=motion.P_xx - K_d * P_dz,
+            P_xv=motion.P_xv - K_d * P_vz,
+            P_vv=motion.P_vv - K_v * P_vz,
         )
         key = KeyDistance(
-            self.r + K_r * nu, self.P_dr - K_d * H_r, self.P_vr - K_v * H_r, self.P_rr - K_r * H_r
+            r=self.r + K_r * nu,
+            P_dr=self.P_dr - K_d * P_rz,
+            P_vr=self.P_vr - K_v * P_rz,
+            P_rr=self.P_rr - K_r * P_rz,
         )
-        is_lost = (
-            (grown.P_xx <= 0)
-            | (grown.P_vv <= 0)
-            | (grown.P_xx * grown.P_vv < grown.P_xv**2)
-            | (key.P_rr <= 0)
+        is_lost = growth.valid & ~key._is_positive(grown)
+        if not is_lost.any():
+            return grown, key
+        kept = (
+            np.where(is_lost, *pair) for pair in zip(motion.columns, grown.columns, strict=True)
         )
-        is_lost &= valid
-        grown = ConstantVelocity(
-            *(np.where(is_lost, *pair) for pair in zip(state.columns, grown.columns, strict=True))
-        )
-        return grown, key._replace(r=np.where(is_lost, np.nan, key.r)), innovation, variance
+        return ConstantVelocity(*kept), key.drop(is_lost)
 
-    def started(self, state: ConstantVelocity, is_key: BoolArray) -> KeyDistance:
-        """The state with copies of the distances where this frame becomes the key frame."""
-        new = (
-            state.x,
-            *(np.where(np.isnan(part), 0.0, part) for part in (state.P_xx, state.P_xv, state.P_xx)),
+    def _is_positive(self, motion: ConstantVelocity) -> BoolArray:
+        """Whether variances are positive and d and v not more than fully correlated."""
+        is_impossible = (
+            (motion.P_xx <= 0)
+            | (motion.P_vv <= 0)
+            | (motion.P_xx * motion.P_vv < motion.P_xv**2)
+            | (self.P_rr <= 0)
         )
-        return KeyDistance(*(np.where(is_key, *pair) for pair in zip(new, self, strict=True)))
+        return np.asarray(~is_impossible)
+
+    def drop(self, where: BoolArray) -> KeyDistance:
+        """The state without the key frames of filters `where`."""
+        return self._replace(r=np.where(where, np.nan, self.r))
+
+    def restart(self, starts: BoolArray) -> KeyDistance:
+        """The state where filters of d and v restart, whose covariances may have been NaN."""
+        pairs = zip(self.none(), self, strict=True)
+        return KeyDistance(*(np.where(starts, new, part) for new, part in pairs))
+
+    def start(self, motion: ConstantVelocity, is_key: BoolArray) -> KeyDistance:
+        """The state with copies of the distances where this frame becomes the key frame."""
+        P_dr = np.where(np.isnan(motion.P_xx), 0.0, motion.P_xx)
+        P_vr = np.where(np.isnan(motion.P_xv), 0.0, motion.P_xv)
+        copy = KeyDistance(r=motion.x, P_dr=P_dr, P_vr=P_vr, P_rr=P_dr)
+        return KeyDistance(*(np.where(is_key, *pair) for pair in zip(copy, self, strict=True)))
+
+
+class GrowthInnovation(NamedTuple):
+    """Innovations z of the growths of N tracks in the filters of M methods and G models, (M, G, N)
+    each.
+    """
+
+    valid: BoolArray  # False = no growth, or no key frame
+    nu: FloatArray  # m; 0 = not valid
+    R: FloatArray  # m^2
+    # P H', covariances of d, v and r with the prediction of z
+    P_dz: FloatArray
+    P_vz: FloatArray
+    P_rz: FloatArray
+    P_zz: FloatArray  # H P H'; the variance of nu is P_zz + R

@@ -1,15 +1,23 @@
-"""MotionModels: how an object may move, with a filter and a probability for each model.
+"""InteractingModels: how an object may move, with a filter and a probability for each model.
 
     static         own speed 0: v = -V, but by sizes that are wrong by s, v = -(1 + s) V
     moving         the own speed v + V is a random walk, calm or agile: with a small or a large density q_g
 
-    w_g' ~ (T w)_g N(nu_g; 0, S_g)^a                            T: switching towards the prior of the class
-    x = sum w_g x_g     P = sum w_g (P_g + (x_g - x) (x_g - x)')
+The four steps of Blom and Bar-Shalom (The interacting multiple model algorithm, 1988), for the
+models g of a track with the probabilities w_g:
 
-(Magill, Optimal adaptive estimation, 1965; Blom and Bar-Shalom, 1988, without the mixing of
-states.) The prior belongs to the class in the drive: the time that its tracks have spent in each
-model, beside 10 s of the first prior. So a queue has another prior than a motorway. Without ego
-speed there is no static model. Constants without a source were chosen on 13 of KITTI's tracking
+    1. interaction       w_g' = (T w)_g                                 T: switching towards the prior of the class
+    2. filtering         x_g, P_g, nu_g, S_g: one Kalman filter per model, with the density q_g (`FilterBank`)
+    3. probabilities     w_g'' ~ w_g' N(nu_g; 0, S_g)^a
+    4. combination       x = sum w_g'' x_g     P = sum w_g'' (P_g + (x_g - x) (x_g - x)')
+
+Only the probabilities interact. In their algorithm, step 1 also mixes the states, so that each
+filter starts from a mean over the models; ours keep their own states (as in Magill, Optimal
+adaptive estimation, 1965), so that v = -V of the static model is not mixed with other rates.
+
+The prior belongs to the class in the drive: the time that its tracks have spent in each model,
+beside 10 s of the first prior. So a queue has another prior than a motorway. Without ego speed
+there is no static model. Constants without a source were chosen on 13 of KITTI's tracking
 sequences.
 """
 
@@ -17,6 +25,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.constant_velocity import ConstantVelocity
 
 # of the own speed of moving objects, m/s per square root of a second
 ACCELERATION_NOISES = (0.25, 1.25)
@@ -42,9 +51,9 @@ frames and its noise is smaller than declared."""
 _MAX_CHI2 = 25.0  # of innovations; larger ones are outliers in every model
 
 
-class MotionModels:
-    """Probabilities of G models for M methods and N tracks, in arrays (M, G, N); counts the time of
-    each by class.
+class InteractingModels:
+    """Probabilities w of G models for M methods and N tracks, in arrays (M, G, N); counts the time
+    of each by class.
     """
 
     def __init__(
@@ -57,20 +66,20 @@ class MotionModels:
         """Start with the priors; `noises` are for moving objects, and without `has_static` all
         objects move.
         """
-        self._static_prior = _STATIC_PRIOR * has_static
         noises = (_STATIC_NOISE, *noises)
         self.is_static: BoolArray = np.arange(len(noises))[:, None] == 0  # (G, 1)
+        self._is_moving = ~self.is_static
         self.q: FloatArray = np.array(noises)[:, None] ** 2  # (G, 1)
+        static = _STATIC_PRIOR * has_static
+        # (G, road classes)
+        self._first_prior = np.where(self.is_static, static, (1 - static) / (len(noises) - 1))
         self._seen_s = np.zeros((n_methods, len(noises), len(ROAD_CLASSES)))
 
     def prior(self, class_id: IntArray, may_be_static: BoolArray | bool) -> FloatArray:
         """(M, G, N) probabilities of the models of tracks of these classes."""
-        static = self._static_prior[class_id]
-        before = np.where(self.is_static, static, (1 - static) / (len(self.q) - 1))
-        prior = (_PRIOR_S * before + self._seen_s[..., class_id]) * (
-            may_be_static | ~self.is_static
-        )
-        return np.asarray(prior / prior.sum(axis=1, keepdims=True))
+        time_s = (_PRIOR_S * self._first_prior + self._seen_s)[..., class_id]
+        prior = time_s * (may_be_static | self._is_moving)
+        return np.asarray(prior / np.add.reduce(prior, axis=1, keepdims=True))
 
     def start_sigma_mps(
         self, class_id: IntArray, moving_mps: float, scale_mps: FloatArray
@@ -81,19 +90,20 @@ class MotionModels:
         moving = np.minimum(_SPEED_SIGMA_MPS[class_id], moving_mps)
         return np.hypot(np.where(self.is_static, _STATIC_SIGMA_MPS, moving), scale_mps)
 
-    def predicted(self, weight: FloatArray, prior: FloatArray, dt: FloatArray) -> FloatArray:
-        """Probabilities (M, G, N) after the steps dt."""
-        is_moving = ~self.is_static
-        moving = prior * is_moving
-        moving *= (weight * is_moving).sum(axis=1, keepdims=True) / np.maximum(
-            moving.sum(axis=1, keepdims=True), 1e-9
-        )
-        weight = weight - np.expm1(-dt / _SWITCH_S) * np.where(is_moving, moving - weight, 0.0)
-        return np.asarray(
-            (weight - np.expm1(-dt / _STATIC_SWITCH_S) * (prior - weight)) * (prior > 0)
-        )
+    def interact(self, weight: FloatArray, prior: FloatArray, dt: FloatArray) -> FloatArray:
+        """Step 1: probabilities after the time dt, in which objects may have changed their model.
 
-    def updated(
+        The moving models mix among each other over 4 s, all models over 100 s.
+        """
+        moving = prior * self._is_moving
+        is_moving = np.add.reduce(weight * self._is_moving, axis=1, keepdims=True)
+        moving *= is_moving / np.maximum(np.add.reduce(moving, axis=1, keepdims=True), 1e-9)
+        change = np.where(self._is_moving, moving - weight, 0.0)
+        weight = weight - np.expm1(-dt / _SWITCH_S) * change
+        weight = weight - np.expm1(-dt / _STATIC_SWITCH_S) * (prior - weight)
+        return np.asarray(weight * (prior > 0))
+
+    def update_probabilities(
         self,
         weight: FloatArray,
         nu: FloatArray,
@@ -102,12 +112,25 @@ class MotionModels:
         valid: BoolArray,
         evidence: float = _EVIDENCE,
     ) -> FloatArray:
-        """Probabilities after the innovations nu of variance S, where valid; `evidence` is the
-        exponent a.
+        """Step 3: probabilities after the innovations nu of variance S, where valid; `evidence` is
+        the exponent a.
         """
         likelihood = np.exp(-0.5 * evidence * (np.minimum(nu * nu / S, _MAX_CHI2) + np.log(S)))
         weight = np.where(valid, weight * likelihood, weight)
-        return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300))
+        total = np.add.reduce(weight, axis=1, keepdims=True)
+        return np.asarray(weight / np.maximum(total, 1e-300))
+
+    def combine(self, state: ConstantVelocity, weight: FloatArray) -> ConstantVelocity:
+        """Step 4: mean and covariance (..., M, N) over the models of states (..., M, G, N)."""
+        x, v = mean_of(state.x, weight), mean_of(state.v, weight)
+        dx, dv = state.x - x[..., None, :], state.v - v[..., None, :]
+        return ConstantVelocity(
+            x=x,
+            v=v,
+            P_xx=mean_of(state.P_xx + dx * dx, weight),
+            P_xv=mean_of(state.P_xv + dx * dv, weight),
+            P_vv=mean_of(state.P_vv + dv * dv, weight),
+        )
 
     def count(self, class_id: IntArray, weight: FloatArray, dt: FloatArray) -> None:
         """Add the time dt of tracks with the probabilities (M, G, N)."""
@@ -115,5 +138,5 @@ class MotionModels:
 
 
 def mean_of(x: FloatArray, weight: FloatArray) -> FloatArray:
-    """(M, N) mean over the models (M, G, N)."""
-    return np.asarray((weight * x).sum(axis=1))
+    """(..., M, N) mean over the models (..., M, G, N)."""
+    return np.asarray(np.add.reduce(weight * x, axis=-2))

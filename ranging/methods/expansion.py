@@ -21,6 +21,7 @@ from track_range.foundation.arrays import IntArray
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.filtering.lateral_motion import sides_cut
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.method import MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.patch_scale import WIDTH_M, PatchScales, side_fraction
 from track_range.ranging.ranges import Ranges
@@ -79,9 +80,11 @@ class ExpansionRanger(Ranger):
         filtered = self._filter.update(
             {"": by_size},
             frame.time_s,
-            conditions={"": condition},
-            cut=CutBoxes.of(tracks, self._camera),
-            growth=growth,
+            observation=Observation(
+                conditions={"": condition},
+                cut=CutBoxes.of(tracks, self._camera),
+                growth=growth,
+            ),
         )[""]
         is_known = filtered.ttc_sigma_s < _MAX_SIGMA * filtered.ttc_s
         details = {"ttc_s": filtered.ttc_s, "ttc_sigma_s": filtered.ttc_sigma_s}

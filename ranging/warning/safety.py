@@ -25,7 +25,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.filtering.distance_filter import MIN_CLOSING_MPS
+from track_range.ranging.filtering.filtered_ranges import MIN_CLOSING_MPS
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -16,6 +16,7 @@ from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
@@ -59,7 +60,7 @@ def drive(
         )
         distance_m = z_m * (1 + 0.01 * rng.normal())
         measured = {"fused": Ranges(ids, np.array([distance_m]), np.array([0.01 * z_m]))}
-        motion = filters.update(measured, time_s, ego_speed_mps=ego_mps)["fused"]
+        motion = filters.update(measured, time_s, ego=EgoMotion(ego_mps))["fused"]
         own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
         side = lateral.update(
             tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps

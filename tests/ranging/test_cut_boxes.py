@@ -12,8 +12,10 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(500.0, 500.0, 500.0, 200.0, 1001, 401)  # bearings -1 to 1
@@ -72,9 +74,11 @@ def test_prediction_of_a_slide_by_hand():
         np.array([20.0]),
         np.array([-0.625]),
     )
-    side = SideState(before.q[None], of_m(1), of_m(0), of_m(0), of_m(1e-12))
+    side = SideState(of_m(1), of_m(0), of_m(0), of_m(1e-12))
     state = ConstantVelocity(of_m(5), of_m(-10), of_m(0.01), of_m(0), of_m(0.04))
-    predicted, _, _ = side.predicted(state, cut, of_m(0.3), q=0.0)
+    predicted, _, _ = side.predict(
+        state, before.q, cut, of_m(0.3), noise=0.0, slides=np.array([[True]])
+    )
     assert predicted.x[0, 0] == pytest.approx(4.8)
     assert predicted.v[0, 0] == -10
     # Variances: z_f = 3 d with 0.09, plus 0.3^2 0.04 by the speed; d = 0.4 z_f. The turn of k adds
@@ -89,9 +93,11 @@ def test_near_end_is_predicted_as_without_a_cut():
     # The side's far end would be 20 m behind the near one: a car is shorter, so that the ray meets
     # its near end.
     cut = CutBoxes.of(boxes(-1.0, -0.1), CAMERA)
-    side = SideState(cut.q[None], of_m(1), of_m(0), of_m(0), of_m(0.04))
+    side = SideState(of_m(1), of_m(0), of_m(0), of_m(0.04))
     state = ConstantVelocity(of_m(5), of_m(-10), of_m(0.01), of_m(0), of_m(0.04))
-    predicted, _, edge_variance = side.predicted(state, cut, of_m(0.1), q=1.0)
+    predicted, _, edge_variance = side.predict(
+        state, cut.q, cut, of_m(0.1), noise=1.0, slides=np.array([[True]])
+    )
     expected = state.predict(of_m(0.1), q=1.0)
     np.testing.assert_allclose(predicted.columns, expected.columns)
     assert edge_variance == 0
@@ -131,7 +137,10 @@ def passing(x_m, *, heading_deg=0.0, knows_cuts=True):
         )
         cut = CutBoxes.of(tracks, CAMERA)
         filtered = filters.update(
-            {"a": measured}, 0.05 * i, ego_speed_mps=6.0, cut=cut if knows_cuts else None
+            {"a": measured},
+            0.05 * i,
+            observation=Observation(cut=cut if knows_cuts else None),
+            ego=EgoMotion(6.0),
         )["a"]
         found.append((bool(cut.is_cut[0]), -filtered.rate_mps[0], filtered.rate_sigma_mps[0]))
     return np.array(found)
@@ -182,9 +191,8 @@ def border_errors(labels, camera, shift_m):
             np.ones(n, bool),
         )
         measured = Ranges(ids, distance_m[rows], 0.02 * distance_m[rows])
-        filtered = filters.update({"a": measured}, frame * step_s, cut=CutBoxes.of(tracks, camera))[
-            "a"
-        ]
+        observation = Observation(cut=CutBoxes.of(tracks, camera))
+        filtered = filters.update({"a": measured}, frame * step_s, observation=observation)["a"]
         for row, rate, sigma in zip(rows, filtered.rate_mps, filtered.rate_sigma_mps, strict=True):
             near = (labels.track_id == labels.track_id[row]) & (np.abs(labels.frame - frame) <= 5)
             x1, _, x2, _ = labels.xyxy_px[row]

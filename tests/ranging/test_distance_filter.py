@@ -6,7 +6,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings, strategies as st
 
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.ranges import Ranges
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 
 class OneFilter:
@@ -19,9 +21,23 @@ class OneFilter:
     def noise_share(self):
         return self.filters.noise_shares["a"]
 
-    def update(self, measured, time_s, *, condition=None, **options):
-        conditions = None if condition is None else {"a": condition}
-        return self.filters.update({"a": measured}, time_s, conditions=conditions, **options)["a"]
+    def update(
+        self,
+        measured,
+        time_s,
+        *,
+        condition=None,
+        ego_speed_mps=np.nan,
+        ego_sigma_mps=np.nan,
+        **observed,
+    ):
+        conditions = {} if condition is None else {"a": condition}
+        return self.filters.update(
+            {"a": measured},
+            time_s,
+            observation=Observation(conditions=conditions, **observed),
+            ego=EgoMotion(ego_speed_mps, ego_sigma_mps),
+        )["a"]
 
 
 def measured(ids, distance_m, sigma_m=1.0):
@@ -331,8 +347,8 @@ def test_methods_are_filtered_independently():
         result = together.update(
             {**by_method, "other": by_method["a"]},
             step * 0.1,
-            conditions={"c": condition},
-            ego_speed_mps=3.0,
+            observation=Observation(conditions={"c": condition}),
+            ego=EgoMotion(3.0),
         )
         assert list(result) == ["a", "b", "c"]
         for name, tracker in alone.items():

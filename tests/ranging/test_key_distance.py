@@ -6,7 +6,9 @@ import pytest
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.filtering.key_distance import Growth, KeyDistance
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.ranges import Ranges
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 YES = np.array([[True]])
 
@@ -14,6 +16,12 @@ YES = np.array([[True]])
 def growth(log_ratio, sigma, *, is_key=False):
     log_ratio = np.atleast_1d(log_ratio)
     return Growth(log_ratio, np.full(len(log_ratio), sigma), np.full(len(log_ratio), is_key))
+
+
+def grown(key, state, measured, *, outlier_sigma=3.0):
+    """Motion and key distance after a growth."""
+    innovation = key.innovation(state, measured, valid=YES)
+    return key.correct_by_growth(state, innovation, outlier_sigma=outlier_sigma)
 
 
 def test_against_a_filter_of_three_states():
@@ -31,25 +39,24 @@ def test_against_a_filter_of_three_states():
     F = np.array([[1, dt, 0], [0, 1, 0], [0, 0, 1.0]])
     x, P = F @ x, F @ P @ F.T
     P[:2, :2] += q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    state, key = state.predict(dt, q=q), key.predicted(np.array([[dt]]))
+    state, key = state.predict(dt, q=q), key.predict(np.array([[dt]]))
 
     step, c = 2.5, x[2] / x[0]
     P += step * np.outer([1, 0, c], [1, 0, c])
     state = ConstantVelocity(state.x, state.v, state.P_xx + step, state.P_xv, state.P_vv)
-    key = key.stepped(state.x, np.array([[step]]))
+    key = key.step(state.x, np.array([[step]]))
 
     for H, nu, R, update in (
         (np.array([1.0, 0, 0]), 1.2, 3.0, "distance"),
         (None, None, 0.01**2, "growth"),
     ):
         if update == "distance":
-            key, state = (
-                key.updated(state, np.array([[nu]]), np.array([[R]]), valid=YES),
-                state.update(np.array([[nu]]), R),
-            )
+            S = state.P_xx + R
+            key = key.correct(state, np.array([[nu]]), S)
+            state = state.correct(np.array([[nu]]), S)
         else:
             H, nu = np.array([-1 / x[0], 0, 1 / x[2]]), 0.06 - np.log(x[2] / x[0])
-            state, key, _, _ = key.grown(state, growth(0.06, 0.01), valid=YES, outlier_sigma=99.0)
+            state, key = grown(key, state, growth(0.06, 0.01), outlier_sigma=99.0)
         K = P @ H / (H @ P @ H + R)
         x, P = x + K * nu, P - np.outer(K, H @ P)
     assert np.ravel([state.x, state.v, key.r]) == pytest.approx(x)
@@ -74,8 +81,10 @@ def run(sigma_growth, *, seed=0, n=400, n_frames=15, offset=1.2):
             np.arange(n), distance_m, distance_m * np.hypot(0.08, 0.2), distance_m * 0.2
         )
         is_key = step % 6 == 0
-        grown = None if sigma_growth is None else growth(log_ratio, sigma_growth, is_key=is_key)
-        result = filters.update({"a": measured}, 0.1 * step, growth=grown)["a"]
+        seen = None if sigma_growth is None else growth(log_ratio, sigma_growth, is_key=is_key)
+        result = filters.update({"a": measured}, 0.1 * step, observation=Observation(growth=seen))[
+            "a"
+        ]
         key_m = np.full(n, true_m) if is_key else key_m
     return result, true_m
 
@@ -102,9 +111,12 @@ def test_growth_tells_moving_from_static_objects():
             distance_m = true_m * np.exp(rng.normal(0, 0.1, n))
             log_ratio, is_key = np.log(key_m / true_m) + rng.normal(0, 0.008, n), step == 0
             measured = Ranges(np.arange(n), distance_m, 0.14 * distance_m, 0.1 * distance_m)
-            grown = growth(log_ratio, 0.008, is_key=is_key) if has_growth else None
+            seen = growth(log_ratio, 0.008, is_key=is_key) if has_growth else None
             result = filters.update(
-                {"a": measured}, 0.1 * step, ego_speed_mps=10.0, ego_sigma_mps=0.1, growth=grown
+                {"a": measured},
+                0.1 * step,
+                observation=Observation(growth=seen),
+                ego=EgoMotion(10.0, 0.1),
             )
             key_m = true_m if is_key else key_m
         close[has_growth] = np.mean(np.abs(result["a"].state.v + 6.0) < 1.5)
@@ -120,7 +132,7 @@ def test_outliers_count_less():
         zero = np.zeros((1, 1))
         state = ConstantVelocity(zero + 50.0, zero - 2.5, zero + 4.0, zero + 1.0, zero + 1.0)
         key = KeyDistance(zero + 50.5, zero + 3.8, zero + 0.8, zero + 4.0)
-        after, *_ = key.grown(state, growth(log_ratio, 0.01), valid=YES, outlier_sigma=3.0)
+        after, _ = grown(key, state, growth(log_ratio, 0.01))
         change_mps.append(float(after.v[0, 0] - state.v[0, 0]))
     assert -1.0 < change_mps[1] < 0 > change_mps[0]
     assert abs(change_mps[1]) < 3 * abs(change_mps[0])
@@ -130,10 +142,10 @@ def test_without_a_key_frame_nothing_changes():
     zero = np.zeros((1, 1))
     state = ConstantVelocity(zero + 50.0, zero - 2.5, zero + 4.0, zero + 1.0, zero + 1.0)
     none = KeyDistance(zero * np.nan, zero, zero, zero)
-    after, key, *_ = none.grown(state, growth(0.1, 0.01), valid=YES, outlier_sigma=3.0)
+    after, key = grown(none, state, growth(0.1, 0.01))
     assert np.array_equal(after.columns, state.columns)
     assert np.isnan(key.r).all()
-    started = key.started(state, np.array([True]))
+    started = key.start(state, np.array([True]))
     assert np.ravel(started) == pytest.approx([50.0, 4.0, 1.0, 4.0])
 
 
@@ -142,11 +154,11 @@ def test_a_key_frame_whose_covariance_is_impossible_is_given_up():
     was."""
     state = ConstantVelocity(*(np.array([[value]]) for value in (30.0, -6.0, 10.0, 0.0, 1.0)))
     key = KeyDistance(*(np.array([[value]]) for value in (60.0, 12.0, 20.0, 40.0)))
-    grown, given_up, *_ = key.grown(state, growth(0.9, 0.003), valid=YES, outlier_sigma=3.0)
-    assert np.array_equal(grown.columns, state.columns)
+    after, given_up = grown(key, state, growth(0.9, 0.003))
+    assert np.array_equal(after.columns, state.columns)
     assert np.isnan(given_up.r).all()
     key = key._replace(P_vr=np.array([[2.0]]))
-    grown, kept, *_ = key.grown(state, growth(0.9, 0.003), valid=YES, outlier_sigma=3.0)
-    assert 0 < grown.P_xx.item() < 10
-    assert 0 < grown.P_vv.item() <= 1
+    after, kept = grown(key, state, growth(0.9, 0.003))
+    assert 0 < after.P_xx.item() < 10
+    assert 0 < after.P_vv.item() <= 1
     assert np.isfinite(kept.r).all()

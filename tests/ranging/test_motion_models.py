@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters
-from track_range.ranging.filtering.motion_models import MotionModels, mean_of
+from track_range.ranging.filtering.motion_models import InteractingModels, mean_of
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.ranges import Ranges
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0
+STRAIGHT = EgoMotion(EGO_MPS)
 
 
 def filtered(
@@ -21,7 +25,8 @@ def filtered(
     steps=25,
     seed=1,
     filters=None,
-    **options,
+    ego=STRAIGHT,
+    **observed,
 ):
     """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to
     `size_sigma`."""
@@ -33,8 +38,10 @@ def filtered(
         true_m = 50 + (own_mps - EGO_MPS) * STEP_S * (k + 1 - steps)
         z = true_m * (1 + size_error) * np.exp(noise * rng.normal(size=len(ids)))
         measured = Ranges(ids, z, np.hypot(noise, size_sigma) * z, size_sigma * z)
-        given = {"ego_speed_mps": EGO_MPS, "class_id": np.full(len(ids), CAR), **options}
-        result = filters.update({"a": measured}, start_s + k * STEP_S, **given)["a"]
+        observation = Observation(**{"class_id": np.full(len(ids), CAR), **observed})
+        result = filters.update(
+            {"a": measured}, start_s + k * STEP_S, observation=observation, ego=ego
+        )["a"]
     return result
 
 
@@ -46,7 +53,7 @@ def test_closing_speed_of_a_static_object_is_that_of_the_ego_vehicle():
     assert np.median(np.abs(static.rate_mps + EGO_MPS)) < 0.12
     assert 0.15 < np.median(static.rate_sigma_mps) < 0.5
     assert static.ttc_s == pytest.approx(np.full(20, 50.0 / EGO_MPS), rel=0.12)
-    unknown = filtered([0.0] * 20, size_error=0.08, ego_speed_mps=np.nan)
+    unknown = filtered([0.0] * 20, size_error=0.08, ego=EgoMotion())
     assert 0.4 < np.median(-unknown.rate_mps) - EGO_MPS < 1.2
     assert (unknown.rate_sigma_mps > 0.8).all()
 
@@ -69,7 +76,9 @@ def test_static_objects_in_a_turn():
     speeds, no, none = np.array([12.0, 7.0]), np.zeros(2, np.bool_), np.zeros(2)
     bearing = (EGO_MPS - speeds) / (0.2 * 50.0)
     cut = CutBoxes(is_cut=no, q=none, q_sigma=none, length_m=none + 4.0, bearing=bearing)
-    result = filtered(EGO_MPS - speeds, yaw_rad_s=0.2, cut=cut, steps=8, noise=0.005)
+    result = filtered(
+        EGO_MPS - speeds, ego=EgoMotion(EGO_MPS, yaw_rad_s=0.2), cut=cut, steps=8, noise=0.005
+    )
     assert -result.rate_mps == pytest.approx(speeds, abs=0.3)
     assert (result.rate_sigma_mps < 0.6).all()
 
@@ -92,7 +101,7 @@ def test_sigma_is_true_for_parked_and_moving_objects():
 def test_a_class_learns_how_it_moves():
     """After 30 s, against a prior of 10 s, the probability that a member of a class is static
     follows what was seen."""
-    models = MotionModels()
+    models = InteractingModels()
     cars, people = np.array([CAR]), np.array([PERSON])
     before = models.prior(cars, True)[0, :, 0]
     assert before == pytest.approx([0.7, 0.15, 0.15])
@@ -106,7 +115,7 @@ def test_a_class_learns_how_it_moves():
 def test_probabilities_follow_the_likelihoods():
     """By Bayes' rule, with the exponent 1.5 of the evidence; innovations that are not valid change
     nothing."""
-    models = MotionModels()
+    models = InteractingModels()
     weight, nu, S = (
         np.array(values)[None, :, None]
         for values in ([0.5, 0.3, 0.2], [2.0, 1.0, 0.5], [1.0, 1.0, 4.0])
@@ -116,20 +125,34 @@ def test_probabilities_follow_the_likelihoods():
         0.3 * np.exp(-0.75),
         0.2 * np.exp(-0.75 * 0.0625) / np.sqrt(8.0),
     ]
-    updated = models.updated(weight, nu, S, valid=np.array([[[True]]]))
+    updated = models.update_probabilities(weight, nu, S, valid=np.array([[[True]]]))
     assert updated[0, :, 0] == pytest.approx(np.array(expected) / np.sum(expected))
-    assert models.updated(weight, nu, S, valid=np.array([[[False]]])) == pytest.approx(weight)
+    assert models.update_probabilities(weight, nu, S, valid=np.array([[[False]]])) == pytest.approx(
+        weight
+    )
 
 
 def test_probabilities_return_to_the_prior():
-    models = MotionModels()
+    models = InteractingModels()
     prior, weight = models.prior(np.array([CAR]), True), np.array([0.0, 1.0, 0.0])[None, :, None]
-    soon = models.predicted(weight, prior, np.full((1, 3, 1), 4.0))[0, :, 0]
+    soon = models.interact(weight, prior, np.full((1, 3, 1), 4.0))[0, :, 0]
     assert soon.sum() == pytest.approx(1.0)
     assert 0.02 < soon[0] < 0.04  # 4 of 100 s
     assert soon[2] == pytest.approx(0.5 * (1 - np.exp(-1.0)), abs=0.02)
-    late = models.predicted(weight, prior, np.full((1, 3, 1), 1e4))[0, :, 0]
+    late = models.interact(weight, prior, np.full((1, 3, 1), 1e4))[0, :, 0]
     assert late == pytest.approx(prior[0, :, 0], abs=1e-6)
+
+
+def test_combination_of_estimates():
+    """Two models with 1/4 and 3/4: the spread of the means, 4^2 * 3/16 and 2 * -4 * 3/16, adds to
+    the means of the covariances."""
+    models = InteractingModels()
+    parts = ([10.0, 14.0], [-1.0, -3.0], [1.0, 2.0], [0.0, 0.4], [0.5, 0.1])
+    x, v, P_xx, P_xv, P_vv = (np.array(values)[None, :, None] for values in parts)
+    weight = np.array([0.25, 0.75])[None, :, None]
+    mean = models.combine(ConstantVelocity(x, v, P_xx, P_xv, P_vv), weight)
+    found = [part.item() for part in mean.columns]
+    assert found == pytest.approx([13.0, -2.5, 1.75 + 3.0, 0.3 - 1.5, 0.2 + 0.75])
 
 
 def test_mean_of_a_mixture():

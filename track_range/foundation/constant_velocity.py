@@ -52,9 +52,16 @@ class ConstantVelocity:
         """The states after measurements with innovation nu and variance R > 0; states outside
         `valid` do not change.
         """
-        weight, nu = 1.0 / (self.P_xx + R), innovation
+        S, nu = self.P_xx + R, innovation
         if valid is not True:
-            weight, nu = np.where(valid, weight, 0.0), np.where(valid, innovation, 0.0)
+            S, nu = np.where(valid, S, np.inf), np.where(valid, innovation, 0.0)
+        return self.correct(nu, S)
+
+    def correct(self, nu: FloatArray, S: FloatArray) -> ConstantVelocity:
+        """The states after innovations nu of variance S; with S = inf and nu = 0, states do not
+        change.
+        """
+        weight = 1.0 / S
         K_x, K_v = weight * self.P_xx, weight * self.P_xv
         return ConstantVelocity(
             x=self.x + K_x * nu,

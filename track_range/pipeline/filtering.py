@@ -12,6 +12,7 @@ from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
+from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.fusion.fusion import Fused, ScaleSource
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
@@ -100,15 +101,15 @@ class FilterStage:
         filtered = self._distances.update(
             {**measured.ranges, "fused": fused.ranges},
             time_s,
-            conditions={"fused": fused.condition},
-            ego_speed_mps=ego.speed_mps,
-            ego_sigma_mps=ego.speed_sigma_mps,
-            yaw_rad_s=ego.yaw_rad_s,
-            growth=measured.growth,
-            class_id=tracks.class_id,
-            may_be_static=self._may_be_static(tracks, fused.ranges, ego),
-            cut=CutBoxes.of(tracks, self._camera),
-            is_hidden=self._are_hidden(tracks, fused),
+            observation=Observation(
+                conditions={"fused": fused.condition},
+                cut=CutBoxes.of(tracks, self._camera),
+                is_hidden=self._are_hidden(tracks, fused),
+                growth=measured.growth,
+                class_id=tracks.class_id,
+                may_be_static=self._may_be_static(tracks, fused.ranges, ego),
+            ),
+            ego=ego,
         )
         motion = filtered["fused"]
         is_ego_known = math.isfinite(ego.speed_mps)
