@@ -2,6 +2,7 @@
 users.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -34,33 +35,34 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
     unknown = np.full(len(columns["time_s"]), np.nan)
     is_observed = columns.get("observed", unknown) != 0
     distance_m, sigma_m = reference_distance(columns)
-    closing_mps, spread_mps = (
-        columns.get(f"closing_{unit}", unknown) for unit in ("mps", "sigma_mps")
-    )
+    closing_mps = columns.get("closing_mps", unknown)
+    spread_mps = columns.get("closing_sigma_mps", unknown)
+    certain_m = _counted(distance_m, sigma_m, is_observed)
     certain_mps = _counted(closing_mps, spread_mps, is_observed)
+    ttc_s = columns.get("ttc_front_s", unknown)
     measures = (  # key, values whose smallest counts, and standard deviations with their key
-        (
-            "min_distance_m",
-            _counted(distance_m, sigma_m, is_observed),
-            "min_distance_sigma_m",
-            sigma_m,
-        ),
+        ("min_distance_m", certain_m, "min_distance_sigma_m", sigma_m),
         ("max_closing_mps", -certain_mps, "max_closing_sigma_mps", spread_mps),
-        ("min_ttc_front_s", columns.get("ttc_front_s", unknown), "", unknown),
+        ("min_ttc_front_s", ttc_s, "", unknown),
     )
     for rows in rows_by_track(columns):
         row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]])}
         row["class"] = most_frequent(columns["class"][rows])
         for key, values, sigma_key, sigmas in measures:
             known = rows[np.isfinite(values[rows])]
-            at = known[np.argmin(values[known])] if len(known) else None
-            row[key] = None if at is None else abs(float(values[at]))
+            value = sigma = time_s = math.nan
+            if len(known):
+                at = known[np.argmin(values[known])]
+                value, sigma, time_s = abs(values[at]), sigmas[at], columns["time_s"][at]
+            row[key] = _finite(value)
             if sigma_key:
-                row[sigma_key] = (
-                    float(sigmas[at]) if at is not None and np.isfinite(sigmas[at]) else None
-                )
-            row[f"{key}_at_s"] = None if at is None else float(columns["time_s"][at])
+                row[sigma_key] = _finite(sigma)
+            row[f"{key}_at_s"] = _finite(time_s)
         yield row
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def reference_distance(

@@ -5,11 +5,13 @@ run.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
+from dataclasses import replace
 
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
+from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.alarming import Alarms
 from track_range.pipeline.filtering import Approach
 from track_range.pipeline.frame_result import FrameResult
@@ -43,79 +45,97 @@ def frames_of_rows(
     run, in order; `methods` are the distances that were measured; `fps` is the frame rate of the
     video; `poses` are the camera's.
     """
-    frame = columns["frame"]
-    known_frame, first_row = np.unique(frame, return_index=True)
-    known_s = columns["time_s"][first_row]
-    unknown = np.full(len(frame), np.nan)  # files of earlier versions lack some columns
-    utc_s, ego_mps = columns.get("utc", unknown), columns.get("ego_mps", unknown)
-    warnings = Warnings.unknown(len(frame))
-    has_warnings = "contact_probability" in columns and "warning" in columns
-    if has_warnings:
-        path_offset_m = columns.get("path_offset_m", unknown)
-        warnings = Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
-    motion = ObjectMotion.unknown(len(frame))
-    if "world_x_m" in columns:
-        codes: dict[str, float] = {name: code for code, name in enumerate(MOTION_STATES)}
-        state = np.array(
-            [codes.get(str(name), math.nan) for name in columns.get("state", unknown)], np.float64
-        )
-        numbers = {
-            name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"
-        }
-        motion = ObjectMotion(**numbers, state=state)
-    safety, has_safety = SafetyMeasures.unknown(len(frame)), "gap_m" in columns
-    if has_safety:
-        measures = {name: columns.get(name, unknown) for name in SAFETY_UNITS}
-        safety = SafetyMeasures(**measures, is_lead=columns.get("is_lead", unknown) > 0)
-    methods = set(methods)
-    listed = ranging_methods()
-    measured = [name for name in methods_with_sigma() if name in methods]
-    measured += [method.name for method in listed if not method.measures_distance]
-    details = {
-        method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
-        for method in listed
-    }
-    class_id = map_to_road_classes([str(name) for name in columns["class"]])
-    track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
-    observed = columns["observed"] > 0
+    rows = _Rows(columns, set(methods), fps)
     for index in frame_index:
-        time_s = index / fps
-        # between the frames with rows interpolated, beyond them at the frame rate
-        if len(known_frame):
-            nearest = np.clip(index, known_frame[0], known_frame[-1])
-            time_s = max(
-                float(np.interp(nearest, known_frame, known_s) + (index - nearest) / fps), 0.0
-            )
-        first, last = np.searchsorted(frame, [index, index + 1]).tolist()
-        rows = slice(first, last)
-        ids = track_id[rows]
-        yield FrameResult(
-            frame=Frame(
-                index, time_s, _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan
+        pose = None if poses is None else poses.at(index)
+        yield rows.result(index, pose or EgoPose())
+
+
+class _Rows:
+    """The rows of a run as parts of `FrameResult`; files of earlier versions lack some columns."""
+
+    def __init__(self, columns: Columns, methods: Set[str], fps: float) -> None:
+        self._columns, self._frame, self._fps = columns, columns["frame"], fps
+        self._known_frame, first_row = np.unique(self._frame, return_index=True)
+        self._known_s = columns["time_s"][first_row]
+        self._unknown = np.full(len(self._frame), np.nan)
+        self._class_id = map_to_road_classes([str(name) for name in columns["class"]])
+        self._track_id, self._boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
+        listed = ranging_methods()
+        self._measured = [name for name in methods_with_sigma() if name in methods]
+        self._measured += [method.name for method in listed if not method.measures_distance]
+        self._details = {
+            method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
+            for method in listed
+        }
+        self._alarms, self._motion = self._all_alarms(), self._all_motion()
+
+    def result(self, index: int, pose: EgoPose) -> FrameResult:
+        """The result of the frame with this number."""
+        columns = self._columns
+        first, last = np.searchsorted(self._frame, [index, index + 1]).tolist()
+        rows, has_rows = slice(first, last), last > first
+        utc_s = float(self._column("utc")[first]) if has_rows else math.nan
+        ego_mps = float(self._column("ego_mps")[first]) if has_rows else math.nan
+        xyz_m = np.stack([columns[name][rows] for name in ("x_m", "y_m", "fused_m")], axis=1)
+        approach = ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s")
+        return FrameResult(
+            frame=Frame(index, self._time_s(index), _NO_IMAGE, None, utc_s),
+            tracks=Tracks(
+                self._track_id[rows],
+                self._boxes[rows],
+                self._class_id[rows],
+                columns["score"][rows],
+                columns["observed"][rows] > 0,
             ),
-            tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
-            ranges={
-                name: Ranges(
-                    ids,
-                    columns.get(f"{name}_m", unknown)[rows],
-                    columns.get(f"{name}_sigma_m", unknown)[rows],
-                    details={key: columns[f"{name}_{key}"][rows] for key in details.get(name, ())},
-                )
-                for name in measured
-            },
-            approach=Approach(
-                columns["closing_mps"][rows],
-                columns["closing_sigma_mps"][rows],
-                columns["ttc_s"][rows],
-                columns["ttc_sigma_s"][rows],
-            ),
-            world=World(
-                np.stack(
-                    [columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1
-                ),
-                motion.select(rows),
-                (None if poses is None else poses.at(index)) or EgoPose(),
-            ),
-            alarms=Alarms(warnings.select(rows), safety.select(rows), has_warnings, has_safety),
-            ego=EgoMotion(float(ego_mps[first]) if last > first else math.nan),
+            ranges={name: self._ranges(name, rows) for name in self._measured},
+            approach=Approach(*(columns[name][rows] for name in approach)),
+            world=World(xyz_m, self._motion.select(rows), pose),
+            alarms=self._alarms.select(rows),
+            ego=EgoMotion(ego_mps),
         )
+
+    def _column(self, name: str) -> FloatArray:
+        return self._columns.get(name, self._unknown)
+
+    def _time_s(self, index: int) -> float:
+        """Time of a frame: between frames with rows interpolated, beyond them at the frame rate."""
+        if not len(self._known_frame):
+            return index / self._fps
+        nearest = np.clip(index, self._known_frame[0], self._known_frame[-1])
+        known_s = float(np.interp(nearest, self._known_frame, self._known_s))
+        return max(float(known_s + (index - nearest) / self._fps), 0.0)
+
+    def _ranges(self, name: str, rows: slice) -> Ranges:
+        return Ranges(
+            self._track_id[rows],
+            self._column(f"{name}_m")[rows],
+            self._column(f"{name}_sigma_m")[rows],
+            details={
+                key: self._columns[f"{name}_{key}"][rows] for key in self._details.get(name, ())
+            },
+        )
+
+    def _all_alarms(self) -> Alarms:
+        """Warnings and measures of safety of all rows."""
+        columns, alarms = self._columns, Alarms.none(len(self._frame))
+        if "contact_probability" in columns and "warning" in columns:
+            path_offset_m = self._column("path_offset_m")
+            is_active = columns["warning"] > 0
+            warnings = Warnings(columns["contact_probability"], is_active, path_offset_m)
+            alarms = replace(alarms, warnings=warnings, has_warnings=True)
+        if "gap_m" in columns:
+            measures = {name: self._column(name) for name in SAFETY_UNITS}
+            safety = SafetyMeasures(**measures, is_lead=self._column("is_lead") > 0)
+            alarms = replace(alarms, safety=safety, has_safety=True)
+        return alarms
+
+    def _all_motion(self) -> ObjectMotion:
+        """Motion over ground of all rows."""
+        if "world_x_m" not in self._columns:
+            return ObjectMotion.unknown(len(self._frame))
+        codes: dict[str, float] = {name: code for code, name in enumerate(MOTION_STATES)}
+        names = self._columns.get("state", self._unknown)
+        state = np.array([codes.get(str(name), math.nan) for name in names], np.float64)
+        numbers = [name for name in ObjectMotion.__slots__ if name != "state"]
+        return ObjectMotion(**{name: self._column(name) for name in numbers}, state=state)

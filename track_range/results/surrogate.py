@@ -99,24 +99,27 @@ def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys
     without moments.
     """
+    largest = [f"{kind}_{key}" for key, kind in EXTREMES.items()]
     figures = []
-    for name in [name for name in ROAD_CLASSES if any(row["class"] == name for row in rows)]:
+    for name in ROAD_CLASSES:
         own = [row for row in rows if row["class"] == name]
-        figure: dict[str, Any] = {
-            "class": name,
-            "n": len(own),
-            "n_exposed": sum(row["tet_s"] > 0 for row in own),
-        }
-        for key in (*(f"{kind}_{key}" for key, kind in EXTREMES.items()), "pet_s"):
-            known = [row[key] for row in own if row[key] is not None]
-            figure[key] = (max if key.startswith("max") else min)(known) if known else None
-        figures.append(
-            {
-                **figure,
-                **{key: sum(row[key] for row in own) for key in ("tet_s", "tit_s2", "lead_s")},
-            }
-        )
+        if not own:
+            continue
+        n_exposed = sum(row["tet_s"] > 0 for row in own)
+        figure: dict[str, Any] = {"class": name, "n": len(own), "n_exposed": n_exposed}
+        for key in (*largest, "pet_s"):
+            figure[key] = _extreme(key, [row[key] for row in own if row[key] is not None])
+        for key in ("tet_s", "tit_s2", "lead_s"):
+            figure[key] = sum(row[key] for row in own)
+        figures.append(figure)
     return figures
+
+
+def _extreme(key: str, values: Sequence[float]) -> float | None:
+    """The most critical value: the largest where the key says so; None = there are none."""
+    if not values:
+        return None
+    return max(values) if key.startswith("max") else min(values)
 
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]], *, is_parquet: bool) -> None:

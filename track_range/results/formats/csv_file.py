@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 from operator import methodcaller
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +22,10 @@ from track_range.results.columns import (
     result_columns,
 )
 from track_range.results.formats.row_file import RowWriter, csv_text
+
+if TYPE_CHECKING:
+    from pyarrow import csv as arrow_csv
+
 
 TABLE_FILE = "tracks.csv"
 
@@ -52,42 +58,17 @@ def read_tracks_csv(path: Path) -> Columns:
     skipped. OutputError if the file cannot be read, is not a tracks.csv, or has rows, but none of
     the header's length.
     """
-    import pyarrow as pa
-    from pyarrow import ArrowException, csv as arrow_csv
+    from pyarrow import ArrowException
 
     header: list[str] = []
-    n_cells: list[int] = []  # of the rows that are skipped
     text = read_text(path, OutputError, "the tracks.csv of a run", max_bytes=MAX_TABLE_BYTES)
     try:
-        header = next(csv.reader([text.partition("\n")[0]]))
-        if len(set(header)) < len(header):
-            raise ValueError("two columns of the same name")
-        if len(header) > MAX_COLUMNS:
-            raise ValueError(f"{len(header)} columns, more than {MAX_COLUMNS}")
-
-        def skip(row: arrow_csv.InvalidRow) -> str:
-            n_cells.append(row.actual_columns)
-            return "skip"
-
-        table = arrow_csv.read_csv(
-            pa.BufferReader(text.encode()),
-            read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types={
-                    name: "string" if name in TEXT_COLUMNS else "float64" for name in header
-                },
-                null_values=[""],
-            ),
-        )
-        columns = {name: table.column(name) for name in header}
+        header = _checked_header(text)
+        columns = _arrow_columns(text, header)
         for name in columns.keys() & set(TEXT_COLUMNS):
-            if max((len(text or "") for text in columns[name].to_pylist()), default=0) > MAX_CLASS:
+            longest = max((len(text or "") for text in columns[name].to_pylist()), default=0)
+            if longest > MAX_CLASS:
                 raise ValueError(f"a {name} name of more than {MAX_CLASS} characters")
-        if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
-            raise ValueError(
-                f"{len(n_cells)} rows, none with the {len(header)} cells of the header"
-            )
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
         problem = str(error) or "no header"
         invalid = _INVALID_NUMBER.search(problem)
@@ -104,3 +85,37 @@ def read_tracks_csv(path: Path) -> Columns:
         else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()
     }
+
+
+def _checked_header(text: str) -> list[str]:
+    """Names of the columns; ValueError: two are equal, or there are too many."""
+    header = next(csv.reader([text.partition("\n")[0]]))
+    if len(set(header)) < len(header):
+        raise ValueError("two columns of the same name")
+    if len(header) > MAX_COLUMNS:
+        raise ValueError(f"{len(header)} columns, more than {MAX_COLUMNS}")
+    return header
+
+
+def _arrow_columns(text: str, header: Sequence[str]) -> dict[str, Any]:
+    """The columns of the rows with the header's number of cells; ValueError: no row has it."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    n_cells: list[int] = []  # of the rows that are skipped
+
+    def skip(row: arrow_csv.InvalidRow) -> str:
+        n_cells.append(row.actual_columns)
+        return "skip"
+
+    types = {name: "string" if name in TEXT_COLUMNS else "float64" for name in header}
+    table = arrow_csv.read_csv(
+        pa.BufferReader(text.encode()),
+        read_options=arrow_csv.ReadOptions(use_threads=False),
+        parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
+        convert_options=arrow_csv.ConvertOptions(column_types=types, null_values=[""]),
+    )
+    is_whole = len(n_cells) > 1 or text.endswith("\n")  # else a killed run's first row
+    if not len(table) and n_cells and is_whole:
+        raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
+    return {name: table.column(name) for name in header}

@@ -331,32 +331,31 @@ class LabelPlacer:
         """
         previous, self._previous = self._previous, {}
         placements: list[tuple[int, FloatArray] | None] = []
-        full = _candidates(
-            boxes, sizes_px[0], image_px, [previous.get((0, track_id)) for track_id in ids]
-        )
+        last = [previous.get((0, track_id)) for track_id in ids]
+        all_places, all_costs = _candidates(boxes, sizes_px[0], image_px, last)
         for i, track_id in enumerate(ids):
-            places, costs = full[0][i], full[1][i]
+            size, places, costs = 0, all_places[i], all_costs[i]
             closed = np.vstack([occupied, boxes[:i]])
-            size, number = 0, free_place(places, costs, closed)
-            if number is None or (
-                not urgent[i] and costs[number] > _MAX_COST * sizes_px[0, i].prod()
-            ):
-                last = [previous.get((1, track_id))]
-                short = [
-                    part[0]
-                    for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, last, row=i)
-                ]
-                short_number = free_place(short[0], short[1], closed)
-                if short_number is not None and (
-                    number is None or short[1][short_number] < costs[number]
-                ):
-                    size, number, places = 1, short_number, short[0]
-            if number is None and urgent[i]:
+            number = free_place(places, costs, closed)
+            best_cost = math.inf if number is None else costs[number]
+            is_expensive = not urgent[i] and best_cost > _MAX_COST * sizes_px[0, i].prod()
+            if number is None or is_expensive:
+                last_short = [previous.get((1, track_id))]
+                short_size_px = sizes_px[1, i : i + 1]
+                (short_places,), (short_costs,) = _candidates(
+                    boxes, short_size_px, image_px, last_short, row=i
+                )
+                short = free_place(short_places, short_costs, closed)
+                if short is not None and short_costs[short] < best_cost:
+                    size, number, places = 1, short, short_places
+            if number is None and urgent[i]:  # over other boxes
                 number = free_place(places, costs, occupied)
-            if number is not None:
-                self._previous[size, track_id] = number
-                occupied = np.vstack([occupied, places[number]])
-            placements.append(None if number is None else (size, places[number]))
+            if number is None:
+                placements.append(None)
+                continue
+            self._previous[size, track_id] = number
+            occupied = np.vstack([occupied, places[number]])
+            placements.append((size, places[number]))
         return placements
 
 

@@ -9,7 +9,7 @@ peaks are matched first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -119,26 +119,25 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     grids = [grid_of("Runs", "run", names, columns)]
     methods = [run.section("methods") for run in runs]
     for title, key, pattern, scale, cost in _METHOD_GRIDS:
-        columns = [
-            Column(
-                method,
-                [figure(rows.get(method) or {}, key) for rows in methods],
-                pattern,
-                scale,
-                cost,
-            )
-            for method in dict.fromkeys(method for rows in methods for method in rows)
-        ]
+        columns = []
+        for method in _keys(methods):
+            values = [figure(rows.get(method) or {}, key) for rows in methods]
+            columns.append(Column(method, values, pattern, scale, cost))
         grids.append(grid_of(title, "run", names, columns))
     stages = [run.section("stages_ms") for run in runs]
     columns = [
         Column(stage, [figure(times, stage) or None for times in stages], cost=abs)
-        for stage in dict.fromkeys(stage for times in stages for stage in times)
+        for stage in _keys(stages)
     ]
     grids.append(
         grid_of("Run time by stage in ms per frame (stages overlap)", "run", names, columns)
     )
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
+
+
+def _keys(sections: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The keys of all sections, in the order of their first appearance."""
+    return list(dict.fromkeys(key for section in sections for key in section))
 
 
 def settings_grid(runs: Sequence[ComparedRun]) -> Grid:

@@ -51,56 +51,63 @@ def report(
     page of the comparison (None = comparison.html in the current folder); with `has_clips` a clip
     of each event is cut from the overlay.
     """
-    runs = [
-        read_run_folder(folder)
-        for folder in {real_path(folder): folder for folder in folders}.values()
-    ]
-    pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
+    by_place = {real_path(folder): folder for folder in folders}
+    runs = [read_run_folder(folder) for folder in by_place.values()]
     if out is not None:
-        inputs = (
-            run.folder / name for run in runs for name in result_names() if name != "report.html"
-        )
-        check_outputs([*pages, out], inputs)
+        _check_inputs_stay(runs, out)
     missing = tuple(
         f"{run.folder}: {sentence}"
         for run in runs
         for sentence in (*run.missing, *restore_events(run))
     )
-    clips: list[Path] = []
-    for run in runs if has_clips else ():
-        starts_s = float(run.summary.get("starts_s") or 0.0)
-        clips += write_clips(
-            run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s
-        )
+    clips = tuple(clip for run in runs for clip in _clips(run)) if has_clips else ()
     if len(runs) == 1:
         page = out or runs[0].folder / "report.html"
         _write(page, runs[0])
-        return WrittenReport(page, (), missing, (), tuple(clips))
+        return WrittenReport(page, (), missing, (), clips)
     page = out or Path("comparison.html")
     for run in runs:
         _write(run.folder / "report.html", run)
-    compared = [
-        ComparedRun(
-            name=name,
-            summary=run.summary,
-            settings=run.settings,
-            link=_relative(run.folder / "report.html", page.parent),
-            notes=run.missing,
-            events=known_events(run),
-            rows=run.columns,
-            overlay=run.folder / str(run.summary["files"]["overlay"])
-            if run.summary["files"].get("overlay")
-            else None,
-        )
-        for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
-    ]
+    grids, notes = _compare(runs, page)
+    return WrittenReport(page, grids, missing, notes, clips)
+
+
+def _check_inputs_stay(runs: Sequence[RunFolder], out: Path) -> None:
+    """OutputError: a page would overwrite a file that is read."""
+    pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
+    names = [name for name in result_names() if name != "report.html"]
+    check_outputs([*pages, out], (run.folder / name for run in runs for name in names))
+
+
+def _compare(runs: Sequence[RunFolder], page: Path) -> tuple[tuple[Grid, ...], tuple[str, ...]]:
+    """Write the page that compares runs; its tables and notes."""
+    names = short_names([run.folder for run in runs])
+    compared = [_compared(name, run, page.parent) for name, run in zip(names, runs, strict=True)]
     tracks = compared_tracks(compared)
     write_comparison(page, compared, tracks)
-    compared_grids = (*event_grids(compared), *comparison_grids(compared), settings_grid(compared))
-    grids = (*(pair["grid"] for pair in tracks), *compared_grids)
-    notes = tuple(comparison_notes(compared))
-    return WrittenReport(
-        page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips)
+    grids = [pair["grid"] for pair in tracks]
+    grids += [*event_grids(compared), *comparison_grids(compared), settings_grid(compared)]
+    return tuple(grid for grid in grids if grid.rows), tuple(comparison_notes(compared))
+
+
+def _clips(run: RunFolder) -> Sequence[Path]:
+    """Cut a clip of each event from the overlay of a run; the clips."""
+    starts_s = float(run.summary.get("starts_s") or 0.0)
+    folder = run.folder / CLIPS_FOLDER
+    return write_clips(run.folder / "overlay.mp4", run.events, folder, starts_s=starts_s)
+
+
+def _compared(name: str, run: RunFolder, page_folder: Path) -> ComparedRun:
+    overlay = run.summary["files"].get("overlay")
+    return ComparedRun(
+        name=name,
+        summary=run.summary,
+        settings=run.settings,
+        link=_relative(run.folder / "report.html", page_folder),
+        notes=run.missing,
+        events=known_events(run),
+        rows=run.columns,
+        overlay=run.folder / str(overlay) if overlay else None,
     )
 
 

@@ -6,15 +6,16 @@ joint standard deviations, sqrt(sigma_1^2 + sigma_2^2).
 """
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import WHITE
 from track_range.ranging.evaluation.errors import match_boxes
 from track_range.results.approaches import closest_approaches, reference_distance
@@ -40,46 +41,78 @@ def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, A
     runs = [_detected(run) for run in (first, second)]
     if not all(len(run.get("x1_px", ())) for run in runs):
         return [], np.empty((2, 0))
-    boxes, frames = [boxes_px(run) for run in runs], [run["frame"].astype(np.int64) for run in runs]
-    match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
-    rows = np.stack([np.flatnonzero(match >= 0), match[match >= 0]])
-    known = [
-        (
-            *reference_distance(run, ("fused", "fused_kf")),
-            column(run, "closing_mps"),
-            run["track_id"],
-        )
-        for run in runs
-    ]
-    m, sigma_m, closing_mps, ids = (
-        np.stack([a[rows[0]], b[rows[1]]]) for a, b in zip(*known, strict=True)
-    )
-    sigmas = np.abs(m[1] - m[0]) / np.hypot(*np.fmax(sigma_m, _MIN_SIGMA * m))
-    differences, matched = [], np.unique(ids, axis=1)
+    matches = _Matches.of(runs)
+    matched = np.unique(matches.track_id, axis=1)
+    differences = []
     for pair in matched.T:
-        common = np.flatnonzero((ids == pair[:, None]).all(axis=0) & np.isfinite(sigmas))
+        is_pair = (matches.track_id == pair[:, None]).all(axis=0)
+        common = np.flatnonzero(is_pair & np.isfinite(matches.sigmas))
         if len(common) >= _MIN_FRAMES:
-            at = common[np.argmax(sigmas[common])]
             classes = [
                 most_frequent(run["class"][run["track_id"] == i])
                 for run, i in zip(runs, pair, strict=True)
             ]
-            gap_mps = np.diff(closing_mps[:, common], axis=0)
-            differences.append(
-                {
-                    "names": [f"{name} {i:.0f}" for name, i in zip(classes, pair, strict=True)],
-                    "frames": len(common),
-                    "difference_pct": 100 * float(np.median(m[1, common] / m[0, common] - 1)),
-                    "closing_mps": float(np.nanmedian(gap_mps))
-                    if np.isfinite(gap_mps).any()
-                    else np.nan,
-                    "sigmas": float(sigmas[at]),
-                    "time_s": float(runs[0]["time_s"][rows[0, at]]),
-                    "words": [f"{m[i, at]:.1f} ±{sigma_words(sigma_m[i, at])} m" for i in (0, 1)],
-                    "boxes": [boxes[i][rows[i, at]] for i in (0, 1)],
-                }
-            )
+            names = [f"{name} {i:.0f}" for name, i in zip(classes, pair, strict=True)]
+            differences.append({"names": names, **matches.difference(common)})
     return sorted(differences, key=lambda difference: -difference["sigmas"]), matched
+
+
+@dataclass(frozen=True, slots=True)
+class _Matches:
+    """The K matched boxes of two runs, (2, K, ...) each."""
+
+    boxes: FloatArray
+    time_s: FloatArray  # (K,) in the first run
+    distance_m: FloatArray
+    sigma_m: FloatArray
+    closing_mps: FloatArray
+    track_id: FloatArray
+    sigmas: FloatArray  # (K,) differences of the distances in standard deviations
+
+    @classmethod
+    def of(cls, runs: Sequence[Columns]) -> Self:
+        """The matches of two runs with boxes."""
+        boxes = [boxes_px(run) for run in runs]
+        frames = [run["frame"].astype(np.int64) for run in runs]
+        match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
+        rows = [np.flatnonzero(match >= 0), match[match >= 0]]
+
+        def both(values: Iterable[FloatArray]) -> FloatArray:
+            return np.stack([of_run[of_rows] for of_run, of_rows in zip(values, rows, strict=True)])
+
+        distances = [reference_distance(run, ("fused", "fused_kf")) for run in runs]
+        distance_m = both(distance_m for distance_m, _ in distances)
+        sigma_m = both(sigma_m for _, sigma_m in distances)
+        difference_sigma_m = np.hypot(*np.fmax(sigma_m, _MIN_SIGMA * distance_m))
+        return cls(
+            both(boxes),
+            runs[0]["time_s"][rows[0]],
+            distance_m,
+            sigma_m,
+            both(column(run, "closing_mps") for run in runs),
+            both(run["track_id"] for run in runs),
+            np.abs(distance_m[1] - distance_m[0]) / difference_sigma_m,
+        )
+
+    def difference(self, common: IntArray) -> dict[str, Any]:
+        """The difference of two tracks in their common matches, but for the names."""
+        first_m, second_m = self.distance_m[:, common]
+        gap_mps = self.closing_mps[1, common] - self.closing_mps[0, common]
+        at = common[np.argmax(self.sigmas[common])]
+        return {
+            "frames": len(common),
+            "difference_pct": 100 * float(np.median(second_m / first_m - 1)),
+            "closing_mps": float(np.nanmedian(gap_mps)) if np.isfinite(gap_mps).any() else np.nan,
+            "sigmas": float(self.sigmas[at]),
+            "time_s": float(self.time_s[at]),
+            "words": [
+                f"{distance_m:.1f} ±{sigma_words(sigma_m)} m"
+                for distance_m, sigma_m in zip(
+                    self.distance_m[:, at], self.sigma_m[:, at], strict=True
+                )
+            ],
+            "boxes": list(self.boxes[:, at]),
+        }
 
 
 def unmatched_names(run: Columns, matched: FloatArray) -> Iterator[str]:
