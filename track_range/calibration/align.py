@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.recording.recording import open_recording
+from track_range.recording.recording import Recording, open_recording
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
@@ -195,23 +195,9 @@ def _from_drives(
             opened.callback(recording.close)
             recordings.append(recording)
             rigs.append(rig)
-        if any(
-            rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m)
-            for rig in rigs[1:]
-        ):
-            raise RigError(
-                "the drives were recorded with different rigs; align each rig separately."
-            )
+        _check_one_rig(rigs)
         estimator = DriveAlignment(rigs[0], prior)
-        with progress("frames") as advance:
-            for recording in recordings:
-                estimator.start_drive()
-                for number, frame in enumerate(recording.frames):
-                    if estimator.is_full:
-                        break
-                    estimator.add(frame)
-                    advance(number + 1, max(recording.n_frames or 0, number + 1))
-                recording.close()
+        _add_drives(estimator, recordings, progress)
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(
@@ -223,16 +209,36 @@ def _from_drives(
     )
     named = replace(measured, source=measured.source.replace("this drive", names))
     notes += tuple(note for recording in recordings for note in recording.calibration.file_notes)
-    notes += tuple(
-        note
-        for recording in recordings
-        if recording.sync is not None
-        for note in recording.sync.notes
-    )
+    syncs = [recording.sync for recording in recordings if recording.sync is not None]
+    notes += tuple(note for sync in syncs for note in sync.notes)
     aligned = RigAlignment.of(rigs[0], named, dict.fromkeys(notes), estimator.windows())
     if check_baseline is None or not settings.checks_baseline:
         return aligned
     return replace(aligned, baseline=check_baseline(sources[0], settings))
+
+
+def _check_one_rig(rigs: Sequence[StereoRig]) -> None:
+    first = rigs[0]
+    for rig in rigs[1:]:
+        if rig.left != first.left or not np.isclose(rig.baseline_m, first.baseline_m):
+            raise RigError(
+                "the drives were recorded with different rigs; align each rig separately."
+            )
+
+
+def _add_drives(
+    estimator: DriveAlignment, recordings: Sequence[Recording], progress: StepProgress
+) -> None:
+    """Add as many frames of each drive as the estimation needs, and close the drives."""
+    with progress("frames") as advance:
+        for recording in recordings:
+            estimator.start_drive()
+            for number, frame in enumerate(recording.frames):
+                if estimator.is_full:
+                    break
+                estimator.add(frame)
+                advance(number + 1, max(recording.n_frames or 0, number + 1))
+            recording.close()
 
 
 def _prior(

@@ -10,11 +10,11 @@ left.mp4 right.mp4           by time; a few frames per second are used
 
 import glob
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
@@ -204,33 +204,29 @@ def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
     tried: list[tuple[Key, Key]] = [(lambda path: path.stem,) * 2, (_last_number, _last_number)]
     if all(_WILDCARD.search(source) for source in sources):
         tried.insert(0, (_wildcard_key(sources[0]), _wildcard_key(sources[1])))
-    for keys in tried:
-        by_key = [
-            {key(path): path for path in paths} for key, paths in zip(keys, files, strict=True)
-        ]
-        common = [key for key in by_key[0] if key in by_key[1]]
-        is_unique = all(
-            len(keyed) == len(paths) for keyed, paths in zip(by_key, files, strict=True)
-        )
-        if is_unique and common:
-            alone = [
-                path
-                for side in (0, 1)
-                for key, path in by_key[side].items()
-                if key not in by_key[1 - side]
-            ]
-            is_ambiguous = any(by_key[0][key].name == by_key[1][key].name for key in common)
-            reason = "the other camera's image is missing"
-            unpaired = tuple(
-                RejectedView(_name(path, with_folder=is_ambiguous), reason) for path in alone
-            )
-            return ImageFiles(tuple((by_key[0][key], by_key[1][key]) for key in common), unpaired)
+    for left_key, right_key in tried:
+        left = {left_key(path): path for path in files[0]}
+        right = {right_key(path): path for path in files[1]}
+        is_unique = len(left) == len(files[0]) and len(right) == len(files[1])
+        if is_unique and not left.keys().isdisjoint(right):
+            return _paired_by_key(left, right)
     if len(files[0]) != len(files[1]):
         raise ImageFileError(
             f"{sources[0]} has {len(files[0])} images and {sources[1]} {len(files[1])}, and they "
             "cannot be paired by name; give matching images the same number."
         )
     return ImageFiles(tuple(zip(files[0], files[1], strict=True)))
+
+
+def _paired_by_key(left: Mapping[Any, Path], right: Mapping[Any, Path]) -> ImageFiles:
+    """The pairs with a common key, and the images without a partner."""
+    common = [key for key in left if key in right]
+    alone = [path for key, path in left.items() if key not in right]
+    alone += [path for key, path in right.items() if key not in left]
+    is_ambiguous = any(left[key].name == right[key].name for key in common)
+    reason = "the other camera's image is missing"
+    unpaired = [RejectedView(_name(path, with_folder=is_ambiguous), reason) for path in alone]
+    return ImageFiles(tuple((left[key], right[key]) for key in common), tuple(unpaired))
 
 
 def _wildcard_key(pattern: str) -> Key:

@@ -187,24 +187,13 @@ def _known(values: Sequence[float]) -> list[float | None]:
 
 def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
     if isinstance(model, CuboidSizes):
-        priors = list(model.priors.values())
-        columns = [
-            tables.Column(f"{what} m", [prior.hwl_m[k] for prior in priors], "{:.2f}")
-            for k, what in enumerate(("height", "width", "length"))
-        ]
-        columns += [
-            tables.Column("height ± %", [100 * prior.log_sigma[0] for prior in priors]),
-            tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"),
-            tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"),
-        ]
-        return tables.grid_of("Priors over sizes", "class", list(model.priors), columns)
+        return _prior_grid(model)
     if not isinstance(model, SizeCurves | TableSizes):
         raise TypeError(f"{name}: no table for {type(model).__name__}")
     curves = model.whole if isinstance(model, SizeCurves) else model.curves
+    sigmas = [100 * curve.sigma_relative for curve in curves.values()]
     columns = [
-        tables.Column(
-            f"{tables.SIGMA} %", [100 * curve.sigma_relative for curve in curves.values()]
-        ),
+        tables.Column(f"{tables.SIGMA} %", sigmas),
         tables.Column("boxes", [curve.n for curve in curves.values()], "{:.0f}"),
     ]
     if isinstance(model, SizeCurves):
@@ -214,6 +203,20 @@ def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
             for k, head in enumerate(heads)
         ]
     return tables.grid_of(f"Size curves: {name}", "class", list(curves), columns)
+
+
+def _prior_grid(model: CuboidSizes) -> tables.Grid:
+    priors = list(model.priors.values())
+    columns = [
+        tables.Column(f"{what} m", [prior.hwl_m[k] for prior in priors], "{:.2f}")
+        for k, what in enumerate(("height", "width", "length"))
+    ]
+    columns += [
+        tables.Column("height ± %", [100 * prior.log_sigma[0] for prior in priors]),
+        tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"),
+        tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"),
+    ]
+    return tables.grid_of("Priors over sizes", "class", list(model.priors), columns)
 
 
 app = command(FitOptions, _fit)

@@ -1,7 +1,7 @@
 """HOTA, CLEAR and identity metrics of tracks against ground truth, per sequence and combined."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -52,39 +52,20 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     truth, results = settings.truth, settings.results
     labelled = find.find_sequences(truth, "gt")
     form = settings.truth_format or _form_of(labelled[0].path)
-    # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth
-    # distinguishes.
-    folders = [
-        results / name
-        for name in (
-            (find.KITTI_FOLDER, find.MOT_FOLDER) if form == "kitti" else (find.MOT_FOLDER,)
-        )
-    ]
-    results_folder = next((folder for folder in folders if folder.is_dir()), results)
+    results_folder = _folder_of_results(results, form)
     tracked = find.find_sequences(results_folder, "det")
     pairs = find.paired(labelled, tracked)
-    notes: list[str] = []
-    if form == "kitti" or (
-        form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)
-    ):
+    is_challenge = form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)
+    if form == "kitti" or is_challenge:
+        notes: list[str] = []
         name = _class_of(form, settings.road_class, [labels.path for labels, _ in pairs])
         boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
     else:
-        tables = {
-            labels.name: _truth_table(labels.path, settings.truth_format, notes)
-            for labels, _ in pairs
-        }
-        name = _class_of_labels(tables.values(), settings.road_class)
-        notes += [note for _, tracks in pairs for note in _no_classes_note(tracks.path, name)]
-        boxes = {
-            labels.name: (
-                _boxes_of(tables[labels.name], name, labels.path),
-                _read_results(tracks.path, name, form),
-            )
-            for labels, tracks in pairs
-        }
+        name, boxes, notes = _boxes_of_tables(settings, pairs, form)
     if not any(len(tracked_boxes) for _, tracked_boxes in boxes.values()):
         notes += _other_classes_note([tracks.path for _, tracks in pairs], name)
+    for key, (true, found) in boxes.items():
+        notes += frame_shift_note(key, true.frame, true.xyxy_px, found.frame, found.xyxy_px)
     similarity = {key: Similarity.of(*both) for key, both in boxes.items()}
     counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))
@@ -99,20 +80,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *find.ignored_files_note(truth, labelled),
             *find.ignored_files_note(results_folder, tracked),
             *find.no_truth_note(labelled, tracked),
-            *(
-                f"{labels.path}: the file is empty, so all tracks of {labels.name} are false "
-                "positives."
-                for labels, _ in pairs
-                if is_blank(labels.path, "ground truth")
-            ),
+            *_empty_notes([labels for labels, _ in pairs]),
             *notes,
-            *(
-                note
-                for key, (true, tracked_boxes) in boxes.items()
-                for note in frame_shift_note(
-                    key, true.frame, true.xyxy_px, tracked_boxes.frame, tracked_boxes.xyxy_px
-                )
-            ),
         ],
     }
     if settings.compare == "motmetrics":
@@ -122,6 +91,44 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             "sequences": {key: _without_nan(row) for key, row in reference.sequences.items()},
         }
     return figures
+
+
+def _folder_of_results(results: Path, form: str) -> Path:
+    """The folder with the rows: in the output folder of `track` only KITTI rows contain the classes
+    that KITTI's truth distinguishes.
+    """
+    names = (find.KITTI_FOLDER, find.MOT_FOLDER) if form == "kitti" else (find.MOT_FOLDER,)
+    folders = [results / name for name in names]
+    return next((folder for folder in folders if folder.is_dir()), results)
+
+
+def _boxes_of_tables(
+    settings: TrackEvaluationSettings,
+    pairs: Sequence[tuple[find.SequenceFile, find.SequenceFile]],
+    form: str,
+) -> tuple[str, dict[str, tuple[TrackedBoxes, TrackedBoxes]], list[str]]:
+    """The class, true and tracked boxes by sequence, and notes, of labels without rules of a
+    benchmark.
+    """
+    notes: list[str] = []
+    tables = {
+        labels.name: _truth_table(labels.path, settings.truth_format, notes) for labels, _ in pairs
+    }
+    name = _class_of_labels(tables.values(), settings.road_class)
+    boxes = {}
+    for labels, tracks in pairs:
+        notes += _no_classes_note(tracks.path, name)
+        true = _boxes_of(tables[labels.name], name, labels.path)
+        boxes[labels.name] = (true, _read_results(tracks.path, name, form))
+    return name, boxes, notes
+
+
+def _empty_notes(labelled: Sequence[find.SequenceFile]) -> list[str]:
+    return [
+        f"{labels.path}: the file is empty, so all tracks of {labels.name} are false positives."
+        for labels in labelled
+        if is_blank(labels.path, "ground truth")
+    ]
 
 
 def _form_of(path: Path) -> str:

@@ -316,22 +316,22 @@ class Driver:
         nodes: list[dict[str, Any]] = ray.nodes() if is_waiting else []  # type: ignore[no-untyped-call]
         alive = {node["NodeID"] for node in nodes if node["Alive"]}
         for slot in self._slots:
+            is_cancelled = slot.verdict is not None and slot.task is not None
             if slot.death_s is not None and slot.state is not None:
                 is_node_lost = slot.state.node not in alive
                 if is_node_lost or now_s - slot.death_s > _NODE_S:
                     self._lost(slot, is_node_lost=is_node_lost)
-            elif (
-                slot.verdict is not None
-                and slot.task is not None
-                and now_s - slot.cancel_s > _CANCEL_S
-            ):
+            elif is_cancelled and now_s - slot.cancel_s > _CANCEL_S:
                 self._lost(slot)
             elif slot.state is not None and slot.verdict is None:
-                slot.verdict = self._verdict(slot.state, now_s - slot.start_s)
-                if slot.verdict is not None:
-                    slot.cancel_s = now_s
-                    self._cancelled += [slot.state.pid] if self._is_here(slot.state) else []
-                    ray.cancel(slot.states, force=True)
+                self._cancel_over_limit(slot, slot.state, now_s)
+
+    def _cancel_over_limit(self, slot: Slot, state: WorkerState, now_s: float) -> None:
+        slot.verdict = self._verdict(state, now_s - slot.start_s)
+        if slot.verdict is not None:
+            slot.cancel_s = now_s
+            self._cancelled += [state.pid] if self._is_here(state) else []
+            ray.cancel(slot.states, force=True)
 
     def _is_here(self, state: WorkerState | None) -> TypeGuard[WorkerState]:
         return state is not None and state.node == self._node

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from urllib.parse import quote
@@ -69,25 +69,16 @@ def label_note(clips: Sequence[Clip]) -> str:
 
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     tree = wildcard_tree(location)
-    if tree is None:
-        # on a web server, an address without a suffix is a folder
-        if not location.is_web or (
-            location.parent is not None and without_suffix(location.name) != location.name
-        ):
-            status = location.stat()
-            if status is None:
-                raise FleetInputError(
-                    f"{location}: no such file, folder or bucket; expected recordings."
-                )
-            if not status.is_folder:
-                if pattern is not None:
-                    raise FleetInputError(
-                        f"{location}: expected a folder with --pattern, found a file."
-                    )
-                return [Clip(without_suffix(location.name), location.address)]
-        tree = FileTree.of_entries(location, location.list(recursive=True))
-    elif not (tree.files or tree.folders):
+    if tree is not None and not (tree.files or tree.folders):
         raise FleetInputError(f"{location}: no file matches this pattern; check the pattern.")
+    if tree is None:
+        if not _is_folder(location):
+            if pattern is not None:
+                raise FleetInputError(
+                    f"{location}: expected a folder with --pattern, found a file."
+                )
+            return [Clip(without_suffix(location.name), location.address)]
+        tree = FileTree.of_entries(location, location.list(recursive=True))
     if pattern is not None:
         return matched_clips(tree, pattern, location)
     names = tree.recordings()
@@ -105,48 +96,33 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     ]
 
 
+def _is_folder(location: Location) -> bool:
+    """Whether it is a folder; FleetInputError: there is nothing.
+
+    On a web server, an address without a suffix is a folder.
+    """
+    has_suffix = location.parent is not None and without_suffix(location.name) != location.name
+    if location.is_web and not has_suffix:
+        return True
+    status = location.stat()
+    if status is None:
+        raise FleetInputError(f"{location}: no such file, folder or bucket; expected recordings.")
+    return status.is_folder
+
+
 def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> list[Clip]:
     """One clip for each match of a pattern below a folder (`location` in messages); half of a pair
     has a problem.
 
     Raises FleetInputError if no file matches, or there is no complete pair.
     """
-    left_names, recorded = pattern.left.expression(), tree.recorded_folders()
+    recorded = tree.recorded_folders()
     candidates = [*(name for name in tree.files if not is_image_name(name)), *(recorded - {""})]
-
-    def clip_of(values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
-        """The clip with the given values of the placeholders; `missing`: the video that does not
-        exist, "" = none.
-        """
-        addresses = {
-            role: tree.folder.child(name).address
-            for role, name in (("left", left), ("right", right))
-            if name
-        }
-        problem = ""
-        if missing:
-            reason = "a folder without images" if left in tree.folders else "no such file"
-            problem = (
-                f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} "
-                "video of the clip."
-            )
-        labels = {name: value for name, value in values.items() if name != CLIP}
-        return Clip(
-            values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem
-        )
-
-    clips = []
+    left_names, clips = pattern.left.expression(), []
     for name in candidates:
-        if (match := left_names.fullmatch(name)) is not None:
-            right = None if pattern.right is None else pattern.right.filled(match.groupdict())
-            clips.append(
-                clip_of(
-                    match.groupdict(),
-                    name,
-                    right,
-                    "" if right is None or right in tree else "right",
-                )
-            )
+        match = left_names.fullmatch(name)
+        if match is not None:
+            clips.append(_clip_of_left(tree, pattern, match.groupdict(), name))
     if not clips:
         example = f", such as {quoted(min(candidates))}" if candidates else ""
         raise FleetInputError(
@@ -159,18 +135,58 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
             f"left videos without a right one, such as {quoted(min(clip.name for clip in clips))}; "
             "change --pattern."
         )
-    names = {clip.name for clip in clips}
-    lone: dict[str, Clip] = {}
-    if pattern.right is not None:
-        right_names = pattern.right.expression()
-        for name in candidates:
-            match = right_names.fullmatch(name)
-            if match is None or match[CLIP] in names or left_names.fullmatch(name) is not None:
-                continue
-            left = pattern.left.filled(match.groupdict())
-            if left not in tree.files and left not in recorded:
-                lone[match[CLIP]] = clip_of(match.groupdict(), left, name, "left")
-    return [*clips, *lone.values()]
+    return [*clips, *_lone_right(tree, pattern, candidates, {clip.name for clip in clips})]
+
+
+def _clip_of_left(
+    tree: FileTree, pattern: FilePattern, values: Mapping[str, str], left: str
+) -> Clip:
+    """The clip of a left video, with its values of the placeholders."""
+    if pattern.right is None:
+        return _clip_of(tree, values, left, None, missing="")
+    right = pattern.right.filled(values)
+    return _clip_of(tree, values, left, right, missing="" if right in tree else "right")
+
+
+def _lone_right(
+    tree: FileTree, pattern: FilePattern, candidates: Iterable[str], names: Set[str]
+) -> Iterable[Clip]:
+    """Clips with a problem for right videos without a left one; `names` are those with one."""
+    if pattern.right is None:
+        return []
+    left_names, right_names = pattern.left.expression(), pattern.right.expression()
+    recorded = tree.recorded_folders()
+    clips: dict[str, Clip] = {}
+    for name in candidates:
+        match = right_names.fullmatch(name)
+        if match is None or match[CLIP] in names or left_names.fullmatch(name) is not None:
+            continue
+        left = pattern.left.filled(match.groupdict())
+        if left not in tree.files and left not in recorded:
+            clips[match[CLIP]] = _clip_of(tree, match.groupdict(), left, name, missing="left")
+    return clips.values()
+
+
+def _clip_of(
+    tree: FileTree, values: Mapping[str, str], left: str, right: str | None, *, missing: str
+) -> Clip:
+    """The clip with the given values of the placeholders; `missing`: the video that does not exist,
+    "" = none.
+    """
+    addresses = {"left": tree.folder.child(left).address} if left else {}
+    if right:
+        addresses["right"] = tree.folder.child(right).address
+    problem = ""
+    if missing:
+        reason = "a folder without images" if left in tree.folders else "no such file"
+        problem = (
+            f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} "
+            "video of the clip."
+        )
+    labels = {name: value for name, value in values.items() if name != CLIP}
+    return Clip(
+        values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem
+    )
 
 
 def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:

@@ -128,27 +128,8 @@ def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
 
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     session, model = detector.session, detector.model
-    family = model.attributes["family"]
-    yield "family", model.family, family.source
-    yield "layout", f"{model.name}: {model.layout}", detector.why
-    others = [reading.name for reading in detector.readings if reading.name != model.name]
-    if others:
-        yield (
-            "other layouts of these shapes",
-            ", ".join(others),
-            "--layout selects one; --image shows its boxes",
-        )
-    if model.note:
-        yield "ignored", model.note, ""
-    shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
-    is_variable = None in session.input_shape[2:]
-    source = "variable size: set by --size and the aspect ratio of the video" if is_variable else ""
-    yield "input", f"[{shape}] {session.input_dtype.__name__}", source
-    if is_variable:
-        if detector.area is None:
-            yield "size", str(detector.size.value), detector.size.source
-        else:
-            yield "area", f"{detector.area.value:.0f} pixels", detector.area.source
+    yield from _layout_rows(detector)
+    yield from _input_rows(detector)
     for key in ("letterbox", "colours", "divisor", "mean", "std", "anchors", "scale_x_y", "scores"):
         if key in model.attributes and model.attributes[key].value != _IDENTITY.get(key):
             yield key, _text(model.attributes[key].value), model.attributes[key].source
@@ -157,17 +138,47 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
         for name, e in (detector.box_errors or UNKNOWN_DETECTOR).items()
     )
     yield "errors of box heights %", errors, model.attributes["box_errors"].source
-    yield f"{len(model.names)} classes", ", ".join(model.names), model.attributes["names"].source
-    yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
-    missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
-    if missing:
-        yield "classes not covered", ", ".join(missing), ""
+    yield from _class_rows(detector)
     for key in _ABOUT:
         if key in session.metadata:
             yield key, session.metadata[key], FROM_METADATA
     yield "runs on", session.device, ""
     yield "file", f"{session.path.stat().st_size / 1e6:.1f} MB", ""
     yield "sha256", session.sha256(), ""
+
+
+def _layout_rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+    model = detector.model
+    family = model.attributes["family"]
+    yield "family", model.family, family.source
+    yield "layout", f"{model.name}: {model.layout}", detector.why
+    others = [reading.name for reading in detector.readings if reading.name != model.name]
+    if others:
+        advice = "--layout selects one; --image shows its boxes"
+        yield "other layouts of these shapes", ", ".join(others), advice
+    if model.note:
+        yield "ignored", model.note, ""
+
+
+def _input_rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+    session = detector.session
+    shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
+    is_variable = None in session.input_shape[2:]
+    source = "variable size: set by --size and the aspect ratio of the video" if is_variable else ""
+    yield "input", f"[{shape}] {session.input_dtype.__name__}", source
+    if is_variable and detector.area is None:
+        yield "size", str(detector.size.value), detector.size.source
+    elif is_variable and detector.area is not None:
+        yield "area", f"{detector.area.value:.0f} pixels", detector.area.source
+
+
+def _class_rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+    model = detector.model
+    yield f"{len(model.names)} classes", ", ".join(model.names), model.attributes["names"].source
+    yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
+    missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
+    if missing:
+        yield "classes not covered", ", ".join(missing), ""
 
 
 def _text(value: Any) -> str:
