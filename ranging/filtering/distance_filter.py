@@ -42,6 +42,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
+from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.filter_bank import (
     FilterBank,
     FilterSettings as FilterSettings,
@@ -63,6 +64,9 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _CAR = ROAD_CLASSES.index("car")
 _NOTHING, _UNKNOWN = Observation(), EgoMotion()
+# rates of a filter: with the error of the size, as the distances; with the known rates of static
+# objects; and these with the variance by the size of moving ones
+_MEASURED, _TRUE, _REPORTED = range(3)
 
 
 class DistanceFilters:
@@ -89,7 +93,7 @@ class DistanceFilters:
         """
         self._settings = settings or FilterSettings()
         # by method, of the variance
-        self._fractions = {name: fraction**2 for name, fraction in noise_shares.items()}
+        self._fractions = {name: share * share for name, share in noise_shares.items()}
         n_methods = len(noise_shares)
         self._noise_scale = NoiseScale(n_methods)
         self._models = InteractingModels(n_methods)
@@ -160,10 +164,7 @@ class DistanceFilters:
         class_id = observation.class_id
         if class_id is None:
             class_id = np.full(n, _CAR)
-        static_mps = np.array(ego.speed_mps)
-        if observation.cut is not None and math.isfinite(ego.speed_mps + ego.yaw_rad_s):
-            d = np.where(np.isnan(bank.motion.x), np.fmax(measured.distance_m, 0.0), bank.motion.x)
-            static_mps = ego.speed_mps - ego.yaw_rad_s * observation.cut.bearing * d
+        static_mps = _static_mps(ego, observation.cut, bank.motion.x, measured.distance_m)
         ego_step = EgoStep.of(ego, static_mps, bank.ego_mps, dt)
         is_hidden = np.array(False)
         if observation.is_hidden is not None:
@@ -222,8 +223,11 @@ class DistanceFilters:
         is_static = self._models.is_static & np.isfinite(bank.ego_mps)
         systematic = bank.history.systematic[:, 0]
         mean = self._combined(bank, step, is_static)
-        d, P_dd, (v, true_v, _), (P_dv, true_P_dv, _) = mean.x, mean.P_xx, mean.v, mean.P_xv
-        P_vv, true_P_vv, rate_variance = mean.P_vv
+        d, P_dd = mean.x, mean.P_xx
+        v, true_v = mean.v[_MEASURED], mean.v[_TRUE]
+        P_dv, true_P_dv = mean.P_xv[_MEASURED], mean.P_xv[_TRUE]
+        P_vv, true_P_vv = mean.P_vv[_MEASURED], mean.P_vv[_TRUE]
+        rate_variance = mean.P_vv[_REPORTED]
         is_steady = step.time_s - bank.history.steady_since_s[:, 0] >= self._settings.min_steady_s
         is_sure = np.fmin(P_vv, rate_variance) <= self._settings.max_rate_sigma_mps**2
         is_certain = is_sure & is_steady
@@ -251,8 +255,8 @@ class DistanceFilters:
     def _combined(
         self, bank: FilterBank, step: FilterStep, is_static: BoolArray
     ) -> ConstantVelocity:
-        """(M, N) distances, and (3, M, N) rates: as measured, with those of static objects, and
-        with those of static objects and the error of the size of others.
+        """(M, N) distances, and (3, M, N) rates with their covariances, in the order of `_MEASURED`,
+        `_TRUE` and `_REPORTED`.
         """
         motion = bank.motion
         static_variance = STATIC_RATE_SIGMA_MPS**2 + step.ego.sigma_mps**2
@@ -269,3 +273,13 @@ class DistanceFilters:
             P_vv=np.array([motion.P_vv, true_P_vv, rate_variance]),
         )
         return self._models.combine(rates, bank.weight)
+
+
+def _static_mps(ego: EgoMotion, cut: CutBoxes | None, d: FloatArray, z: FloatArray) -> FloatArray:
+    """Speed V - w b d with which static objects come nearer, () or (M, G, N); the distances z are
+    those of new tracks.
+    """
+    if cut is None or not math.isfinite(ego.speed_mps + ego.yaw_rad_s):
+        return np.array(ego.speed_mps)
+    distance_m = np.where(np.isnan(d), np.fmax(z, 0.0), d)
+    return np.asarray(ego.speed_mps - ego.yaw_rad_s * cut.bearing * distance_m)

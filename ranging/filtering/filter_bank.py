@@ -253,7 +253,8 @@ class FilterBank(NamedTuple):
     def interact(self, step: FilterStep) -> FilterBank:
         """The models after objects may have changed theirs (step 1 of `InteractingModels`).
 
-        A static model that follows a moving object is no longer static: no object changes to it.
+        It follows the prediction, whose rates show where a static model follows a moving object: it
+        is no longer static, and no object changes to it.
         """
         models = self.models
         if not step.ego.is_known:
