@@ -41,6 +41,13 @@ def square_size(size_px: tuple[int, int], pixel_aspect: float) -> tuple[int, int
     return round(width_px * max(pixel_aspect, 1.0)), round(height_px * max(1.0 / pixel_aspect, 1.0))
 
 
+def shown_size(size_px: tuple[int, int], pixel_aspect: float) -> tuple[int, int]:
+    """(width, height) of recorded images after reading: those of `square_size`, or unchanged if
+    their pixels are almost square.
+    """
+    return PinholeCamera.of_pixel_aspect(1.0, size_px, pixel_aspect).squared().size_px
+
+
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
     """One calibrated camera: axes x right, y down, z forward; pixel centres at integer coordinates.
@@ -70,6 +77,18 @@ class PinholeCamera:
         """
         width_px, height_px = size_px
         return cls(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
+
+    @classmethod
+    def of_pixel_aspect(
+        cls, focal_px: float, size_px: tuple[int, int], pixel_aspect: float
+    ) -> PinholeCamera:
+        """A camera of recorded images, whose pixels are `pixel_aspect` times as wide as high.
+
+        Its principal point is at the image centre; `size_px` is (width, height), and `focal_px`
+        is in pixels of images with square pixels, see `square_size`.
+        """
+        square = cls.of_focal_length(focal_px, square_size(size_px, pixel_aspect))
+        return square.resized(size_px)
 
     @classmethod
     def of_matrix(
@@ -130,10 +149,21 @@ class PinholeCamera:
             height_px=size_px[1],
         )
 
+    def with_focal_length(self, focal_px: float) -> PinholeCamera:
+        """The camera with another focal length, that of its finer axis; the shape of its pixels
+        remains.
+        """
+        own_px = max(self.fx_px, self.fy_px)
+        return replace(
+            self,
+            fx_px=focal_px * (self.fx_px / own_px),
+            fy_px=focal_px * (self.fy_px / own_px),
+        )
+
     @property
     def has_square_pixels(self) -> bool:
         """Whether the focal lengths in x and y are about equal; other images are resampled before
-        anything else.
+        anything else. Almost square pixels stay as they are, with two focal lengths.
         """
         return abs(self.fy_px / self.fx_px - 1.0) <= _SQUARE
 

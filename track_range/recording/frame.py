@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import av
 import numpy as np
@@ -20,6 +21,7 @@ TIME_EPSILON_S = 1e-6
 # grey levels (lossy chroma: 1 to 3); fraction of such pixels
 _NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
 UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
+_MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
 _reformatters = threading.local()  # one converter of colours per thread, whose buffers are reused
 
 
@@ -93,6 +95,18 @@ def bgr_image(frame: av.VideoFrame) -> Image:
         _reformatters.converter = VideoReformatter()
     converted = _reformatters.converter.reformat(frame, format="bgr24", threads=1)
     return np.asarray(converted.to_ndarray(), np.uint8)
+
+
+def stated_pixel_aspect(ratio: Fraction | None, *, is_turned: bool = False) -> float | None:
+    """Width / height of the pixels of upright images, from the sample aspect ratio of a stream or
+    decoder; None = not stated, or not plausible.
+
+    `is_turned`: the stored images are turned by a quarter.
+    """
+    stored = float(ratio or 0)
+    if not 1 / _MAX_PIXEL_ASPECT <= stored <= _MAX_PIXEL_ASPECT:
+        return None
+    return 1 / stored if is_turned else stored
 
 
 def is_neutral(image: Image) -> bool:

@@ -15,7 +15,7 @@ from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.names import RecordedName, StereoLayout
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import UtcStart
-from track_range.stereo.geometry.camera import pixel_aspect_of, square_size
+from track_range.stereo.geometry.camera import pixel_aspect_of, shown_size
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
@@ -86,9 +86,9 @@ class RecordedVideo(ABC):
 
     @property
     def shown_size_px(self) -> tuple[int, int]:
-        """(width, height) of the images with square pixels."""
+        """(width, height) of the images after they were resampled to square pixels, if at all."""
         size_px = self.width_px, self.height_px
-        return square_size(size_px, pixel_aspect_of(size_px, self.pixel_aspect))
+        return shown_size(size_px, pixel_aspect_of(size_px, self.pixel_aspect))
 
     @property
     def n_frames(self) -> int | None:

@@ -166,3 +166,27 @@ def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: 
                 )
         writer.finish()
     return path
+
+
+def write_foxglove_video(path: Path, video: Path) -> Path:
+    """An MCAP file with the packets of a stream of H.264 at 10 frames/s in Foxglove's messages."""
+    import av
+    from foxglove.messages import CompressedVideo, Timestamp
+    from mcap.writer import Writer
+
+    with av.open(str(video)) as container:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = CompressedVideo.get_schema()
+        channel = writer.register_channel(
+            "/video", "protobuf", writer.register_schema(schema.name, schema.encoding, schema.data)
+        )
+        for number, packet in enumerate(packets):
+            time_ns = number * STEP_NS
+            stamp = Timestamp(100, time_ns)
+            message = CompressedVideo(timestamp=stamp, data=packet, format="h264")
+            writer.add_message(channel, time_ns, message.encode(), time_ns)
+        writer.finish()
+    return path

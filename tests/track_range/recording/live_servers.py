@@ -48,9 +48,10 @@ class Camera:
         is_torn: bool = False,
         images: Sequence[np.ndarray] = (),
         rate_hz: int = RATE_HZ,
+        pixel_aspect: Fraction = Fraction(1),
     ) -> None:
         self.n_images, self.is_torn, self.interval_s = n_images, is_torn, 1 / rate_hz
-        self._images, self._rate_hz = images, rate_hz
+        self._images, self._rate_hz, self._pixel_aspect = images, rate_hz, pixel_aspect
         self.unplugged = threading.Event()
         self._socket = socket.create_server(("127.0.0.1", 0))
         self.url = f"tcp://127.0.0.1:{self._socket.getsockname()[1]}"
@@ -77,6 +78,7 @@ class Camera:
                 "yuv420p",
                 5,
             )
+            stream.codec_context.sample_aspect_ratio = self._pixel_aspect
             for number in range(self.n_images):
                 if self.unplugged.wait(self.interval_s):
                     break

@@ -15,7 +15,13 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 
-from tests.track_range.recording.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
+from tests.track_range.recording.bag_writers import (
+    START_NS,
+    write_foxglove,
+    write_foxglove_video,
+    write_ros1,
+    write_ros2,
+)
 from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.recording.bags.bag import is_bag
@@ -196,29 +202,9 @@ def test_rectified_cameras_that_contradict_each_other() -> None:
         rig_of(left, longer, Path("drive.bag"), is_rectified=True)
 
 
-def test_video_messages(
-    tmp_path: Path, film: Callable[..., Path], number_in: Callable[..., int]
-) -> None:
-    import av
-    from foxglove.messages import CompressedVideo, Timestamp
-    from mcap.writer import Writer
-
+def test_video_messages(tmp_path: Path, film: Callable[..., Path]) -> None:
     source = film(tmp_path / "film.h264", [number / 10 for number in range(12)], options={}, gop=6)
-    with av.open(str(source)) as container, (tmp_path / "drive.mcap").open("wb") as file:
-        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
-        writer = Writer(file)
-        writer.start()
-        schema = CompressedVideo.get_schema()
-        channel = writer.register_channel(
-            "/video", "protobuf", writer.register_schema(schema.name, schema.encoding, schema.data)
-        )
-        for number, packet in enumerate(packets):
-            message = CompressedVideo(
-                timestamp=Timestamp(100, number * 10**8), data=packet, format="h264"
-            )
-            writer.add_message(channel, number * 10**8, message.encode(), number * 10**8)
-        writer.finish()
-    reader = open_video(tmp_path / "drive.mcap")
+    reader = open_video(write_foxglove_video(tmp_path / "drive.mcap", source))
     assert (reader.width_px, reader.height_px, reader.utc) == (64, 48, None)
     assert len(list(reader)) > 0
 

@@ -199,6 +199,7 @@ class BagVideo(RecordedVideo):
                 problem = str(error) if problem == "no messages" else problem
         if first is None:
             raise DamagedError(problem)
+        self.pixel_aspect = decoder.pixel_aspect
         # a simulation may begin at 0
         self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)
         if not self._uses_headers:

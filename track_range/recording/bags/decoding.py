@@ -23,7 +23,7 @@ from track_range.recording.bags.container import (
     decompressed,
     library,
 )
-from track_range.recording.frame import bgr_image
+from track_range.recording.frame import bgr_image, stated_pixel_aspect
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
 COMPRESSED_TYPES = (
@@ -78,6 +78,13 @@ class ImageDecoder:
         self._topic = topic
         self._parsed = message_reader(topic)
         self._codec: VideoCodecContext | None = None
+
+    @property
+    def pixel_aspect(self) -> float | None:
+        """Width / height of the pixels as a video states it, once an image was decoded; None = not
+        stated.
+        """
+        return None if self._codec is None else stated_pixel_aspect(self._codec.sample_aspect_ratio)
 
     def message(self, data: bytes) -> tuple[float, Any]:
         """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot

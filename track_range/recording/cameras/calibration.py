@@ -24,7 +24,12 @@ from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
 from track_range.stereo.geometry import image_size
-from track_range.stereo.geometry.camera import PinholeCamera, pixel_aspect_of, square_size
+from track_range.stereo.geometry.camera import (
+    PinholeCamera,
+    pixel_aspect_of,
+    shown_size,
+    square_size,
+)
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
@@ -298,7 +303,7 @@ class RecordingCalibration:
         """
         return replace(
             self,
-            camera=PinholeCamera.of_focal_length(guess.focal_px, self.camera.size_px),
+            camera=self.camera.with_focal_length(guess.focal_px),
             focal=guess,
         )
 
@@ -386,7 +391,7 @@ def _without_file(
     video.
     """
     video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
-    guesses, shown_px = tuple[FocalGuess, ...](), square_size(sizes_px[0], aspect)
+    guesses, shown_px = tuple[FocalGuess, ...](), shown_size(sizes_px[0], aspect)
     if focal_px is None:
         guesses = (
             focal_guesses(video)
@@ -398,7 +403,8 @@ def _without_file(
         if focal_px is None
         else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
     )
-    camera = PinholeCamera.of_focal_length(guess.focal_px, shown_px)
+    stored = PinholeCamera.of_pixel_aspect(guess.focal_px, sizes_px[0], aspect)
+    camera = stored.squared()
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
     stated = (
@@ -418,7 +424,6 @@ def _without_file(
             f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; "
             "different cameras require --rig with the calibration of both."
         )
-    stored = camera.resized(sizes_px[0])
     others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])
     doubt = (
         f"{video.path}: pixel aspect of analogue video is not stated: "

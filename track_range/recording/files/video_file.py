@@ -38,6 +38,7 @@ from track_range.recording.frame import (
     VideoError,
     VideoFrame,
     is_neutral,
+    stated_pixel_aspect,
     strictly_later,
 )
 from track_range.recording.names import StereoLayout
@@ -64,8 +65,6 @@ _MAX_ENTRIES = 10_000  # entries of the index of a file that are compared: ten h
 _RESET_S = 1.0
 # time base of Matroska, and largest error of its rounding, s
 _MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006
-
-_MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
 
 _FORMATS = (
     "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,"
@@ -127,14 +126,12 @@ class VideoFile(RecordedVideo):
             self._file_notes.append(
                 f"{path}: the images are rotated upright, as the metadata state."
             )
-        if stated := float(stream.sample_aspect_ratio or 0):
-            stated = 1 / stated if self._axes[1] else stated  # of the upright image
-            if 1 / _MAX_PIXEL_ASPECT <= stated <= _MAX_PIXEL_ASPECT:
-                self.pixel_aspect = stated
-            else:
-                self._file_notes.append(
-                    f"{path}: the stated pixel aspect of {stated:.3g} is ignored."
-                )
+        ratio = stream.sample_aspect_ratio
+        self.pixel_aspect = stated_pixel_aspect(ratio, is_turned=self._axes[1] != 0)
+        if ratio and self.pixel_aspect is None:
+            self._file_notes.append(
+                f"{path}: the stated pixel aspect of {float(ratio):.3g} is ignored."
+            )
         self.stated_layout = _stated_layout(frame)
         image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]

@@ -28,6 +28,7 @@ from track_range.recording.frame import (
     VideoFrame,
     bgr_image,
     is_neutral,
+    stated_pixel_aspect,
 )
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.names import StereoLayout
@@ -139,7 +140,7 @@ class LiveVideo:
             )
         image = bgr_image(self._waiting[-1][2])
         self.height_px, self.width_px = image.shape[:2]
-        self.pixel_aspect: float | None = None
+        self.pixel_aspect = stated_pixel_aspect(stream.sample_aspect_ratio)
         self.is_grey = is_neutral(image)
         self.first_image: Image | None = image  # as long as it is needed
         self._utc_from_monotonic_s = time.time() - time.monotonic()

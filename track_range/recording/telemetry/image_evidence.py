@@ -63,11 +63,12 @@ def motion_of(
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
         reader = open_video(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
-        if (reader.width_px, reader.height_px) != (camera.width_px, camera.height_px):
-            # of another size, which the rectification or a crop of the pair changes
-            width_px, height_px = reader.width_px, reader.height_px
-            centre_px = (width_px - 1) / 2, (height_px - 1) / 2
-            camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, width_px, height_px)
+        size_px = reader.width_px, reader.height_px
+        if reader.shown_size_px == camera.size_px:
+            camera = camera.resized(size_px)
+        else:  # of another size, which the rectification or a crop of the pair changes
+            centre_px = (size_px[0] - 1) / 2, (size_px[1] - 1) / 2
+            camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, *size_px)
         estimator = ImageMotionEstimator(camera)
         with closing(reader), closing(_images(video, reader, start_s, span_s)) as images:
             for time_s, image in images:
