@@ -29,9 +29,15 @@ from track_range.detection.yolo.decoders import (
     decode_rows,
     distances,
 )
-from track_range.detection.yolo.end_to_end import KEYPOINTS_NOTE, MASKS_NOTE, N_MASKS
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
-from track_range.detection.yolo.network_outputs import STRIDES_PX, NetworkOutputs, YoloModel
+from track_range.detection.yolo.network_outputs import (
+    KEYPOINTS_NOTE,
+    MASKS_NOTE,
+    N_MASKS,
+    STRIDES_PX,
+    NetworkOutputs,
+    YoloModel,
+)
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.files.input_files import shortened
 

@@ -7,9 +7,10 @@ only if two shapes are the same. (Carion et al., "End-to-End Object Detection wi
 exporters of YOLOv7, super-gradients, MMDeploy.)
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -18,7 +19,13 @@ from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
 from track_range.detection.yolo import decoders
 from track_range.detection.yolo.decoders import Candidates, Decoder, Part, corners
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
-from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
+from track_range.detection.yolo.network_outputs import (
+    KEYPOINTS_NOTE,
+    MASKS_NOTE,
+    N_MASKS,
+    NetworkOutputs,
+    YoloModel,
+)
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 # largest number of boxes of end-to-end networks (100 to 900 in the papers); grids have more
@@ -28,10 +35,8 @@ _N_CATEGORIES = 91  # logits of networks trained on COCO's category ids 0 to 90
 _RT_DETR_HEAD = "RTDETRDecoder"
 
 _LOWEST_SCORE = 0.05  # boxes with less are padding
-N_MASKS = 32  # coefficients of a mask in segmentation networks
-MASKS_NOTE = "Masks of the segmentation network are ignored."
-KEYPOINTS_NOTE = "Keypoints of the pose network are ignored."
 
+_USUAL_INPUT = InputFormat()
 _STRETCHED_INPUT = InputFormat(placement="stretch")
 _IMAGENET_INPUT = replace(_STRETCHED_INPUT, mean=IMAGENET_MEAN, std=IMAGENET_STD)
 _MMDET_INPUT = InputFormat(  # of MMDetection's RTMDet
@@ -61,109 +66,168 @@ class LabelledBoxes:
 
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
         """Candidates of all boxes."""
-        score, label = (_numbers(outputs, place).reshape(-1) for place in (self.score, self.label))
+        score, label = self._scores_and_labels(outputs)
         kept = np.flatnonzero(~(score < min_score.min()))
         boxes = self.code(_numbers(outputs, self.boxes)[kept], kept)
         return Candidates.of_labels(boxes, score[kept], label[kept] - self.first_label, min_score)
 
     def is_possible(self, outputs: Sequence[FloatArray32]) -> bool:
         """Whether the labels of boxes with a score are whole numbers, and scores at most 1."""
-        score, label = (_numbers(outputs, place).reshape(-1) for place in (self.score, self.label))
+        score, label = self._scores_and_labels(outputs)
         label = label[score > _LOWEST_SCORE]
         return bool((label == np.floor(label)).all() and not (score > 1.001).any())
 
+    def _scores_and_labels(self, outputs: Sequence[FloatArray32]) -> tuple[FloatArray, FloatArray]:
+        """(N,) both."""
+        return _numbers(outputs, self.score).reshape(-1), _numbers(outputs, self.label).reshape(-1)
+
 
 def _numbers(outputs: Sequence[FloatArray32], place: Place) -> FloatArray:
-    array, columns = outputs[place[0]].astype(np.float64), place[1]
-    return array.reshape(-1) if columns is None else array.reshape(-1, array.shape[-1])[:, columns]
+    """(N,) an output, or (N, k) columns of it."""
+    output, columns = place
+    array = outputs[output].astype(np.float64)
+    if columns is None:
+        return array.reshape(-1)
+    return array.reshape(-1, array.shape[-1])[:, columns]
 
 
-def _rows_of(
-    output: int, box: int, score: int, label: int, code: decoders.BoxCode
-) -> LabelledBoxes:
-    """Boxes in rows of one output, with the first column of the box, and the columns of score and
-    label.
-    """
-    columns = (slice(box, box + 4), slice(score, score + 1), slice(label, label + 1))
-    boxes, scores, labels = ((output, column) for column in columns)
-    return LabelledBoxes(boxes, scores, labels, code)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """A meaning of the columns of one output whose rows are boxes."""
+
+    family: str
+    name: str
+    text: str  # the columns, for display
+    box: int  # the first of four columns
+    score: int  # column
+    label: int  # column
+    is_fraction: bool = False  # whether boxes are fractions of the input's size
+    input_format: InputFormat = _USUAL_INPUT
+
+    def boxes(self, output: int, code: decoders.BoxCode) -> LabelledBoxes:
+        """The boxes of an output."""
+        return LabelledBoxes(
+            boxes=(output, slice(self.box, self.box + 4)),
+            score=(output, slice(self.score, self.score + 1)),
+            label=(output, slice(self.label, self.label + 1)),
+            code=code,
+        )
+
+
+_SSD_ROWS = (
+    _Row(
+        family="SSD",
+        name="ssd-detections",
+        text="batch, label, score, corners as fractions",
+        box=3,
+        score=2,
+        label=1,
+        is_fraction=True,
+        input_format=_STRETCHED_INPUT,
+    ),
+)
+_BATCH_ROWS = (
+    _Row(
+        family="YOLOv7",
+        name="yolov7-end2end",
+        text="batch, corners, label, score",
+        box=1,
+        score=6,
+        label=5,
+    ),
+    _Row(
+        family="YOLO-NAS",
+        name="yolo-nas-flat",
+        text="batch, corners, score, label",
+        box=1,
+        score=5,
+        label=6,
+    ),
+)
+_YOLOV10_ROW = _Row(
+    family="YOLOv10/YOLO26",
+    name="yolov10",
+    text="corners, score, label",
+    box=0,
+    score=4,
+    label=5,
+)
+_ROWS = (
+    _YOLOV10_ROW,
+    replace(_YOLOV10_ROW, name="yolov10-fractions", text="corners as fractions", is_fraction=True),
+    _Row(
+        family="PaddleDetection",
+        name="paddle-rows",
+        text="label, score, corners",
+        box=2,
+        score=1,
+        label=0,
+    ),
+)
+_N_COLUMNS = 6  # of `_ROWS`: box, score and label; more are masks or keypoints
 
 
 def labelled_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of [1, N, 6], [N, 6] and [.., 7]: few rows, or any number with `end2end` in the
     metadata.
     """
-    is_marked = network.metadata.get("end2end", False, "").value
     if network.metadata.get("head", None, "").value == RT_DETR_DESCRIPTION:
         return
-    pixels, fractions = corners(), corners(network.input_wh)
     for i, shape in enumerate(network.shapes):
         if len(shape) not in (2, 3, 4) or any(length != 1 for length in shape[:-2]):
             continue
-        n_rows, n_columns = shape[-2:]
-        others, is_few = n_columns - 6, n_rows <= _MAX_BOXES and not network.is_grid(n_rows)
-        has_masks = others == N_MASKS and any(
-            len(s) == 4 and s[:2] == (1, N_MASKS) for s in network.shapes
-        )
-        note = (
-            MASKS_NOTE
-            if has_masks
-            else KEYPOINTS_NOTE
-            if others > 0 and others == network.n_keypoints
-            else ""
-        )
-        readings: tuple[tuple[str, str, str, LabelledBoxes], ...] = ()
-        if len(shape) == 4 and n_columns == 7:
-            text = "batch, label, score, corners as fractions"
-            readings = (("SSD", "ssd-detections", text, _rows_of(i, 3, 2, 1, fractions)),)
-        elif n_columns == 7 and len(shape) == 2:
-            readings = (
-                (
-                    "YOLOv7",
-                    "yolov7-end2end",
-                    "batch, corners, label, score",
-                    _rows_of(i, 1, 6, 5, pixels),
-                ),
-                (
-                    "YOLO-NAS",
-                    "yolo-nas-flat",
-                    "batch, corners, score, label",
-                    _rows_of(i, 1, 5, 6, pixels),
-                ),
-            )
-        elif len(shape) != 4 and (is_few or is_marked or len(shape) == 2) and (others == 0 or note):
-            readings = (
-                (
-                    "YOLOv10/YOLO26",
-                    "yolov10",
-                    "corners, score, label",
-                    _rows_of(i, 0, 4, 5, pixels),
-                ),
-                (
-                    "YOLOv10/YOLO26",
-                    "yolov10-fractions",
-                    "corners as fractions",
-                    _rows_of(i, 0, 4, 5, fractions),
-                ),
-                (
-                    "PaddleDetection",
-                    "paddle-rows",
-                    "label, score, corners",
-                    _rows_of(i, 2, 1, 0, pixels),
-                ),
-            )
-        for family, name, text, rows in readings:
-            model = _labelled(family, name, f"end-to-end rows {list(shape)}: {text}", rows)
-            form = _STRETCHED_INPUT if name == "ssd-detections" else model.input_format
-            yield replace(model, note=note, input_format=form)
+        note = _note_on_columns(network, shape[-1] - _N_COLUMNS)
+        for row in _possible_rows(network, shape, has_note=bool(note)):
+            layout = f"end-to-end rows {list(shape)}: {row.text}"
+            code = corners(network.input_wh) if row.is_fraction else corners()
+            boxes = row.boxes(i, code)
+            model = _labelled(row.family, row.name, layout, boxes, row.input_format)
+            yield replace(model, note=note)
 
 
-def _labelled(family: str, name: str, layout: str, boxes: LabelledBoxes) -> YoloModel:
+def _note_on_columns(network: NetworkOutputs, n_columns: int) -> str:
+    """A note on the columns after box, score and label, if masks or keypoints have as many."""
+    if n_columns == N_MASKS and network.has_masks:
+        return MASKS_NOTE
+    if n_columns > 0 and n_columns == network.n_keypoints:
+        return KEYPOINTS_NOTE
+    return ""
+
+
+def _possible_rows(
+    network: NetworkOutputs, shape: tuple[int, ...], *, has_note: bool
+) -> tuple[_Row, ...]:
+    """The meanings of rows of an output of this shape; with a note, columns after the sixth are
+    ignored.
+    """
+    n_rows, n_columns = shape[-2:]
+    if n_columns == 7 and len(shape) == 4:
+        return _SSD_ROWS
+    if n_columns == 7 and len(shape) == 2:
+        return _BATCH_ROWS
+    if len(shape) == 4 or not (n_columns == _N_COLUMNS or has_note):
+        return ()
+    is_marked = network.metadata.get("end2end", False, "").value
+    if len(shape) == 2 or is_marked or _is_few(network, n_rows):
+        return _ROWS
+    return ()
+
+
+def _is_few(network: NetworkOutputs, n_rows: int) -> bool:
+    """Whether `n_rows` can be the boxes of an end-to-end network: neither too many nor the cells of
+    grids.
+    """
+    return n_rows <= _MAX_BOXES and not network.is_grid(n_rows)
+
+
+def _labelled(
+    family: str, name: str, layout: str, boxes: LabelledBoxes, input_format: InputFormat
+) -> YoloModel:
     return YoloModel(
         family,
         layout,
         None,
-        InputFormat(),
+        input_format,
         boxes.decode,
         is_end_to_end=True,
         name=name,
@@ -184,7 +248,7 @@ def labelled_query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and n_rows <= _MAX_BOXES:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, score, label"
-            decoder = _rows_of(i, 0, 4, 5, decoders.centres(network.input_wh)).decode
+            decoder = _YOLOV10_ROW.boxes(i, decoders.centres(network.input_wh)).decode
             yield _square_model("RT-DETR", "rt-detr-rows", layout, None, decoder)
 
 
@@ -203,6 +267,95 @@ def _square_model(
     )
 
 
+class _Vectors(NamedTuple):
+    """Outputs with one number per box, labels or scores."""
+
+    outputs: list[int]
+    is_flat: bool  # whether they are [N], else [1, N]
+    n_counts: int  # number of outputs beside them with a single number, the number of boxes
+
+    @classmethod
+    def of(cls, network: NetworkOutputs) -> Self:
+        """The vectors of a network, [1, N] rather than [N]; two single numbers are the label and
+        the score of one box.
+        """
+        shapes = network.shapes
+        counts = [i for i, shape in enumerate(shapes) if shape in ((1,), (1, 1))]
+        flat = [i for i, shape in enumerate(shapes) if len(shape) == 1 and i not in counts]
+        batched = [
+            i
+            for i, shape in enumerate(shapes)
+            if len(shape) == 2 and shape[0] == 1 and i not in counts
+        ]
+        if batched:
+            return cls(batched, False, len(counts))
+        if not flat and len(counts) == 2:
+            return cls(counts, True, 0)
+        return cls(flat, True, len(counts))
+
+
+class _LabelledOutputs(NamedTuple):
+    """The outputs with labels, boxes and scores."""
+
+    labels: int
+    boxes: int
+    scores: int | None  # None = the scores are the fifth column of the boxes
+    n_boxes: int
+    is_flat: bool  # whether labels are [N], else [1, N]
+    has_count: bool  # whether another output is the number of boxes
+
+    @classmethod
+    def of(cls, network: NetworkOutputs) -> Self | None:
+        """The outputs of a network; None if it has others, or others are missing."""
+        box = _box_output(network)
+        vectors = _Vectors.of(network)
+        if box is None or len(network.shapes) != 1 + len(vectors.outputs) + vectors.n_counts:
+            return None
+        n_boxes, n_columns = network.shapes[box][-2:]
+        if any(network.shapes[i][-1] != n_boxes for i in vectors.outputs):
+            return None
+        n_expected = 1 if n_columns == 5 else 2  # labels, or labels and scores
+        labels = _label_outputs(network, vectors.outputs)
+        if len(vectors.outputs) != n_expected or len(labels) != 1:
+            return None
+        scores = [i for i in vectors.outputs if i not in labels]
+        return cls(
+            labels=labels[0],
+            boxes=box,
+            scores=scores[0] if scores else None,
+            n_boxes=n_boxes,
+            is_flat=vectors.is_flat,
+            has_count=vectors.n_counts > 0,
+        )
+
+    def rows(self) -> LabelledBoxes:
+        """The boxes, as corners in pixels."""
+        scores: Place = (self.boxes, slice(4, 5)) if self.scores is None else (self.scores, None)
+        return LabelledBoxes((self.boxes, slice(0, 4)), scores, (self.labels, None), corners())
+
+
+def _box_output(network: NetworkOutputs) -> int | None:
+    """The only output [1, N, 4] or [1, N, 5], else the only output [N, 4] or [N, 5]."""
+    boxes = [
+        i
+        for i, shape in enumerate(network.shapes)
+        if len(shape) in (2, 3) and shape[-1] in (4, 5) and shape[:-2] in ((), (1,))
+    ]
+    batched = [i for i in boxes if len(network.shapes[i]) == 3]
+    boxes = batched or boxes
+    return boxes[0] if len(boxes) == 1 else None
+
+
+def _label_outputs(network: NetworkOutputs, vectors: Sequence[int]) -> list[int]:
+    """The vectors of integers, else those with the name of labels."""
+    integers = [i for i in vectors if network.is_integer[i]]
+    return integers or [i for i in vectors if _has_word(network.names[i], ("label", "class"))]
+
+
+def _has_word(name: str, words: Sequence[str]) -> bool:
+    return any(word in name.lower() for word in words)
+
+
 def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of labels [1, N], boxes [1, N, 4] and scores [1, N], in any order, or with scores in
     the boxes.
@@ -210,76 +363,43 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     ModelError: nothing shows the unit of the boxes, since the network has neither the input
     `orig_target_sizes` nor an output with the number of boxes.
     """
-    vectors = [
-        i
-        for i, shape in enumerate(network.shapes)
-        if len(shape) == 2 and shape[0] == 1 and shape[1] != 1
-    ]
-    counts = [i for i, shape in enumerate(network.shapes) if shape in ((1,), (1, 1))]
-    boxes = [
-        i
-        for i, s in enumerate(network.shapes)
-        if len(s) in (2, 3) and s[-1] in (4, 5) and s[:-2] in ((), (1,))
-    ]
-    flat = [i for i, shape in enumerate(network.shapes) if len(shape) == 1 and shape != (1,)]
-    boxes = [i for i in boxes if len(network.shapes[i]) == 3] or boxes
-    if not vectors and not flat and len(counts) == 2:  # one box
-        flat, counts = counts, []
-    vectors = vectors or flat
-    if (
-        len(boxes) != 1
-        or len(vectors) not in (1, 2)
-        or len(network.shapes) - len(counts) != 1 + len(vectors)
-    ):
+    outputs = _LabelledOutputs.of(network)
+    if outputs is None:
         return
-    labels = [i for i in vectors if network.is_integer[i]] or [
-        i for i in vectors if any(word in network.names[i].lower() for word in ("label", "class"))
-    ]
-    n_boxes, n_columns = network.shapes[boxes[0]][-2:]
-    if (
-        len(labels) != 1
-        or any(network.shapes[i][-1] != n_boxes for i in vectors)
-        or n_columns + len(vectors) != 6
-    ):
-        return
-    layout, label = f"{n_boxes} labels, boxes and scores", (labels[0], None)
-    if n_columns == 5:
-        rows = LabelledBoxes((boxes[0], slice(0, 4)), (boxes[0], slice(4, 5)), label, corners())
-        yield replace(_labelled("MMDetection", "mmdet", layout, rows), input_format=_MMDET_INPUT)
-        return
-    (scores,) = (i for i in vectors if i != labels[0])
-    first = int(network.n_names is not None)
-    rows = LabelledBoxes((boxes[0], slice(0, 4)), (scores, None), label, corners())
-    if network.has_target_sizes:
+    rows = outputs.rows()
+    layout = f"{outputs.n_boxes} labels, boxes and scores"
+    if outputs.scores is None:
+        yield _labelled("MMDetection", "mmdet", layout, rows, _MMDET_INPUT)
+    elif network.has_target_sizes:
         text = f"{layout}, with {TARGET_SIZES}"
         yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", text, None, rows.decode)
     # TensorFlow: top, left, bottom, right; labels from 1
-    elif counts and not network.is_integer[labels[0]]:
-        rows = replace(rows, code=decoders.rows_first(network.input_wh), first_label=first)
-        model = _labelled(
-            "TensorFlow's detection API", "tf-detections", f"{layout}, corners as fractions", rows
-        )
-        yield replace(
-            model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT
-        )
-    elif counts:
-        for name, code in (
-            ("end2end", corners()),
-            ("end2end-fractions", corners(network.input_wh)),
-        ):
-            yield _labelled("YOLO with suppression", name, layout, replace(rows, code=code))
-    elif flat:  # labels from 1, or COCO's category ids
-        rows = replace(rows, first_label=first)
-        model = _labelled("torchvision", "torchvision", layout, rows)
-        yield replace(
-            model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT
-        )
+    elif outputs.has_count and not network.is_integer[outputs.labels]:
+        rows = replace(rows, code=decoders.rows_first(network.input_wh))
+        text = f"{layout}, corners as fractions"
+        yield _category_model(network, "TensorFlow's detection API", "tf-detections", text, rows)
+    elif outputs.has_count:
+        codes = {"end2end": corners(), "end2end-fractions": corners(network.input_wh)}
+        for name, code in codes.items():
+            boxes = replace(rows, code=code)
+            yield _labelled("YOLO with suppression", name, layout, boxes, _USUAL_INPUT)
+    elif outputs.is_flat:
+        yield _category_model(network, "torchvision", "torchvision", layout, rows)
     else:
         raise ModelError(
             f"{network.path}: expected the input {TARGET_SIZES} beside labels, boxes and scores, "
             "found none, so the unit of the boxes is unknown; export again with D-FINE's or DEIM's "
             "export_onnx.py."
         )
+
+
+def _category_model(
+    network: NetworkOutputs, family: str, name: str, layout: str, boxes: LabelledBoxes
+) -> YoloModel:
+    """A network whose labels count the class names from 1, or are COCO's category ids."""
+    boxes = replace(boxes, first_label=int(network.n_names is not None))
+    model = _labelled(family, name, layout, boxes, _STRETCHED_INPUT)
+    return model if network.n_names else replace(model, n_classes=_N_CATEGORIES)
 
 
 def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -304,7 +424,9 @@ def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     has_category_ids = n_logits in (_N_CATEGORIES, _N_CATEGORIES + 1)
     is_rf_detr = network.names[boxes] == "dets" or n_logits == _N_CATEGORIES
     n_classes = n_logits - has_no_object
-    family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
+    family = "DETR" if is_detr else "RT-DETR/D-FINE"
+    if is_rf_detr:
+        family = "RF-DETR"
     layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
     rows = decoders.BoxRows(
         boxes=Part(boxes),
@@ -322,24 +444,26 @@ def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
     """Indices of logits and boxes: the only outputs [1, N, K] and [1, N, 4], or by their usual
     names; else None.
     """
-    outputs = [
-        i
-        for i, n_rows, _ in network.matrices()
-        if n_rows <= _MAX_BOXES and not network.is_grid(n_rows)
-    ]
-    boxes = [i for i in outputs if network.shapes[i][2] == 4]
-    if len(boxes) > 1:
-        boxes = [
-            i for i in boxes if any(word in network.names[i].lower() for word in ("box", "dets"))
-        ]
-    if len(boxes) != 1:
+    outputs = [i for i, n_rows, _ in network.matrices() if _is_few(network, n_rows)]
+    boxes = _only(
+        [i for i in outputs if network.shapes[i][2] == 4],
+        lambda i: _has_word(network.names[i], ("box", "dets")),
+    )
+    if boxes is None:
         return None
-    logits = [
-        i for i in outputs if i != boxes[0] and network.shapes[i][1] == network.shapes[boxes[0]][1]
-    ]
-    if len(logits) > 1:
-        logits = [i for i in logits if network.names[i] in ("logits", "pred_logits", "labels")]
-    return (logits[0], boxes[0]) if len(logits) == 1 else None
+    n_boxes = network.shapes[boxes][1]
+    logits = _only(
+        [i for i in outputs if i != boxes and network.shapes[i][1] == n_boxes],
+        lambda i: network.names[i] in ("logits", "pred_logits", "labels"),
+    )
+    return None if logits is None else (logits, boxes)
+
+
+def _only(outputs: Sequence[int], has_usual_name: Callable[[int], bool]) -> int | None:
+    """The only one of some outputs, or the only one with a usual name; else None."""
+    if len(outputs) > 1:
+        outputs = [i for i in outputs if has_usual_name(i)]
+    return outputs[0] if len(outputs) == 1 else None
 
 
 def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -348,7 +472,7 @@ def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     """
     n_classes = network.n_names or 80
     for i, n_rows, n_columns in network.matrices():
-        if n_rows <= _MAX_BOXES and not network.is_grid(n_rows) and n_columns == 4 + n_classes:
+        if n_columns == 4 + n_classes and _is_few(network, n_rows):
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, classes"
             rows = decoders.BoxRows(
                 boxes=Part(i, slice(0, 4)),

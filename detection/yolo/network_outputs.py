@@ -12,6 +12,9 @@ from track_range.foundation.arrays import FloatArray32
 
 # of the grids of all families
 STRIDES_PX = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))
+N_MASKS = 32  # prototypes of segmentation networks, and coefficients of each box's mask
+MASKS_NOTE = "Masks of the segmentation network are ignored."
+KEYPOINTS_NOTE = "Keypoints of the pose network are ignored."
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,11 @@ class NetworkOutputs:
         """Number of explicit class names; None without names."""
         names = self.metadata.get("names", None, "").value
         return None if names is None else len(names)
+
+    @property
+    def has_masks(self) -> bool:
+        """Whether an output [1, 32, h, w] has the prototypes of masks."""
+        return any(len(shape) == 4 and shape[:2] == (1, N_MASKS) for shape in self.shapes)
 
     @property
     def n_keypoints(self) -> int:
