@@ -18,7 +18,7 @@ no probability of contact: they hang above the road, or are beside it.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -168,6 +168,28 @@ class _WarningState(NamedTuple):
     since_s: FloatArray  # since when the condition for the next change of the alarm holds
     is_on: FloatArray  # 1 = alarm
 
+    @property
+    def own(self) -> ConstantVelocity:
+        """Speed along the road with its change."""
+        return ConstantVelocity(self.u, self.a, self.P_uu, self.P_ua, self.P_aa)
+
+    @property
+    def free(self) -> ConstantVelocity:
+        """Distance and rate without a model of the motion."""
+        return ConstantVelocity(self.d, self.r, self.P_dd, self.P_dr, self.P_rr)
+
+
+@dataclass(frozen=True, slots=True)
+class _Objects:
+    """The N objects of a frame relative to the ego vehicle and its path, (N,) each."""
+
+    is_person: BoolArray
+    own: ConstantVelocity  # speed u along the road, and its change
+    gap: ConstantVelocity  # distance from the camera, and its rate
+    offset: ConstantVelocity  # lateral, from the ego path
+    half_width_m: FloatArray  # half the sum of both widths
+    since_beside_s: FloatArray  # time since the object was beside the path; NaN = never
+
 
 class CollisionWarning:
     """Probability of contact and alarm of all tracks of a video.
@@ -223,24 +245,17 @@ class CollisionWarning:
         ego.update(time_s, ego_mps, yaw_rad_s)
         last = _WarningState._make(self._tracks.get(tracks.track_id))
         is_person = tracks.class_id == _PERSON
+        sigma_m = motion.ranges.sigma_m
 
         # Motion of the objects along the road.
-        measured, sigma_m = motion.state, motion.ranges.sigma_m
-        if ego.has_speed and is_person.any():  # the prior speed of people along the road
-            along_mps = np.where(is_person, settings.person_along_mps, np.inf)
-            measured = _with_rate(measured, -ego.speed_mps, along_mps)
-        is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
-        is_certain = measured.P_vv <= settings.max_closing_sigma_mps**2
-        measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)
+        state = self._with_prior_speed(motion.state, is_person)
+        is_known = np.isfinite(state.x) & np.isfinite(lateral.state.x)
+        measured = replace(state, P_vv=state.P_vv + (sigma_m / settings.drift_s) ** 2)
         own, starts = self._own_motion(measured, last, time_s, is_known)
+        is_certain = state.P_vv <= settings.max_closing_sigma_mps**2
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        is_usable = (
-            is_known
-            & is_certain
-            & is_plausible
-            & lateral.is_current
-            & _CAN_COLLIDE[tracks.class_id]
-        )
+        can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
+        is_usable = is_known & is_certain & is_plausible & can_collide
 
         # Position relative to the ego path.
         gap = _without_lag(measured, own.v, own.P_vv)
@@ -248,40 +263,21 @@ class CollisionWarning:
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
+        objects = _Objects(is_person, own, gap, offset, half_width_m, time_s - beside_s)
 
-        # Probability of contact, only of objects that are near enough.
-        probability, may_start = np.where(is_usable, 0.0, np.nan), np.zeros(len(tracks), np.bool_)
-        is_near = gap.x - settings.front_m < settings.cut_in_headway_s * ego.speed_mps
-        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | is_near))
-        if len(rows):
-            encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
-            predicted = contact_probability(
-                encounter,
-                horizon_s=settings.horizon_s,
-                manoeuvre_s=settings.manoeuvre_s,
-                ego_length_m=settings.ego_length_m,
-            )
-            probability[rows] = expit(
-                _CALIBRATION[0] + _CALIBRATION[1] * logit(np.clip(predicted, 0.0, 1.0))
-            )
-            may_start[rows] = self._may_start(encounter, probability[rows], is_person[rows])
-            may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
+        # Probability of contact.
+        probability, may_start = self._contacts(objects, is_usable)
 
         # Alarm.
         free = _free_motion(ranges, last, time_s)
         may_start &= ~(free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv))  # True for NaN
-        certain_s = np.where(
-            is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan
-        )
-        may_start &= (
-            time_s - certain_s
-            >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
-        )
-        may_end = ~(probability >= settings.off_probability)
+        certain_s = np.where(starts, time_s, np.fmin(last.certain_s, time_s))
+        certain_s = np.where(is_usable, certain_s, np.nan)
+        needed_s = np.where(is_person, settings.min_person_s, settings.min_track_s)
+        may_start &= time_s - certain_s >= needed_s - 1e-9
+        may_end = ~(probability >= settings.off_probability)  # True for NaN
         is_uncertain = sigma_m > settings.certain_share * measured.x
-        is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
-        if ego.has_speed:
-            is_uncertain |= gap.v + ego.speed_mps < -_STATIC_MPS
+        is_uncertain |= self._is_beside_or_oncoming(objects)
         active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
 
         new = _WarningState(
@@ -298,6 +294,13 @@ class CollisionWarning:
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
         return Warnings(probability, active, offset.x, np.sqrt(offset.P_xx))
 
+    def _with_prior_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
+        """The distances and rates, with the prior speed of people along the road."""
+        if not self._ego.has_speed or not is_person.any():
+            return state
+        sigma_mps = np.where(is_person, self.settings.person_along_mps, np.inf)
+        return _with_rate(state, -self._ego.speed_mps, sigma_mps)
+
     def _own_motion(
         self, measured: ConstantVelocity, last: _WarningState, time_s: float, is_known: BoolArray
     ) -> tuple[ConstantVelocity, BoolArray]:
@@ -306,7 +309,7 @@ class CollisionWarning:
 
         `is_known` (N,) is whether their distances are known.
         """
-        predicted = ConstantVelocity(*last[:5]).predict(time_s - last.time_s, q=_JERK_NOISE**2)
+        predicted = last.own.predict(time_s - last.time_s, q=_JERK_NOISE**2)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
         is_stale = ~(time_s - last.known_s <= _MAX_GAP_S)
@@ -318,6 +321,16 @@ class CollisionWarning:
             initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
             state = ConstantVelocity(*np.where(starts, initial, state.columns))
         return state, starts
+
+    def _is_beside_or_oncoming(self, objects: _Objects) -> BoolArray:
+        """(N,) whether a vehicle is beside the ego path, or any object comes towards the ego
+        vehicle.
+        """
+        is_beside = np.abs(objects.offset.x) > objects.half_width_m
+        is_uncertain = ~objects.is_person & is_beside
+        if self._ego.has_speed:
+            is_uncertain |= objects.gap.v + self._ego.speed_mps < -_STATIC_MPS
+        return np.asarray(is_uncertain)
 
     def _alarm(
         self,
@@ -354,19 +367,41 @@ class CollisionWarning:
         )
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
 
-    def _encounter(
-        self,
-        rows: IntArray,
-        is_person: BoolArray,
-        gap: ConstantVelocity,
-        own: ConstantVelocity,
-        offset: ConstantVelocity,
-        half_width_m: FloatArray,
-    ) -> Encounter:
+    def _contacts(self, objects: _Objects, is_usable: BoolArray) -> tuple[FloatArray, BoolArray]:
+        """(N,) probability of contact, and whether it or a cut-in may start an alarm.
+
+        The probability is 0 without a computation for objects that are too far away, NaN for those
+        whose motion is not usable.
+        """
+        settings = self.settings
+        probability = np.where(is_usable, 0.0, np.nan)
+        may_start = np.zeros(len(is_usable), np.bool_)
+        near_m = settings.cut_in_headway_s * self._ego.speed_mps
+        is_near = objects.gap.x - settings.front_m < near_m
+        rows = np.flatnonzero(is_usable & (self._may_touch(objects.gap, objects.own) | is_near))
+        if not len(rows):
+            return probability, may_start
+        encounter = self._encounter(objects, rows)
+        predicted = contact_probability(
+            encounter,
+            horizon_s=settings.horizon_s,
+            manoeuvre_s=settings.manoeuvre_s,
+            ego_length_m=settings.ego_length_m,
+        )
+        first, slope = _CALIBRATION
+        calibrated = expit(first + slope * logit(np.clip(predicted, 0.0, 1.0)))
+        is_person = objects.is_person[rows]
+        cuts_in = self._cuts_in(encounter, objects.since_beside_s[rows]) & ~is_person
+        probability[rows] = calibrated
+        may_start[rows] = self._may_start(encounter, calibrated, is_person) | cuts_in
+        return probability, may_start
+
+    def _encounter(self, objects: _Objects, rows: IntArray) -> Encounter:
         """Motion of the objects in the given rows relative to the ego vehicle and its path."""
-        settings, ego = self.settings, self._ego
+        settings, ego, own = self.settings, self._ego, objects.own
         gap, offset = (
-            ConstantVelocity(*np.array(state.columns).take(rows, axis=1)) for state in (gap, offset)
+            ConstantVelocity(*np.array(state.columns).take(rows, axis=1))
+            for state in (objects.gap, objects.offset)
         )
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
@@ -390,9 +425,9 @@ class CollisionWarning:
             ego_mps2=ego.acceleration_mps2,
             ego_stop_s=float(stops_s[-1]),
             offset=offset,
-            half_width_m=half_width_m[rows],
+            half_width_m=objects.half_width_m[rows],
             lateral_acceleration_mps2=np.where(
-                is_person[rows],
+                objects.is_person[rows],
                 settings.person_acceleration_mps2,
                 settings.vehicle_acceleration_mps2,
             ),
@@ -476,7 +511,7 @@ class CollisionWarning:
 
 def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> ConstantVelocity:
     """Distances and rates of the tracks by a filter in which every speed is equally probable."""
-    state = ConstantVelocity(*last[5:10]).predict(time_s - last.time_s, q=_FREE_NOISE**2)
+    state = last.free.predict(time_s - last.time_s, q=_FREE_NOISE**2)
     if ranges is None:
         return state
     z, R = ranges.distance_m, ranges.sigma_m**2

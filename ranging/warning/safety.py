@@ -29,6 +29,7 @@ from track_range.ranging.filtering.filtered_ranges import MIN_CLOSING_MPS
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.tracking.tracks import Tracks
 
 TTC_LIMIT_S = 3.0  # T*, and T_r is `WarningSettings.reaction_s`: the defaults of SUMO's SSM device
 _MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a TTC in its standard deviations
@@ -110,8 +111,7 @@ class SafetyMonitor:
 
     def update(
         self,
-        track_id: IntArray,
-        class_id: IntArray,
+        tracks: Tracks,
         time_s: float,
         *,
         distance_m: FloatArray,
@@ -127,37 +127,67 @@ class SafetyMonitor:
         line of the ego lane relative to the ego path, positive = right; None = not seen, the ego
         path is then the middle of its lane.
         """
-        settings, offset_m = self._settings, warnings.path_offset_m
-        is_user = _IS_ROAD_USER[class_id]
-        is_on_path = (apart_m(offset_m, class_id, settings) < 0) & is_user
-        is_on_course = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
-        is_on_course &= closing_mps > MIN_CLOSING_MPS
-        # True where sigma is unknown
-        is_on_course &= ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)
+        settings, class_id = self._settings, tracks.class_id
         gap_m = np.maximum(distance_m - settings.front_m, 0.0)
+        is_user = _IS_ROAD_USER[class_id]
+        is_on_path = (apart_m(warnings.path_offset_m, class_id, settings) < 0) & is_user
+
+        # Time to collision and headway.
+        will_be_on_path = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
+        closes_in = closing_mps > MIN_CLOSING_MPS
+        # True where sigma is unknown
+        is_significant = ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)
+        is_on_course = will_be_on_path & closes_in & is_significant
         ttc_s = gap_m / np.where(is_on_course, closing_mps, np.nan)
-        c = np.where(is_on_path & (closing_mps > 0), closing_mps, np.nan)
-        left_m = gap_m - c * settings.reaction_s
-        drac, mdrac = (c * c / (2 * np.maximum(gap, _MIN_GAP_M)) for gap in (gap_m, left_m))
-        headway_s = np.where(
-            is_on_path & (ego_mps >= _MIN_EGO_MPS), gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan
+        has_headway = is_on_path & (ego_mps >= _MIN_EGO_MPS)
+        headway_s = np.where(has_headway, gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan)
+
+        # Required decelerations.
+        closing_on_path_mps = np.where(is_on_path & (closing_mps > 0), closing_mps, np.nan)
+        left_m = gap_m - closing_on_path_mps * settings.reaction_s
+        drac_mps2 = _required_deceleration(closing_on_path_mps, gap_m)
+        mdrac_mps2 = _required_deceleration(closing_on_path_mps, left_m)
+
+        tet_s, tit_s2 = self._exposure(tracks.track_id, ttc_s, time_s)
+        lane_index, lane_index_sigma = _lane_index(
+            warnings.path_offset_m, warnings.path_offset_sigma_m, lane_edges_m
         )
 
-        # Exposure.
-        below_s = TTC_LIMIT_S - ttc_s
-        tet_s, tit_s2, last_s = self._tracks.get(track_id)
-        dt = np.where(time_s - last_s <= MAX_GAP_S, time_s - last_s, 0.0)
-        tet_s, tit_s2 = tet_s + dt * (below_s > 0), tit_s2 + dt * np.fmax(below_s, 0.0)
-        is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
-        self._tracks.put(
-            track_id, np.stack([tet_s, tit_s2, np.full(len(dt), time_s)]), keep_known=is_recent
-        )
-
+        # The lead: the nearest vehicle ahead that does not come towards the ego vehicle.
         is_lead = is_on_path & _IS_VEHICLE[class_id] & np.isfinite(gap_m)
         is_lead &= ~(ego_mps - closing_mps < _MIN_OWN_MPS)
         is_lead &= gap_m == np.min(gap_m, initial=np.inf, where=is_lead)
-        lane = _lane_index(offset_m, warnings.path_offset_sigma_m, lane_edges_m)
-        return SafetyMeasures(gap_m, ttc_s, headway_s, drac, mdrac, tet_s, tit_s2, *lane, is_lead)
+        return SafetyMeasures(
+            gap_m=gap_m,
+            ttc_front_s=ttc_s,
+            headway_s=headway_s,
+            drac_mps2=drac_mps2,
+            mdrac_mps2=mdrac_mps2,
+            tet_s=tet_s,
+            tit_s2=tit_s2,
+            lane_index=lane_index,
+            lane_index_sigma=lane_index_sigma,
+            is_lead=is_lead,
+        )
+
+    def _exposure(
+        self, track_id: IntArray, ttc_s: FloatArray, time_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """TET and TIT (N,) of the tracks so far."""
+        below_s = TTC_LIMIT_S - ttc_s
+        tet_s, tit_s2, last_s = self._tracks.get(track_id)
+        dt = np.where(time_s - last_s <= MAX_GAP_S, time_s - last_s, 0.0)
+        tet_s = tet_s + dt * (below_s > 0)
+        tit_s2 = tit_s2 + dt * np.fmax(below_s, 0.0)
+        state = np.stack([tet_s, tit_s2, np.full(len(dt), time_s)])
+        is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
+        self._tracks.put(track_id, state, keep_known=is_recent)
+        return tet_s, tit_s2
+
+
+def _required_deceleration(closing_mps: FloatArray, gap_m: FloatArray) -> FloatArray:
+    """(N,) deceleration in m/s^2 that ends the closing speed within the gap."""
+    return np.asarray(closing_mps * closing_mps / (2 * np.maximum(gap_m, _MIN_GAP_M)))
 
 
 def lane_edges_m(lanes: LaneLines | None, camera: PinholeCamera) -> tuple[float, float] | None:

@@ -12,6 +12,7 @@ from track_range.ranging.warning.safety import SafetyMonitor, lane_edges_m, post
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.tracking.tracks import Tracks
 
 PERSON, CAR, SIGN = (ROAD_CLASSES.index(name) for name in ("person", "car", "traffic sign"))
 
@@ -43,9 +44,15 @@ def measured(
         np.reshape(o, n),
         np.full(n, more.get("offset_sigma_m", 0.1)),
     )
-    return (monitor or SafetyMonitor()).update(
+    tracks = Tracks(
         np.arange(n),
+        np.tile([100.0, 100.0, 200.0, 160.0], (n, 1)),
         np.reshape(k, n),
+        np.ones(n),
+        np.ones(n, bool),
+    )
+    return (monitor or SafetyMonitor()).update(
+        tracks,
         time_s,
         distance_m=np.reshape(d, n).astype(float),
         closing_mps=np.reshape(c, n).astype(float),

@@ -74,8 +74,7 @@ class AlarmStage:
         if doubt.scale is not None:
             warnings = replace(warnings, active=np.zeros_like(warnings.active))
         safety = self._safety.update(
-            tracks.track_id,
-            tracks.class_id,
+            tracks,
             time_s,
             distance_m=filtered.fused.ranges.distance_m,
             closing_mps=approach.closing_mps,

@@ -83,8 +83,7 @@ class Situation:
         offset_m, class_id = warnings.path_offset_m, result.tracks.class_id
         if not result.alarms.has_safety:  # rows of earlier versions, and views to the side
             safety = SafetyMonitor().update(
-                result.tracks.track_id,
-                class_id,
+                result.tracks,
                 result.time_s,
                 distance_m=distance_m,
                 closing_mps=result.closing_mps,
