@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray32, Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
@@ -126,7 +126,6 @@ def write_drive(
             "options: disparities and masks need a pinhole, but the rig has wide lenses"
         )
     pinholes = rig if wide_lens is None else wide_lens.pinholes
-    camera = pinholes.left
     renderer = Renderer(
         scene, pinholes, noise_grey=options.noise_grey, faults=options, wide_lens=wide_lens
     )
@@ -136,9 +135,7 @@ def write_drive(
     )
     save_rig(rig_in_file(rig, options), drive.rig)
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
-    left_times_s: list[float] = []
-    labels: list[KittiLabels] = []
-    rows: list[str] = []
+    truth = _DriveTruth(folder, renderer, pinholes, options)
     layout = options.stereo_layout
     packed = None if layout is None else drive_files.PackedWriter(drive.left, rig.left, fps, layout)
     with (
@@ -147,46 +144,66 @@ def write_drive(
         ThreadPoolExecutor(N_THREADS) as pool,
     ):
         for number, left_image, right_image in _rendering(pool, renderer, times_s, options):
-            time_s = times_s[number]
             if left_image is not None:
                 image, inverse_depth, *part_labels = left_image.result()
-                left.write(image, time_s)
-                visible = visible_objects(
-                    scene, time_s, frame=len(rows), camera=camera, inverse_depth=inverse_depth
-                )
-                left_times_s.append(time_s)
-                labels.append(visible.labels)
-                rows.append(truth_rows(renderer, time_s, visible))
-                if options.masks:
-                    drive_files.write_masks(folder, len(rows) - 1, part_labels[0], scene)
-                if options.disparity:
-                    objects = drive_files.object_map(
-                        inverse_depth, pinholes, visible, scene.rotations(time_s)
-                    )
-                    _write_kitti_2015(folder / "image_2", number, image)
-                    _write_kitti_2015(
-                        folder / "disp_occ_0",
-                        number,
-                        drive_files.disparity_map(inverse_depth, pinholes),
-                    )
-                    _write_kitti_2015(folder / "obj_map", number, objects)
+                left.write(image, times_s[number])
+                truth.add(number, times_s[number], image, inverse_depth, part_labels)
             if right_image is not None:
                 image = right_image.result()
-                right.write(image, time_s)  # the timestamp ignores a delay of the right camera
+                # the timestamp ignores a delay of the right camera
+                right.write(image, times_s[number])
                 if options.disparity:
                     _write_kitti_2015(folder / "image_3", number, image)
             if progress is not None:
                 progress(number + 1, n_frames)
-    truth = joined(labels)
-    detections = play_back(truth, seed=seed, image_size_px=(camera.width_px, camera.height_px))
+    labels = joined(truth.labels)
+    detections = play_back(labels, seed=seed, image_size_px=pinholes.left.size_px)
     if wide_lens is not None:
         detections = wide_lens.recorded_labels(detections)
-    write_text(drive.truth, kitti_text(truth))
-    write_text(drive.table, TRUTH_HEADER + "".join(rows))
-    write_text(drive.ego_speed, ego_speed_text(scene, left_times_s))
+    write_text(drive.truth, kitti_text(labels))
+    write_text(drive.table, TRUTH_HEADER + "".join(truth.rows))
+    write_text(drive.ego_speed, ego_speed_text(scene, truth.times_s))
     write_text(drive.contacts, contacts_text(find_contacts(scene, seconds)))
     write_text(drive.detections, kitti_text(detections))
     return drive
+
+
+class _DriveTruth:
+    """The truth of the left images, some of which is written at once."""
+
+    def __init__(
+        self, folder: Path, renderer: Renderer, rig: StereoRig, options: DriveOptions
+    ) -> None:
+        self._folder, self._renderer, self._rig, self._options = folder, renderer, rig, options
+        self.times_s: list[float] = []
+        self.labels: list[KittiLabels] = []
+        self.rows: list[str] = []
+
+    def add(
+        self,
+        number: int,
+        time_s: float,
+        image: Image,
+        inverse_depth: FloatArray32,
+        part_labels: Sequence[Any],
+    ) -> None:
+        """Add a frame of the drive; with masks, `part_labels` has the labels of its pixels."""
+        scene, options, frame = self._renderer.scene, self._options, len(self.rows)
+        visible = visible_objects(
+            scene, time_s, frame=frame, camera=self._rig.left, inverse_depth=inverse_depth
+        )
+        self.times_s.append(time_s)
+        self.labels.append(visible.labels)
+        self.rows.append(truth_rows(self._renderer, time_s, visible))
+        if options.masks:
+            drive_files.write_masks(self._folder, frame, part_labels[0], scene)
+        if options.disparity:
+            rotations = scene.rotations(time_s)
+            disparity = drive_files.disparity_map(inverse_depth, self._rig)
+            objects = drive_files.object_map(inverse_depth, self._rig, visible, rotations)
+            _write_kitti_2015(self._folder / "image_2", number, image)
+            _write_kitti_2015(self._folder / "disp_occ_0", number, disparity)
+            _write_kitti_2015(self._folder / "obj_map", number, objects)
 
 
 def _rendering(
