@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
-from track_range.foundation.arrays import FloatArray32, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
@@ -46,6 +46,7 @@ from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.truth import joined, visible_objects
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -116,10 +117,7 @@ def write_drive(
         raise ValueError(
             f"seconds: expected at least one frame, got {seconds:g} s at {fps:g} frames/s"
         )
-    scene = make_scenario(scenario, seed=seed, seconds=seconds)
-    if options.car_size != 1.0:
-        scene = scene.with_car_sizes(options.car_size)
-    scene = replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
+    scene = _scene_of(options, make_scenario(scenario, seed=seed, seconds=seconds))
     wide_lens = WideLens.of(rig) if rig.left.is_wide else None
     if wide_lens is not None and (options.disparity or options.masks):
         raise ValueError(
@@ -150,8 +148,7 @@ def write_drive(
                 truth.add(number, times_s[number], image, inverse_depth, part_labels)
             if right_image is not None:
                 image = right_image.result()
-                # the timestamp ignores a delay of the right camera
-                right.write(image, times_s[number])
+                right.write(image, times_s[number])  # without a delay of the right camera
                 if options.disparity:
                     _write_kitti_2015(folder / "image_3", number, image)
             if progress is not None:
@@ -166,6 +163,12 @@ def write_drive(
     write_text(drive.contacts, contacts_text(find_contacts(scene, seconds)))
     write_text(drive.detections, kitti_text(detections))
     return drive
+
+
+def _scene_of(options: DriveOptions, scene: Scene) -> Scene:
+    if options.car_size != 1.0:
+        scene = scene.with_car_sizes(options.car_size)
+    return replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
 
 
 class _DriveTruth:
@@ -184,7 +187,7 @@ class _DriveTruth:
         number: int,
         time_s: float,
         image: Image,
-        inverse_depth: FloatArray32,
+        inverse_depth: FloatArray,
         part_labels: Sequence[Any],
     ) -> None:
         """Add a frame of the drive; with masks, `part_labels` has the labels of its pixels."""
