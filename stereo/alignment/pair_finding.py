@@ -91,6 +91,12 @@ class PairFinding:
         return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
 
     @property
+    def needs_correction(self) -> bool:
+        """Whether the images are corrected before the alignment is estimated."""
+        is_shifted = self.fault == "fits" and self.prior != NOT_MEASURED
+        return is_shifted or self.fault in ("verged", "turned")
+
+    @property
     def has_stereo(self) -> bool:
         """Whether the pair can be ranged."""
         return self.fault not in ("swapped", "refused")

@@ -365,17 +365,19 @@ def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
 def test_rig_holds_the_alignment_of_its_images(pair):
     given = Alignment(offset_px=7.4, residual_px=0.1)
     recording = open_recording(*pair, align=given)
-    assert recording.rig.alignment.at(1.0) == given.after_shift()  # the images are shifted by 7 px
-    assert open_recording(pair[0]).alignment is None
+    assert recording.rig.alignment == given.after_shift()  # the images are shifted by 7 px
+    assert next(recording.frames).alignment == given.after_shift()
+    single = open_recording(pair[0])
+    assert (single.alignment, next(single.frames).alignment) == (None, None)
     off = open_recording(*pair, align="off")
-    assert off.alignment.at(0.0).offset_px == 0.0
+    assert off.alignment.offset_px == next(off.frames).alignment.offset_px == 0.0
 
 
 def test_alignment_given(pair):
     rows = Alignment(row_offset_px=4.0)
     recording = open_recording(pair[0], pair[1], align=rows, has_checks=False)
     assert recording.calibration.alignment.measured is rows
-    assert recording.monitors == ()
+    assert (recording.finding, recording.sync) == (None, None)
 
 
 def test_files_are_closed_when_opening_fails(tmp_path, film):
