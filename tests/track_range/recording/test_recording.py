@@ -1,5 +1,6 @@
 """Tests of opening pairs and single videos, with folders of small textured images."""
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import av
@@ -371,6 +372,21 @@ def test_rig_holds_the_alignment_of_its_images(pair):
     assert (single.alignment, next(single.frames).alignment) == (None, None)
     off = open_recording(*pair, align="off")
     assert off.alignment.offset_px == next(off.frames).alignment.offset_px == 0.0
+
+
+def test_progress_of_the_estimate_is_shown(pair):
+    tasks, steps = [], []
+
+    @contextmanager
+    def progress(task):
+        tasks.append(task)
+        yield lambda done, total: steps.append((done, total))
+
+    open_recording(*pair, progress=progress).close()
+    assert tasks == ["estimating the alignment"]
+    assert {total for _, total in steps} <= {80}  # tenths of a second
+    open_recording(*pair, align="off", progress=progress).close()
+    assert len(tasks) == 1
 
 
 def test_alignment_given(pair):

@@ -119,7 +119,6 @@ class _Sample:
 
     recorded: RecordedFrame
     aligned: Frame  # synchronised and rectified
-    calibration: RecordingCalibration  # by which it is rectified
     is_recorded: bool  # whether its right image is that of `recorded`
 
 
@@ -330,7 +329,7 @@ class PairAligner:
             has_stereo = self._checked(self._check, frame)
         self._sample = None
         if self._state is not None and (self._finding is None or self._finding.has_stereo):
-            self._sample = _Sample(recorded, frame, calibration, is_recorded)
+            self._sample = _Sample(recorded, frame, is_recorded)
         if self._policy.reads_ahead:
             self.estimate()
         alignment = self._calibration.alignment
