@@ -79,6 +79,13 @@ def test_a_given_alignment_needs_no_explanation_of_a_first_pair_that_looks_right
     assert not aligner.can_estimate
 
 
+def test_a_given_alignment_and_a_black_first_image() -> None:
+    (first, *rest) = standing(3)
+    black = replace(first, images=(first.images[0], np.zeros_like(first.images[1])))
+    aligner = PairAligner(calibrated(), ONE_BY_ONE, GIVEN)
+    assert {one.frame.right for one in stepped(aligner, [black, *rest])} == {None}
+
+
 @pytest.mark.parametrize("policy", [RECORDED, LIVE])
 def test_frames_that_are_read_ahead_are_all_returned_with_their_alignment(policy) -> None:
     recorded = standing(12, step_s=0.1)

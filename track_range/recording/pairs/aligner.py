@@ -4,22 +4,26 @@ their alignment.
     recorded frame -> rectify -> synchronise (`SyncMonitor`) -> check (`PairMonitor`)
                    -> estimate, or measure the drift -> frame with its alignment
 
-    alignment    frames that are returned       event -> next
-    looking      none: they are read again      enough frames -> following, fixed or refused
-                                                the finding has a correction -> looking, with it
-    estimating   without right images until     estimate -> estimating, with it
-                 the pair is explained          last estimate -> following
-                                                verged, turned -> estimating, with the correction
-                                                refused -> refused
-    following    corrected, with the drift      measurement of the drift -> following, with it
-                                                verged, refused -> refused
-    fixed        corrected by what is given,    verged, refused -> refused
-                 or not corrected
-    refused      without right images           -
+    state        frames that are returned         event                      -> next state
+    looking      none: they are read again        enough frames              -> following, fixed
+                                                  verged, turned, rows       -> looking, corrected
+                                                  refused                    -> refused
+    estimating   not corrected, or by the last    estimate                   -> estimating
+                 estimate; without right images   last estimate              -> following
+                 until the pair is explained      verged, turned             -> estimating, corrected
+                                                  refused                    -> refused
+    following    corrected, with the drift        measurement of the drift   -> following
+                                                  verged, refused            -> see `reads_ahead`
+    fixed        corrected by what is given, or   verged, refused            -> refused
+                 not corrected                    turned                     -> fixed, corrected
+    refused      without right images; or, if it  -
+                 was looking, without a rig
 
-Frames of files and cameras are read ahead, so they start with looking (`look`, `start`); frames that
-come one by one with estimating (`add`, `estimate`). A given alignment is fixed. Swapped images are an
-error in each state. What differs further is in `AlignerPolicy`.
+Events are explanations of `PairMonitor` (`stereo.alignment.pair_finding`) or
+estimates. Frames of files and cameras are read ahead, so they start with looking (`look`, `start`);
+frames that come one by one with estimating (`add`, `estimate`); both with fixed if the alignment is
+given, after a look. Swapped images are an error in each state. What depends on the source of the
+frames is in `AlignerPolicy`.
 """
 
 import math
@@ -117,13 +121,12 @@ class _Look:
 class _Sample:
     """A frame from which the alignment may be estimated."""
 
-    recorded: RecordedFrame
     aligned: Frame  # synchronised and rectified
-    is_recorded: bool  # whether its right image is that of `recorded`
+    recorded: RecordedFrame | None  # None = its right image is that of another one
 
 
 class PairAligner:
-    """Aligns the frames of a pair, in order; used by one thread at a time.
+    """Aligns the frames of a pair, in order, in one thread at a time; what it returns are values.
 
     Frames that are read ahead: `look` and `start` as long as `is_looking`, then `frames`. Frames that
     come one by one: `add`, and then `estimate`, which may take seconds.
@@ -311,25 +314,24 @@ class PairAligner:
         """
         frame = self._calibration.rectified(recorded)
         ready = [frame] if self._sync is None else self._sync.add(frame)
-        return [self._aligned(one, recorded, is_recorded=one is frame) for one in ready]
+        return [self._aligned(one, recorded if one is frame else None) for one in ready]
 
     def frames(self, recorded: Iterable[RecordedFrame]) -> Iterator[Frame]:
         """All frames of a recording whose first ones were read ahead."""
-        last: RecordedFrame | None = None
-        for last in recorded:
-            yield from (aligned.frame for aligned in self.add(last))
-        if last is not None and self._sync is not None:  # the frames that still wait
+        for one in recorded:
+            yield from (aligned.frame for aligned in self.add(one))
+        if self._sync is not None:
             for frame in self._sync.flush():
-                yield self._aligned(frame, last, is_recorded=False).frame
+                yield self._aligned(frame, None).frame
 
-    def _aligned(self, frame: Frame, recorded: RecordedFrame, *, is_recorded: bool) -> AlignedFrame:
+    def _aligned(self, frame: Frame, recorded: RecordedFrame | None) -> AlignedFrame:
         """A simultaneous frame after its check, with its alignment."""
         calibration, has_stereo = self._calibration, self._has_stereo
         if self._check is not None:
             has_stereo = self._checked(self._check, frame)
         self._sample = None
         if self._state is not None and (self._finding is None or self._finding.has_stereo):
-            self._sample = _Sample(recorded, frame, is_recorded)
+            self._sample = _Sample(frame, recorded)
         if self._policy.reads_ahead:
             self.estimate()
         alignment = self._calibration.alignment
@@ -405,16 +407,13 @@ class PairAligner:
             window, alignment = self._state.add(sample.aligned), self._calibration.alignment
             if window is not None and alignment is not None:
                 self._calibration = replace(self._calibration, alignment=alignment.after(window))
-        elif isinstance(self._state, AlignmentEstimates) and sample.is_recorded:
-            estimate = self._state.add(self._without_alignment(sample))
+        elif isinstance(self._state, AlignmentEstimates) and sample.recorded is not None:
+            unaligned = sample.aligned
+            if self._calibration.rectifier is not self._unaligned.rectifier:
+                unaligned = self._unaligned.rectified(sample.recorded)
+            estimate = self._state.add(unaligned)
             if estimate is not None:
-                self._apply(estimate, sample.aligned.time_s)
-
-    def _without_alignment(self, sample: _Sample) -> Frame:
-        """The frame as estimates use it."""
-        if self._calibration.rectifier is self._unaligned.rectifier:
-            return sample.aligned
-        return self._unaligned.rectified(sample.recorded)
+                self._apply(estimate, unaligned.time_s)
 
     def _apply(self, estimate: Estimate, time_s: float) -> None:
         """Use an estimate; one that measured nothing only if it shows that less is known."""

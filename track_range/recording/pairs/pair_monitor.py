@@ -121,8 +121,10 @@ class PairMonitor:
     @property
     def has_stereo_so_far(self) -> bool:
         """Whether the pairs so far can be ranged, although they may not be enough for an
-        explanation.
+        explanation; False without pairs.
         """
+        if not self._evidence.n_pairs:
+            return False
         return find_fault(self._evidence.figures(), self._rig).has_stereo
 
     @property
