@@ -484,10 +484,6 @@ class Pipeline:
         return _Parts(calibration, aligner, stages)
 
 
-# former names of the pipelines of two cameras and of one
-StereoPipeline = MonoPipeline = Pipeline
-
-
 def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 

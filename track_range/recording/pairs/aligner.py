@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 from track_range.recording.cameras.calibration import RecordingCalibration, assumed_rig
 from track_range.recording.frame import RecordedFrame
 from track_range.recording.pairs.auto_alignment import PairAlignment
-from track_range.recording.pairs.estimates import AlignmentEstimates, Estimate
+from track_range.recording.pairs.estimates import AlignmentEstimates, PairEstimate
 from track_range.recording.pairs.pair_monitor import MAX_FRAMES, PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.threads import FRAMES_AHEAD
@@ -415,7 +415,7 @@ class PairAligner:
             if estimate is not None:
                 self._apply(estimate, unaligned.time_s)
 
-    def _apply(self, estimate: Estimate, time_s: float) -> None:
+    def _apply(self, estimate: PairEstimate, time_s: float) -> None:
         """Use an estimate; one that measured nothing only if it shows that less is known."""
         measured, before = estimate.alignment.measured, self._calibration.alignment
         now = Alignment() if before is None else before.at(time_s)

@@ -17,7 +17,7 @@ from track_range.stereo.geometry.rig import StereoRig
 _MAX_STATIC_FRAMES = 50
 
 
-class Estimate(NamedTuple):
+class PairEstimate(NamedTuple):
     """An alignment estimated from some frames."""
 
     alignment: PairAlignment
@@ -42,7 +42,7 @@ class AlignmentEstimates:
         self._n_static = 0
         self._n_estimates = 0  # of those that are due, with the first one
 
-    def add(self, frame: Frame) -> Estimate | None:
+    def add(self, frame: Frame) -> PairEstimate | None:
         """Use the next frame; returns an estimate if one is due.
 
         A last estimate that measures nothing (the view was blocked, or without texture) is the
@@ -66,7 +66,7 @@ class AlignmentEstimates:
         if is_last and not alignment.measured.is_measured:
             self._start()
             is_last = False
-        return Estimate(alignment, is_last)
+        return PairEstimate(alignment, is_last)
 
     def _is_next(self, n_due: int) -> bool:
         """Whether another estimate is due, of which `n_due` have their time."""
