@@ -24,7 +24,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SizeModel
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -170,8 +170,6 @@ class MethodContext:
         camera: the (left) camera, undistorted.
         rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
         assumed_rig: an uncalibrated, row-aligned pair with an assumed baseline; None = any other.
-        alignment: correction of the rig's disparities.
-        drifting_alignment: the same over the time of the drive; None = constant.
         focal_sigma: relative sigma of the focal length, which all methods share; 0 = calibrated.
         size_model: sizes of road users; None = the packaged model.
         box_sigma_px: sigma of one box edge; None = the noise model of a detector (`BoxNoise`).
@@ -193,8 +191,6 @@ class MethodContext:
     camera: PinholeCamera
     rig: StereoRig | None = None
     assumed_rig: StereoRig | None = None
-    alignment: AlignmentSource = field(default_factory=Alignment)
-    drifting_alignment: AlignmentSource | None = None
     focal_sigma: float = 0.0
     size_model: SizeModel | None = None
     box_sigma_px: float | None = None
@@ -209,6 +205,14 @@ class MethodContext:
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
     runtime: Runtime | None = None
     rangers: Mapping[str, Ranger] = field(default_factory=dict)
+
+    @property
+    def alignment(self) -> Alignment:
+        """Correction of the rig's disparities in frames that hold none; `rig.alignment_of(frame)` is
+        that of any frame.
+        """
+        known = None if self.rig is None else self.rig.alignment
+        return known or Alignment()
 
     @property
     def available(self) -> frozenset[Requirement]:

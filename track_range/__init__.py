@@ -84,9 +84,9 @@ if TYPE_CHECKING:
     )
     from track_range.run.pipeline import (
         FrameError as FrameError,
-        MonoPipeline as MonoPipeline,
+        Pipeline as MonoPipeline,
         Pipeline as Pipeline,
-        StereoPipeline as StereoPipeline,
+        Pipeline as StereoPipeline,
     )
     from track_range.run.run import Run as Run
     from track_range.run.settings import RunSettings as RunSettings
@@ -108,7 +108,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "run.run": "Run",
-    "run.pipeline": "Pipeline StereoPipeline MonoPipeline FrameError",
+    "run.pipeline": "Pipeline FrameError",
     "run.settings": "RunSettings",
     "pipeline.frame_result": "FrameResult TrackedObject",
     "api.parts": "open_recording Detector Tracker load_rig",
@@ -162,6 +162,9 @@ _SOURCES = {
     for name in names.split()
 }
 
+# names of earlier versions, which are not listed
+_FORMER_NAMES = {"StereoPipeline": "Pipeline", "MonoPipeline": "Pipeline"}
+
 __all__ = ["__version__", *_SOURCES]
 
 
@@ -170,9 +173,10 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("track-range")
-    if name not in _SOURCES:
+    source = _SOURCES.get(_FORMER_NAMES.get(name, name))
+    if source is None:
         raise AttributeError(f"module 'track_range' has no attribute {name!r}")
-    module, attribute = _SOURCES[name]
+    module, attribute = source
     value = getattr(import_module(f"track_range.{module}"), attribute)
     globals()[name] = value  # later uses do not call __getattr__
     return value

@@ -9,7 +9,7 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.ranging.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.triangulation import Triangulation
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
@@ -26,12 +26,13 @@ class DenseRanger(Ranger):
         rig: StereoRig,
         settings: SgbmSettings | None = None,
         *,
-        alignment: AlignmentSource | None = None,
+        alignment: Alignment | None = None,
     ) -> None:
-        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = the
-        rig's alignment.
+        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = that of
+        each frame, or of the rig.
         """
-        self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
+        self._rig, self._given = rig, alignment
+        self._triangulate = Triangulation(rig)
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
@@ -50,7 +51,8 @@ class DenseRanger(Ranger):
             disparity, tracks.xyxy_px, settings=self._settings
         )
         disparity_px = np.where(tracks.observed, disparity_px, np.nan)
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
+        alignment = self._given or self._rig.alignment_of(frame)
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px, alignment)
 
     def close(self) -> None:
         """Drop pending frames and end the thread."""
@@ -69,9 +71,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         return None
     settings = SgbmSettings.for_rig(context.rig, chosen=context.sgbm_options)
-    return DenseRanger(
-        context.rig, settings, alignment=context.drifting_alignment or context.alignment
-    )
+    return DenseRanger(context.rig, settings)
 
 
 SGBM = RangingMethod(

@@ -27,7 +27,7 @@ from track_range.ranging.methods.triangulation import (
 )
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
@@ -72,15 +72,15 @@ class StereoRanger(Ranger):
         rig: StereoRig,
         matcher: BoxMatcher | None = None,
         *,
-        alignment: AlignmentSource | None = None,
+        alignment: Alignment | None = None,
     ) -> None:
         """Create a ranger for a rectified rig.
 
         Args:
             rig: the rectified pair (`Recording.rig`, `Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
-            alignment: correction of the disparities; None = the alignment of the rig, which
-                `open_recording` has estimated.
+            alignment: correction of the disparities; None = the alignment of each frame, which
+                frames of `open_recording` hold, or that of the rig.
 
         Raises ValueError: the rig is not rectified.
         """
@@ -88,8 +88,8 @@ class StereoRanger(Ranger):
             raise ValueError(
                 "rig: expected a rectified pair; use Rectifier(rig).rig, and its images"
             )
-        self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
-        self._rig = rig
+        self._rig, self._given = rig, alignment
+        self._triangulate = Triangulation(rig)
         self._n_surfaces: Counter[int] = Counter()
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 
@@ -120,8 +120,9 @@ class StereoRanger(Ranger):
             by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
         details = self._surfaces(tracks) if frame.right is not None else None
+        alignment = self._given or self._rig.alignment_of(frame)
         ranges = self._triangulate.ranges(
-            tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details
+            tracks, disparity_px, sigma_px, alignment, details=details
         )
         return Measured(ranges, ScaleEvidence(tracks.class_id, None, ranges, _REFERENCE_SIGMA))
 
@@ -277,7 +278,7 @@ def _create(context: MethodContext) -> Ranger | None:
         return SizeScaledRanger(
             matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma
         )
-    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment)
+    return StereoRanger(rig)
 
 
 STEREO = RangingMethod(

@@ -15,7 +15,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.alignment.model import AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matches import (
@@ -40,22 +40,20 @@ class Triangulation:
     """Conversion of disparities to distances."""
 
     rig: StereoRig
-    alignment: AlignmentSource  # correction of the disparities
 
     def ranges(
         self,
         tracks: Tracks,
         disparity_px: FloatArray,
         sigma_px: FloatArray,
+        alignment: Alignment,
         *,
-        time_s: float = 0.0,
         details: Mapping[str, FloatArray] | None = None,
     ) -> Ranges:
-        """Distances of N tracks at a time from (N,) disparities and their standard deviations; NaN
-        unless d > 0.
+        """Distances of N tracks from (N,) disparities, which `alignment` corrects, and their standard
+        deviations; NaN unless d > 0.
         """
         x_px = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
-        alignment = self.alignment.at(time_s)
         d, sigma_d = alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
         Z = self.rig.distance_m(d)
         sigma_Z = Z**2 / (self.rig.left.fx_px * self.rig.baseline_m) * sigma_d

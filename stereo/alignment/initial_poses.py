@@ -8,6 +8,8 @@ fastest motion that has points all over the image in most steps, and the points 
 it are omitted. Rays and inverse depths start from the first observation of a point.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -73,6 +75,10 @@ class _Step(NamedTuple):
     points_m: FloatArray
     xy_px: FloatArray
     cell: IntArray
+
+    def only(self, is_used: BoolArray) -> _Step:
+        """The points in the mask (N,)."""
+        return _Step(self.points_m[is_used], self.xy_px[is_used], self.cell[is_used])
 
 
 class _Motion(NamedTuple):
@@ -170,51 +176,74 @@ def _steps(
     return steps, pairs
 
 
+class _Candidate(NamedTuple):
+    """A motion found in one of the steps, and its support there."""
+
+    step: int
+    motion: _Motion
+    support: float
+
+
 def _static_motions(
     steps: Sequence[_Step], camera: PinholeCamera
 ) -> tuple[list[_Motion], float] | None:
     """The motion of the static scene in each step, and its support; None if no motion has enough
     inliers.
     """
-    key_steps, candidates, support = list[int](), list[_Motion](), list[float]()
-    for number in sorted(
-        set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist())
-    ):
-        rest = steps[number]
-        # that with the most inliers, then those of the remaining points
-        for _ in range(_N_MOTIONS):
-            motion = _motion(rest, camera)
-            if motion is None:
-                break
-            key_steps.append(number)
-            candidates.append(motion)
-            support.append(_support(steps[number], motion, camera))
-            is_outlier = ~_agrees(rest.points_m, rest.xy_px, motion, camera, _MAX_ERROR_PX)
-            rest = _Step(*(column[is_outlier] for column in rest))
+    key_steps = np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist()
+    candidates = [
+        candidate
+        for number in sorted(set(key_steps))
+        for candidate in _candidates(number, steps[number], camera)
+    ]
     if not candidates:
         return None
-    translation_m = np.array([motion.translation_m for motion in candidates])
+    static, support = _static_group(candidates)
+    motions = []
+    for number, step in enumerate(steps):
+        steps_away = [abs(candidate.step - number) for candidate in static]
+        nearest = static[steps_away.index(min(steps_away))].motion
+        motions.append(_refined(step, camera, nearest) or nearest)
+    return motions, support
+
+
+def _candidates(number: int, step: _Step, camera: PinholeCamera) -> list[_Candidate]:
+    """The motion of a step with the most inliers, then those of the remaining points."""
+    candidates, rest = list[_Candidate](), step
+    for _ in range(_N_MOTIONS):
+        motion = _motion(rest, camera)
+        if motion is None:
+            break
+        candidates.append(_Candidate(number, motion, _support(step, motion, camera)))
+        is_outlier = ~_agrees(rest.points_m, rest.xy_px, motion, camera, _MAX_ERROR_PX)
+        rest = rest.only(is_outlier)
+    return candidates
+
+
+def _static_group(candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], float]:
+    """The motions of the static scene, at most one in each step, and their support."""
+    translation_m = np.array([candidate.motion.translation_m for candidate in candidates])
     length_m = np.linalg.norm(translation_m, axis=1)
     difference_m = np.linalg.norm(translation_m[:, None] - translation_m, axis=2)
     is_alike = difference_m <= _MAX_CHANGE * np.maximum(length_m[:, None], length_m) + _MAX_CHANGE_M
-    groups = []  # of motions like each one, that with the most support in each step
-    for alike in is_alike:
-        group: dict[int, int] = {}
-        for other in np.flatnonzero(alike).tolist():
-            step = key_steps[other]
-            if step not in group or support[other] > support[group[step]]:
-                group[step] = other
-        groups.append(list(group.values()))
-    supports = np.array([sum(support[member] for member in group) for group in groups])
+    groups = [
+        _best_of_steps([candidates[i] for i in np.flatnonzero(alike).tolist()])
+        for alike in is_alike
+    ]
+    supports = np.array([sum(one.support for one in group) for group in groups])
     is_usual = supports >= _MIN_SUPPORT * supports.max()
     fastest = int(np.where(is_usual, length_m, -1.0).argmax())
     best = int(np.where(is_usual & is_alike[fastest], supports, -1.0).argmax())
-    motions = []
-    for number, step_points in enumerate(steps):
-        steps_away = {member: abs(key_steps[member] - number) for member in groups[best]}
-        nearest = candidates[min(steps_away, key=steps_away.__getitem__)]
-        motions.append(_refined(step_points, camera, nearest) or nearest)
-    return motions, float(supports[best])
+    return groups[best], float(supports[best])
+
+
+def _best_of_steps(alike: Sequence[_Candidate]) -> list[_Candidate]:
+    """The motion with the most support in each step."""
+    best = dict[int, _Candidate]()
+    for candidate in alike:
+        if candidate.step not in best or candidate.support > best[candidate.step].support:
+            best[candidate.step] = candidate
+    return list(best.values())
 
 
 def _support(step: _Step, motion: _Motion, camera: PinholeCamera) -> float:

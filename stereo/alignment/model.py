@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -39,14 +38,6 @@ MAX_ROW_OFFSET_PX = 0.3  # largest vertical offset without a warning and a corre
 # Largest offset that is only added to disparities. For larger ones the right image is also shifted
 # by whole pixels: otherwise the disparities of far objects would be below those that are searched.
 _MAX_OFFSET_PX = 1.0
-
-
-class AlignmentSource(Protocol):
-    """An alignment that may change during a drive."""
-
-    def at(self, time_s: float) -> Alignment:
-        """The alignment of the frame at `time_s`."""
-        ...
 
 
 # Keys in alignment files and JSON of the fields of `Alignment` with other names.
@@ -100,10 +91,6 @@ class Alignment:
     def error_px(self, u: FloatArray) -> FloatArray:
         """(N,) d_true - d_measured at the columns `u` (N,) from the axis."""
         return np.asarray(self.offset_px + self.slope_px * u + self.curvature_px * u**2)
-
-    def at(self, time_s: float) -> Alignment:
-        """This alignment, at every time."""
-        return self
 
     @property
     def shift_px(self) -> float:

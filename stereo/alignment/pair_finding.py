@@ -91,6 +91,12 @@ class PairFinding:
         return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
 
     @property
+    def needs_correction(self) -> bool:
+        """Whether the images are corrected before the alignment is estimated."""
+        is_shifted = self.fault == "fits" and self.prior != NOT_MEASURED
+        return is_shifted or self.fault in ("verged", "turned")
+
+    @property
     def has_stereo(self) -> bool:
         """Whether the pair can be ranged."""
         return self.fault not in ("swapped", "refused")
@@ -158,26 +164,36 @@ def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool |
     """Whether left and right are exchanged, None = contradictory; whether the road is below; None =
     unknown.
     """
-    above, below = figures.ground
-    is_below, is_above = (
-        abs(one) >= _MIN_GROUND and abs(one) > abs(other) + _GROUND_LEAD
-        for one, other in ((below, above), (above, below))
-    )
-    by_ground = (below < 0 if is_below else above > 0) if is_below or is_above else None
-    is_upright = is_below if is_below or is_above else None
+    by_ground, is_upright = _vote_of_ground(figures)
     is_negative = float((figures.disparity_px < _NEGATIVE_PX).mean()) > _MIN_EXCHANGED
-    motion = _best(figures, rig)
-    by_motion = None
-    if motion is not None:
-        own, other = (
-            motion.support,
-            max(m.exchanged_support for m in (figures.motion, figures.turned_motion) if m),
-        )
-        by_motion = True if other > _LEAD * own else False if own > _LEAD * other else None
-    votes = {vote for vote in (by_motion, by_ground) if vote is not None}
     if not is_negative:
         return False, is_upright
+    votes = {_vote_of_motion(figures, rig), by_ground} - {None}
     return (votes.pop() if len(votes) == 1 else None), is_upright
+
+
+def _vote_of_ground(figures: PairFigures) -> tuple[bool | None, bool | None]:
+    """Whether left and right are exchanged, and whether the road is below, by how disparities grow
+    with rows; None = unknown.
+    """
+    above, below = figures.ground
+    if abs(below) >= _MIN_GROUND and abs(below) > abs(above) + _GROUND_LEAD:
+        return below < 0, True
+    if abs(above) >= _MIN_GROUND and abs(above) > abs(below) + _GROUND_LEAD:
+        return above > 0, False
+    return None, None
+
+
+def _vote_of_motion(figures: PairFigures, rig: StereoRig) -> bool | None:
+    """Whether left and right are exchanged, by the motion of the camera; None = unknown."""
+    motion = _best(figures, rig)
+    if motion is None:
+        return None
+    own = motion.support
+    other = max(m.exchanged_support for m in (figures.motion, figures.turned_motion) if m)
+    if other > _LEAD * own:
+        return True
+    return False if own > _LEAD * other else None
 
 
 def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:

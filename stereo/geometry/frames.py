@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
+from track_range.stereo.alignment.model import Alignment
 
 
 class ImageView(Protocol):
@@ -49,6 +50,8 @@ class Frame:
     utc_s: float = math.nan
     # left image of a wide lens before it was undistorted; None for other lenses
     recorded: Image | None = None
+    # correction of the disparities of these images, as known at their time; None = that of the rig
+    alignment: Alignment | None = None
 
     def __repr__(self) -> str:
         height, width = self.left.shape[:2]

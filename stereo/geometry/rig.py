@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
-from track_range.stereo.alignment.model import AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 
 
 class RigError(UserError):
@@ -55,9 +56,8 @@ class StereoRig:
     left: PinholeCamera  # the left camera; all distances are in its frame
     right: PinholeCamera  # the right camera
     right_from_left: FloatArray  # (4, 4) rigid transform, metres
-    # correction of the disparities of a rectified pair, as `open_recording` estimates it; None =
-    # unknown
-    alignment: AlignmentSource | None = None
+    # correction of the disparities of a rectified pair, for frames that hold none; None = unknown
+    alignment: Alignment | None = None
     # of a calibration with a board, which every sigma contains; None = unknown
     accuracy: RigAccuracy | None = None
 
@@ -88,6 +88,12 @@ class StereoRig:
             and np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
             and np.allclose(self.right_from_left, translation, atol=1e-9)
         )
+
+    def alignment_of(self, frame: Frame) -> Alignment:
+        """The correction of the disparities of a frame of this pair; without any, their sigma is that
+        of a pair that was not aligned.
+        """
+        return frame.alignment or self.alignment or Alignment()
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
         """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <=

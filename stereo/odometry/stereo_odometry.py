@@ -33,7 +33,7 @@ from track_range.foundation.sparse_flow import (
     small_grey,
     tracked_corners,
 )
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -116,7 +116,7 @@ class MotionFit(NamedTuple):
 class StereoOdometry:
     """Measures the motion of a rectified pair; the state belongs to the instance.
 
-    `alignment` corrects its disparities; None = not measured. Other estimators may use the same
+    `alignment` corrects its disparities; None = that of each frame, or of the rig. Other estimators may use the same
     `flow` of the background in the left images; None = a separate one. Raises ValueError if the rig
     is not rectified.
     """
@@ -126,14 +126,13 @@ class StereoOdometry:
     def __init__(
         self,
         rig: StereoRig,
-        alignment: AlignmentSource | None = None,
+        alignment: Alignment | None = None,
         *,
         flow: BackgroundFlow | None = None,
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
-        self._rig = rig
-        self._alignment: AlignmentSource = alignment or Alignment()
+        self._rig, self._given = rig, alignment
         self._image_hw = rig.left.height_px, rig.left.width_px
         self._flow = flow or BackgroundFlow()
         self._n_halved = self._flow.n_halvings(self._image_hw)
@@ -165,15 +164,15 @@ class StereoOdometry:
         now = self._flow.now
         if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        self._before = self._view(
-            frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved)
-        )
+        alignment = self._given or self._rig.alignment_of(frame)
+        right = small_grey(whole_image(frame.right), self._n_halved)
+        self._before = self._view(frame.time_s, now, right, alignment)
         if before is None or not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
             return EgoMotion()
         time_s, dt_s = frame.time_s, frame.time_s - before.time_s
         fit = self._fit(before, self._before.left, now.is_masked)
         if fit is not None:
-            speed_mps, sigma_mps, systematic_mps = self._speed(fit, time_s, dt_s)
+            speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, alignment)
             if sigma_mps <= max(_MAX_SIGMA_MPS, _MAX_RELATIVE_SIGMA * abs(speed_mps)):
                 self._motion = fit.motion
                 filtered = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
@@ -182,7 +181,7 @@ class StereoOdometry:
         # without a measurement: the predicted speed, for a short time
         return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
 
-    def _view(self, time_s: float, frame: FlowFrame, right: Image) -> _View:
+    def _view(self, time_s: float, frame: FlowFrame, right: Image, alignment: Alignment) -> _View:
         """Corners of the left image that are also found in the right image."""
         left = frame.small
         corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
@@ -204,7 +203,6 @@ class StereoOdometry:
             factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2,
             np.zeros(len(corners)),
         )
-        alignment = self._alignment.at(time_s)
         full_px, _ = alignment.corrected(
             disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left
         )
@@ -257,14 +255,16 @@ class StereoOdometry:
         )
         return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
 
-    def _speed(self, fit: MotionFit, time_s: float, dt_s: float) -> tuple[float, float, float]:
+    def _speed(
+        self, fit: MotionFit, dt_s: float, alignment: Alignment
+    ) -> tuple[float, float, float]:
         """Speed along the optical axis, its independent standard deviation, and the deviation
         common to all frames.
         """
         # z of the displacement -R^T t
         forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
-        alignment_sigma_px = self._alignment.at(time_s).residual_px / (1 << self._n_halved)
+        alignment_sigma_px = alignment.residual_px / (1 << self._n_halved)
         offset = alignment_sigma_px / self._focal_baseline_m
         return (
             speed_mps,

@@ -31,9 +31,11 @@ def tracks_of(*ids, box=(100, 60, 200, 140)):
 
 
 def test_depth_and_sigma_by_hand():
-    triangulate = Triangulation(RIG, Alignment(residual_px=0.0))
-    ranges = triangulate.ranges(
-        tracks_of(1, 2, 3), np.array([10.0, -1.0, np.nan]), np.array([0.1, 0.1, np.nan])
+    ranges = Triangulation(RIG).ranges(
+        tracks_of(1, 2, 3),
+        np.array([10.0, -1.0, np.nan]),
+        np.array([0.1, 0.1, np.nan]),
+        Alignment(residual_px=0.0),
     )
     assert ranges.distance_m[0] == pytest.approx(50.0)  # 1000 px * 0.5 m / 10 px
     assert ranges.sigma_m[0] == pytest.approx(0.5)  # 50^2 / 500 * 0.1
@@ -44,17 +46,26 @@ def test_disparities_are_aligned_before_triangulation():
     """The box centre is column 150, 9.5 px from the axis: the curvature term is (9.5 / 160)^2 of
     that at the edge."""
     alignment = Alignment(offset_px=0.5, curvature_px=-1.6, residual_px=0.4)
-    ranges = Triangulation(RIG, alignment).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]))
+    ranges = Triangulation(RIG).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]), alignment)
     disparity_px = 9.5 + 0.5 - 1.6 * (9.5 / 160) ** 2
     assert ranges.distance_m == pytest.approx([500 / disparity_px])
     assert ranges.sigma_m == pytest.approx([500 / disparity_px**2 * 0.5])  # hypot(0.3, 0.4)
 
 
-@pytest.mark.parametrize("given", [None, Alignment(offset_px=1.0, residual_px=0.0)])
-def test_alignment_of_the_rig_is_the_default(given):
-    rig = replace(RIG, alignment=Alignment(offset_px=0.5, residual_px=0.0))
-    ranges = StereoRanger(rig, Recorder(), alignment=given).measure(tracks_of(1), frame_at(0.0))
-    assert ranges.distance_m == pytest.approx([500 / (11.0 if given else 10.5)])
+@pytest.mark.parametrize(
+    ("of_frame_px", "given_px", "disparity_px"),
+    [(None, None, 10.5), (0.25, None, 10.25), (0.25, 1.0, 11.0), (None, 1.0, 11.0)],
+)
+def test_a_given_alignment_comes_first_then_that_of_the_frame_then_that_of_the_rig(
+    of_frame_px, given_px, disparity_px
+):
+    def shift(offset_px):
+        return None if offset_px is None else Alignment(offset_px=offset_px, residual_px=0.0)
+
+    rig = replace(RIG, alignment=shift(0.5))
+    frame = replace(frame_at(0.0), alignment=shift(of_frame_px))
+    ranges = StereoRanger(rig, Recorder(), alignment=shift(given_px)).measure(tracks_of(1), frame)
+    assert ranges.distance_m == pytest.approx([500 / disparity_px])
 
 
 def test_sigma_includes_an_unmeasured_alignment():

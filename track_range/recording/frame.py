@@ -4,6 +4,7 @@ share.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -82,6 +83,16 @@ class VideoFrame:
         if decoded is None:
             return lambda: self
         return lambda: VideoFrame(index, time_s, decoded.to_bgr(), decoded)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """The images of one or two cameras at one time, before they are rectified."""
+
+    index: int  # number of the frame
+    time_s: float  # since the first frame
+    images: tuple[Image, ...]  # of the left or only camera, and of the right one
+    utc_s: float = math.nan  # NaN = unknown
 
 
 def bgr_image(frame: av.VideoFrame) -> Image:

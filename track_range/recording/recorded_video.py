@@ -78,6 +78,10 @@ class RecordedVideo(ABC):
         the last frame.
         """
 
+    def forget_first_image(self) -> None:
+        """Free the memory of `first_image`."""
+        self.first_image = None
+
     @property
     def parts(self) -> tuple[VideoPart, ...]:
         """The video files, or the folder of images, with their times; none for a topic of a bag."""

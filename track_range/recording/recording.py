@@ -4,20 +4,21 @@ open the videos -> find and check the calibration -> check and align with the fi
 rectified frames
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.cameras.calibration import (
     LensView,
     RecordingCalibration,
     Video,
-    assumed_rig,
     find_calibration,
 )
 from track_range.recording.files.image_names import stereo_images
@@ -29,47 +30,35 @@ from track_range.recording.names import (
     Bayer,
     Half,
     LayoutOption,
+    RecordedName,
     Segments,
     VideoName,
     VideoTrack,
     video_name,
 )
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.auto_alignment import (
+from track_range.recording.pairs.aligner import (
     ESTIMATION_SPAN_S,
-    PairAlignment,
-    find_alignment,
-    given_alignment,
+    LIVE,
+    RECORDED,
+    PairAligner,
 )
+from track_range.recording.pairs.auto_alignment import given_alignment
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
-from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import find_layout, mono_notes
-from track_range.recording.pairs.sync_monitor import PERIOD, SyncMonitor
+from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.threads import FRAMES_AHEAD
 from track_range.recording.utc import UtcStart, parsed_utc
-from track_range.stereo.alignment.drift import DriftMonitor
-from track_range.stereo.alignment.from_drive import MIN_STEP_S
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
-from track_range.stereo.alignment.pair_finding import LATER, PairFinding
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 PairedVideos = RecordedPair | LivePair | PackedPair
-# a check that receives each frame once, in order of time
-Monitor = PairMonitor | SyncMonitor | DriftMonitor
-
-_UNSTEADY = (
-    "not measured, since the vertical offset between left and right changes, as in images of "
-    "different times"
-)
-
-# frames between two checks of the synchronisation of those from which the alignment is estimated
-_FIRST_PERIOD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +68,9 @@ class Recording:
     # rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos
     frames: Generator[Frame, None, None]
     source: Video | PairedVideos  # the opened video, or two, paired by time
-    calibration: RecordingCalibration  # the camera models
-    # the checks of a pair that continue while its frames are iterated
-    monitors: tuple[Monitor, ...]
+    opened: RecordingCalibration  # the camera models, with the alignment of the first frame
+    # aligns and checks a pair while its frames are iterated; None = one camera
+    aligner: PairAligner | None = None
     layout_notes: tuple[str, ...] = ()  # about images of two cameras in one recording
     # UTC of the first frame as given by the user; None = that of the video
     start_utc: UtcStart | None = None
@@ -90,27 +79,37 @@ class Recording:
     @property
     def videos(self) -> tuple[Video, ...]:
         """The left or only video, and the right video."""
-        return (
-            (self.source.left, self.source.right)
-            if isinstance(self.source, VideoPair)
-            else (self.source,)
-        )
+        return _videos(self.source)
+
+    @property
+    def calibration(self) -> RecordingCalibration:
+        """The camera models; the history of the alignment is that of the frames so far."""
+        if self.aligner is None:
+            return self.opened
+        return replace(self.opened, alignment=self.aligner.calibration.alignment)
+
+    def with_focal_length(self, guess: FocalGuess) -> Recording:
+        """An uncalibrated recording with another focal length."""
+        return replace(self, opened=self.opened.with_focal_length(guess))
 
     @property
     def camera(self) -> PinholeCamera:
         """Model of the left or only camera of the rectified frames."""
-        return self.calibration.camera
+        return self.opened.camera
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair with its alignment; None = one camera, or a pair without a rig that
-        fits its images.
+        """The rectified pair with the alignment of its first frame; None = one camera, or a pair
+        without a rig that fits its images.
         """
-        return self.calibration.rig
+        return self.opened.rig
 
     @property
-    def alignment(self) -> AlignmentSource | None:
-        """The correction of the disparities of the rectified frames; None = no rig."""
+    def alignment(self) -> Alignment | None:
+        """The correction of the disparities of the first frame; None = no rig.
+
+        Each frame holds its own one (`Frame.alignment`), which follows the drift of the rig.
+        """
         return None if self.rig is None else self.rig.alignment
 
     @property
@@ -158,16 +157,12 @@ class Recording:
     @property
     def finding(self) -> PairFinding | None:
         """How the first images fit the rig; None = no pair, without checks, or not known yet."""
-        return next(
-            (monitor.finding for monitor in self.monitors if isinstance(monitor, PairMonitor)), None
-        )
+        return None if self.aligner is None else self.aligner.finding
 
     @property
     def sync(self) -> SyncMonitor | None:
         """The check that left and right show the same moment; None = no pair, or without checks."""
-        return next(
-            (monitor for monitor in self.monitors if isinstance(monitor, SyncMonitor)), None
-        )
+        return None if self.aligner is None else self.aligner.sync
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -179,7 +174,7 @@ class Recording:
             *(video.notes for video in self.videos),
             self.source.notes if isinstance(self.source, VideoPair) else (),
             (utc.note(),) if utc is not None else (),
-            *(monitor.notes for monitor in self.monitors),
+            () if self.aligner is None else self.aligner.notes,
         )
         return tuple(note for notes in sources for note in notes if note)
 
@@ -256,74 +251,114 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    left, right = _named(
+    names = _named(
         video_name(left), None if right is None else video_name(right), topics, track, stereo_layout
     )
-    layout_notes: tuple[str, ...] = ()
-    if right is None and stereo_layout == "auto" and isinstance(left, Path) and left.is_dir():
-        folder, sides = left, stereo_images(left)
-        if sides is not None:
-            left, right = sides
-            layout_notes = (
-                f"{folder}: the left images are {left.name}, the right images {right.name}.",
-            )
+    names, folder_notes = _sides(*names, stereo_layout)
     utc = None if start_utc is None else parsed_utc(start_utc)
-
-    recorded = partial(
-        open_video, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, bayer=bayer
-    )
-
-    def opened(name: VideoName, beside: Video | None = None) -> Video:
-        if isinstance(name, LiveAddress):
-            return LiveVideo(
-                name,
-                start_s=start_s,
-                duration_s=duration_s,
-                every=every,
-                is_partner=beside is not None,
-            )
-        return recorded(name, left=beside if isinstance(beside, RecordedVideo) else None)
-
+    reading = _Reading(start_s, duration_s, every, folder_fps, bayer)
     with ExitStack() as on_error:
-        video = opened(left)
-        on_error.callback(video.close)
-        source: Video | PairedVideos = video
-        if right is None and stereo_layout is not None and not isinstance(left, Half):
-            chosen = find_layout(video, stereo_layout)
-            source, layout_notes = (
-                pair_in(video, left, chosen.layout, recorded),
-                (chosen.sentence(str(left)),),
-            )
-        elif right is not None:
-            other = opened(right, beside=video)
-            on_error.callback(other.close)
-            source = _paired(video, other)
-        elif not isinstance(left, Half):
-            layout_notes = mono_notes(video)
-        video.first_image = None
-        on_error.callback(source.close)
-        videos = (source.left, source.right) if isinstance(source, VideoPair) else (source,)
-        given_rig, view = Path(rig) if isinstance(rig, str) else rig, LensView(fov_deg, yaw_deg)
-        calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
-        monitors: tuple[Monitor, ...] = ()
-        if isinstance(source, VideoPair) and calibration.rig is not None:
-            check = PairMonitor(calibration.rig, is_packed=right is None) if has_checks else None
-            calibration = _aligned(calibration, calibration.rig, source, align, check, progress)
-            monitors = () if check is None else (check,)
-            if has_checks and calibration.rig is not None:
-                monitors += _sync_monitors(source)
-            monitors += _drift_monitors(calibration, source)
-        elif isinstance(source, VideoPair):
-            check = PairMonitor(assumed_rig(calibration.camera))
-            with closing(_first_frames(calibration, source, check)) as first_frames:
-                check.watch(first_frames)
-            check.finish()
-            if check.row_offset_px is not None:
-                calibration = calibration.with_row_offset(check.row_offset_px)
-                monitors = _sync_monitors(source)
+        source, layout_notes = _opened(*names, reading, stereo_layout, on_error)
+        calibration = find_calibration(
+            names[0],
+            _videos(source),
+            rig=Path(rig) if isinstance(rig, str) else rig,
+            focal_px=focal_px,
+            view=LensView(fov_deg, yaw_deg),
+        )
+        aligner = None
+        if isinstance(source, VideoPair):
+            policy = replace(LIVE if source.is_live else RECORDED, has_checks=has_checks)
+            given = None if calibration.rig is None else given_alignment(align, calibration.rig)
+            is_packed = names[1] is None and calibration.rig is not None
+            aligner = PairAligner(calibration, policy, given, is_packed=is_packed)
+            _look_ahead(aligner, source, progress)
+            calibration = aligner.calibration
         on_error.pop_all()
-    frames = _frames(source, calibration, monitors, utc, every)
-    return Recording(frames, source, calibration, monitors, layout_notes, utc, every)
+    frames = _frames(source, calibration, aligner, utc, every)
+    notes = (*folder_notes, *layout_notes)
+    return Recording(frames, source, calibration, aligner, notes, utc, every)
+
+
+def _sides(
+    left: VideoName, right: VideoName | None, layout: LayoutOption | None
+) -> tuple[tuple[VideoName, VideoName | None], tuple[str, ...]]:
+    """The names, with both sides of a folder that contains the images of two cameras, and a note on
+    them.
+    """
+    if right is not None or layout != "auto" or not (isinstance(left, Path) and left.is_dir()):
+        return (left, right), ()
+    sides = stereo_images(left)
+    if sides is None:
+        return (left, right), ()
+    note = f"{left}: the left images are {sides[0].name}, the right images {sides[1].name}."
+    return sides, (note,)
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """The part of a recording that is read, and how folders of images are."""
+
+    start_s: float
+    duration_s: float | None
+    every: int
+    folder_fps: float
+    bayer: Bayer | None
+
+    def recorded(self, name: RecordedName, left: RecordedVideo | None = None) -> RecordedVideo:
+        """A recorded video, which may be the right one of a pair."""
+        return open_video(
+            name,
+            folder_fps=self.folder_fps,
+            start_s=self.start_s,
+            duration_s=self.duration_s,
+            left=left,
+            bayer=self.bayer,
+        )
+
+    def opened(self, name: VideoName, left: Video | None = None) -> Video:
+        """A recorded or live video, which may be the right one of a pair."""
+        if not isinstance(name, LiveAddress):
+            return self.recorded(name, left if isinstance(left, RecordedVideo) else None)
+        return LiveVideo(
+            name,
+            start_s=self.start_s,
+            duration_s=self.duration_s,
+            every=self.every,
+            is_partner=left is not None,
+        )
+
+
+def _opened(
+    left: VideoName,
+    right: VideoName | None,
+    reading: _Reading,
+    layout: LayoutOption | None,
+    on_error: ExitStack,
+) -> tuple[Video | PairedVideos, tuple[str, ...]]:
+    """The opened video or pair, and notes on images of two cameras in one recording."""
+    video = reading.opened(left)
+    on_error.callback(video.close)
+    source: Video | PairedVideos = video
+    notes: tuple[str, ...] = ()
+    if right is not None:
+        other = reading.opened(right, left=video)
+        on_error.callback(other.close)
+        source = _paired(video, other)
+    elif not isinstance(left, Half):
+        if layout is None:
+            notes = mono_notes(video)
+        else:
+            chosen = find_layout(video, layout)
+            source = pair_in(video, left, chosen.layout, reading.recorded)
+            notes = (chosen.sentence(str(left)),)
+    video.forget_first_image()
+    on_error.callback(source.close)
+    return source, notes
+
+
+def _videos(source: Video | PairedVideos) -> tuple[Video, ...]:
+    return (source.left, source.right) if isinstance(source, VideoPair) else (source,)
 
 
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
@@ -372,114 +407,42 @@ def _named(
     return tagged[0], None if right is None else tagged[1]
 
 
-def _aligned(
-    calibration: RecordingCalibration,
-    rig: StereoRig,
-    pair: PairedVideos,
-    align: str | Path | Alignment,
-    check: PairMonitor | None,
-    progress: StepProgress,
-) -> RecordingCalibration:
-    """A calibrated pair with its alignment and the repairs of `check`; without its rig if the
-    images do not fit it.
-    """
-    given = given_alignment(align, rig)
-    started = calibration if given is None else calibration.with_alignment(given)
-    with closing(_first_frames(started, pair, check)) as first_frames:
-        alignment = find_alignment(given or "auto", rig, first_frames, progress)
-        if given is not None and check is not None:
-            check.watch(first_frames)
-    finding = None if check is None else check.finish()
-    if check is None or finding is None:
-        return calibration.with_alignment(alignment)
-    if given is not None:
-        check.finding = finding = finding.uncorrected()
-    if not finding.has_stereo:
-        return replace(calibration, rig=None)
-    if finding.fault == "turned":
-        calibration = calibration.turned()
-    if given is None and finding.fault == "unsteady":
-        alignment = PairAlignment(measured=Alignment(source=_UNSTEADY), is_applied=False, rig=rig)
-    elif given is None and finding != PairFinding("fits") and finding.fault != "unknown":
-        corrected = calibration.with_alignment(
-            PairAlignment(measured=finding.prior, is_applied=True, rig=rig)
-        )
-        with closing(_first_frames(corrected, pair, check)) as first_frames:
-            alignment = find_alignment("auto", rig, first_frames, progress, prior=finding.prior)
-    check.corrected_px = alignment.measured.row_correction_px
-    return calibration.with_alignment(alignment)
-
-
-def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tuple[Monitor, ...]:
-    """The monitor of a recorded pair whose alignment was measured; none for streams, which a
-    monitor would delay.
-    """
-    alignment = calibration.alignment
-    monitor = (
-        None
-        if alignment is None or calibration.rig is None
-        else alignment.drift_monitor(calibration.rig)
-    )
-    return () if monitor is None or pair.is_live else (monitor,)
-
-
-def _sync_monitors(pair: PairedVideos, *, period: int = PERIOD) -> tuple[SyncMonitor]:
-    """The monitor that re-pairs frames; frames of streams do not wait for later frames."""
-    return (SyncMonitor(0 if pair.is_live else FRAMES_AHEAD, period),)
-
-
-def _first_frames(
-    calibration: RecordingCalibration, pair: PairedVideos, check: PairMonitor | None
-) -> Generator[Frame, None, None]:
-    """Frames of the first seconds at the interval that the alignment needs; with `check`, re-paired
-    and checked.
-    """
-    first_s, last_s = math.nan, -math.inf
-    with closing(pair.read_ahead()) as images:
-        frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
-        for frame in (
-            frames
-            if check is None
-            else _sync_monitors(pair, period=_FIRST_PERIOD)[0].paired(frames)
-        ):
-            first_s = frame.time_s if math.isnan(first_s) else first_s
-            if frame.time_s - last_s >= MIN_STEP_S:
-                if check is not None:
-                    check.add(frame)
-                last_s = frame.time_s
-                yield frame
-            if frame.time_s - first_s > ESTIMATION_SPAN_S:
-                return
+def _look_ahead(aligner: PairAligner, pair: PairedVideos, progress: StepProgress) -> None:
+    """Read the first frames, until the aligner can start."""
+    while aligner.is_looking:
+        shown = progress if aligner.is_estimating else no_progress
+        with shown("estimating the alignment") as advance:
+            with closing(pair.read_ahead()) as images:
+                for left, right in images:
+                    recorded = aligner.calibration.recorded(left, right, pair.left.first_time_s)
+                    if not aligner.look(recorded):
+                        break
+                    advance(round(10 * aligner.looked_s), round(10 * ESTIMATION_SPAN_S))
+            aligner.start()
 
 
 def _frames(
     source: Video | PairedVideos,
     calibration: RecordingCalibration,
-    monitors: tuple[Monitor, ...],
+    aligner: PairAligner | None,
     utc: UtcStart | None,
     every: int,
 ) -> Generator[Frame, None, None]:
-    """Each `every`-th frame, after all were passed to the monitors; closing the generator closes
-    the videos.
+    """Each `every`-th frame, after all were passed to the aligner; closing the generator closes the
+    videos.
     """
-    video = source.left if isinstance(source, VideoPair) else source
-    sync = next((monitor for monitor in monitors if isinstance(monitor, SyncMonitor)), None)
-    check = next((monitor for monitor in monitors if isinstance(monitor, PairMonitor)), None)
-    explained, has_stereo = None if check is None else check.finding, True
-    due_index = -1
+    video, due_index = _videos(source)[0], -1
     with closing(source), closing(iter(source)) as images:
         pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
-        frames = (
-            calibration.frame(left, right, video.first_time_s, utc or video.utc)
+        recorded = (
+            calibration.recorded(left, right, video.first_time_s, utc or video.utc)
             for left, right in pairs
         )
-        for frame in frames if sync is None else sync.paired(frames):
-            for monitor in monitors:
-                if not isinstance(monitor, SyncMonitor):
-                    monitor.add(frame)
-            if check is not None and check.finding is not explained and check.finding is not None:
-                check.finding = explained = check.finding.uncorrected(LATER)
-                has_stereo = explained.has_stereo
+        if aligner is None:
+            frames: Iterator[Frame] = map(calibration.rectified, recorded)
+        else:
+            frames = aligner.frames(recorded)
+        for frame in frames:
             if frame.index >= due_index:
                 due_index = frame.index + every
-                yield frame if has_stereo else replace(frame, right=None)
+                yield frame

@@ -30,7 +30,6 @@ from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.settings import PipelineOptions, RunSettings
-from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
@@ -80,23 +79,20 @@ def open_pipeline(
     *,
     region: Region = "unknown",
     tracker: ObjectTracker | None = None,
-    alignment: AlignmentSource | None = None,
     ego_speed: EgoSpeed | None = None,
     measures_speed: bool = True,
     needs_candidates: bool = False,
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
-    `tracker` replaces the tracker of the settings, `alignment` the alignment of the calibration.
-    With `measures_speed`, an unknown speed is measured from the images where a scale is known; with
-    `needs_candidates`, results have all boxes, for anonymization. ModelError: the re-identification
-    or lane network cannot be used; TrackerError: the tracker cannot be created; MethodError:
-    ranging methods of other packages depend on each other in a cycle.
+    `tracker` replaces the tracker of the settings. With `measures_speed`, an unknown speed is
+    measured from the images where a scale is known; with `needs_candidates`, results have all
+    boxes, for anonymization. ModelError: the re-identification or lane network cannot be used;
+    TrackerError: the tracker cannot be created; MethodError: ranging methods of other packages
+    depend on each other in a cycle.
     """
     is_ahead = calibration.view.yaw_deg == 0
     context = _method_context(settings, calibration, boxes, size_model, region)
-    if alignment is not None:
-        context = replace(context, alignment=alignment, drifting_alignment=alignment)
     flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
@@ -135,13 +131,10 @@ def _method_context(
     size_model: SizeModel,
     region: Region,
 ) -> MethodContext:
-    aligned = calibration.alignment
     return MethodContext(
         camera=calibration.camera,
         rig=calibration.rig,
         assumed_rig=calibration.assumed_rig,
-        alignment=aligned.applied.after_shift() if aligned else Alignment(),
-        drifting_alignment=aligned.drifting if aligned else None,
         focal_sigma=calibration.focal_sigma,
         size_model=size_model,
         box_errors=boxes.box_errors,
@@ -178,7 +171,7 @@ def _ego_stage(
     pair_odometry: Odometry | None = None
     if context.rig is not None and (measures_speed or ego_speed is not None):
         # also checks a given speed
-        pair_odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
+        pair_odometry = StereoOdometry(context.rig, flow=flow)
     is_height_known = context.camera_height_m is not None
     road_height_m = _road_height_m(context)
     return EgoStage(

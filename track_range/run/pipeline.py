@@ -2,7 +2,8 @@
 
     check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
 
-Nothing is read ahead: the alignment of a pair is estimated while the frames come (`StepwiseAlignment`).
+Nothing is read ahead: the alignment of a pair is estimated from each frame while the caller waits
+for the next one (`recording.pairs.aligner`).
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import cv2
 import numpy as np
@@ -32,13 +33,9 @@ from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
-from track_range.recording.pairs.auto_alignment import (
-    PairAlignment,
-    StepwiseAlignment,
-    given_alignment,
-)
-from track_range.recording.pairs.pair_monitor import PairMonitor
-from track_range.recording.pairs.sync_monitor import SyncMonitor
+from track_range.recording.frame import RecordedFrame
+from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
+from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
@@ -79,11 +76,56 @@ class FrameError(UserError, ValueError):
     """Images or a time that a pipeline cannot use; the pipeline is as before."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """The parts of a pipeline that depend on the size of the images, as the first frame has it."""
+
+    calibration: RecordingCalibration  # without an estimated alignment
+    aligner: PairAligner | None  # None = one camera
+    stages: FramePipeline
+
+    def check_sizes(self, images: Mapping[str, Image]) -> None:
+        """Raises FrameError if an image has another size than the first one."""
+        for (name, image), size_px in zip(images.items(), self.calibration.sizes_px, strict=True):
+            if (image.shape[1], image.shape[0]) != size_px:
+                raise FrameError(
+                    f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found "
+                    f"{image.shape[1]}x{image.shape[0]} px."
+                )
+
+    def step(self, recorded: RecordedFrame, known: EgoMotion | None) -> FrameResult:
+        """The result of the next frame, without the estimate of the alignment from it."""
+        if self.aligner is None:
+            frame = self.calibration.rectified(recorded)
+        else:
+            (aligned,) = self.aligner.add(recorded)
+            frame = aligned.frame
+        return self.stages.step(self.stages.detected(frame), known)
+
+    @property
+    def current(self) -> RecordingCalibration:
+        """The camera models of the next rectified frame."""
+        return self.calibration if self.aligner is None else self.aligner.calibration
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about the calibration, the pair and the stages so far."""
+        stages = self.stages
+        return (
+            *self.current.notes,
+            *(() if self.aligner is None else self.aligner.notes),
+            *stages.notes,
+            *stages.ranging.notes(),
+            *stages.doubting.notes(),
+        )
+
+
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
-    `Pipeline.stereo` and `Pipeline.mono` create a pipeline, which is a context manager for use in
-    one thread. Results equal the results of `Run` with the same options and alignment.
+    `Pipeline.stereo` and `Pipeline.mono` create a pipeline, and `step` gives it the next frame. It
+    is a context manager for use in one thread. Results equal the results of `Run` with the same
+    options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -105,12 +147,14 @@ class Pipeline:
         cameras: Cameras | float,
         options: PipelineOptions,
         *,
+        is_pair: bool,
         detector: ObjectDetector | None = None,
         tracker: ObjectTracker | None = None,
         align: str | Path | Alignment | PairAlignment | None = "auto",
         view: LensView,
         keep_s: float = 60.0,
     ) -> None:
+        """Use `Pipeline.stereo` or `Pipeline.mono`, which check their arguments."""
         if not _is_number(keep_s) or not keep_s > 0:
             raise ConfigError(f"keep_s: expected a positive number of seconds, found {keep_s!r}.")
         if options.detections is not None:
@@ -119,6 +163,7 @@ class Pipeline:
                 "object with detect()."
             )
         self.options = options
+        self._is_pair = is_pair
         self._cameras = Path(cameras) if isinstance(cameras, str) else cameras
         if isinstance(self._cameras, Path):
             load_calibration(self._cameras)  # an unusable file is reported before the first frame
@@ -139,7 +184,10 @@ class Pipeline:
                 options, lambda name: ready_model(name, Console(quiet=True)), open_detector
             )
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
-        self._opened: _Opened | None = None
+        self._parts: _Parts | None = None
+        # the alignment for the next frame is estimated while the caller waits for that frame
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
+        self._estimating: Future[None] | None = None
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
         self._n_long_steps = 0  # in a row, up to the last frame
         self._latencies_s: deque[float] = deque(maxlen=_N_LATENCIES)
@@ -154,7 +202,7 @@ class Pipeline:
         keep_s: float = 60.0,
         fov_deg: float | None = None,
         **options: Unpack[PipelineKeywords],
-    ) -> StereoPipeline:
+    ) -> Self:
         """A pipeline for the images of two cameras.
 
         Args:
@@ -179,7 +227,7 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
-        return StereoPipeline(rig, chosen, **objects, align=align, view=view, keep_s=keep_s)
+        return cls(rig, chosen, **objects, is_pair=True, align=align, view=view, keep_s=keep_s)
 
     @classmethod
     @KeywordsInErrors(RunSettings)
@@ -192,7 +240,7 @@ class Pipeline:
         fov_deg: float | None = None,
         yaw_deg: float = 0.0,
         **options: Unpack[PipelineKeywords],
-    ) -> MonoPipeline:
+    ) -> Self:
         """A pipeline for the images of one camera; see `stereo` for the other arguments.
 
         Args:
@@ -218,19 +266,21 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
-        return MonoPipeline(cameras, chosen, **objects, align="off", view=view, keep_s=keep_s)
+        return cls(cameras, chosen, **objects, is_pair=False, align="off", view=view, keep_s=keep_s)
 
     @property
     def alignment(self) -> PairAlignment | None:
         """The alignment of the next frame; None = one camera, or not estimated yet."""
-        return None if self._opened is None else self._opened.alignment
+        calibration = self.calibration
+        return None if calibration is None else calibration.alignment
 
     @property
     def calibration(self) -> RecordingCalibration | None:
         """The camera models of the next rectified frame; None before the first frame, which gives
         the image size.
         """
-        return None if self._opened is None else self._opened.next_calibration
+        self._end_estimate()
+        return None if self._parts is None else self._parts.current
 
     @property
     def latency_ms(self) -> dict[str, float]:
@@ -247,8 +297,9 @@ class Pipeline:
         """Messages for the user about the detector, the calibration, the pair and the methods so
         far.
         """
+        self._end_estimate()
         boxes = self._boxes.notes()
-        if self._opened is None:
+        if self._parts is None:
             return boxes
         unit = (
             "time_s: the latest frames are more than 5 s apart, so no road user is tracked; give "
@@ -257,7 +308,7 @@ class Pipeline:
         return (
             *boxes,
             *([unit] if self._n_long_steps == _N_LONG_STEPS else []),
-            *self._opened.notes,
+            *self._parts.notes,
         )
 
     def events(self) -> tuple[Event, ...]:
@@ -273,8 +324,9 @@ class Pipeline:
     def close(self) -> None:
         """End the threads; rows and events remain, but no frame may follow."""
         self._is_closed = True
-        if self._opened is not None:
-            self._opened.close()
+        self._thread.shutdown(wait=True)
+        if self._parts is not None:
+            self._parts.stages.close()
 
     def __enter__(self) -> Self:
         return self
@@ -287,37 +339,66 @@ class Pipeline:
     ) -> None:
         self.close()
 
+    @overload
+    def step(
+        self, left: Image, right: Image | None, time_s: float, *, ego_speed_mps: float | None = None
+    ) -> FrameResult: ...
+
+    @overload
+    def step(
+        self, image: Image, time_s: float, /, *, ego_speed_mps: float | None = None
+    ) -> FrameResult: ...
+
+    @overload
+    def step(
+        self, left: Image, *, time_s: float, ego_speed_mps: float | None = None
+    ) -> FrameResult: ...
+
+    @overload
+    def step(
+        self, *, image: Image, time_s: float, ego_speed_mps: float | None = None
+    ) -> FrameResult: ...
+
     @KeywordsInErrors(RunSettings)
-    def _step(
-        self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None
+    def step(
+        self,
+        left: Image | None = None,
+        right: Image | float | None = None,
+        time_s: float | None = None,
+        *,
+        image: Image | None = None,
+        ego_speed_mps: float | None = None,
     ) -> FrameResult:
+        """Result of the next frame: `step(left, right, time_s)`, of one camera `step(image, time_s)`.
+
+        Args:
+            left: image of the left or only camera, (H, W, 3) uint8 BGR or (H, W) uint8, as recorded
+                (not rectified, unless the rig is). The images are not copied: do not change them
+                afterwards.
+            right: image of the right camera at the same time; left out or None for one camera.
+            time_s: time of the images in seconds on any clock; must increase. Times in results
+                count from the first frame.
+            image: another name of `left` for one camera.
+            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from
+                the images (of one camera only with `camera_height_m`).
+
+        Raises:
+            FrameError: an image has another size or type than the first image, the time does not
+                increase, or the number of images is not that of the cameras.
+            RigError: the first images do not fit the rig, or left and right are swapped.
+            DetectorError, TrackerError, MethodError: an object of another package returned
+                something else.
+        """
         called_s = time.monotonic(), time.time()
         if self._is_closed:
             raise UsageError("this pipeline is closed; create a new one for further frames.")
-        checked = {
-            name: _checked(image, name, is_left=name != "right") for name, image in images.items()
-        }
-        known, opened = _known_motion(ego_speed_mps), self._opened
-        if not _is_number(time_s) or not self._last_s < time_s < math.inf:
-            after = f" after {self._last_s} s, the time of the last frame" if self._index else ""
-            raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
-        time_s = float(time_s)
-        if opened is None:
-            opened = self._open(
-                tuple((image.shape[1], image.shape[0]) for image in checked.values())
-            )
-        opened.check_sizes(checked)
-        first_s = time_s if math.isnan(self._first_s) else self._first_s
-        try:
-            result = opened.step(list(checked.values()), self._index, time_s - first_s, known)
-        except BaseException:
-            # a first frame that is refused does not fix the size of the images
-            if self._opened is None:
-                opened.close()
-            raise
+        images, time_s = self._arguments(left, right, time_s, image)
+        known = _known_motion(ego_speed_mps)
+        time_s = self._checked_time(time_s)
+        result = self._result(images, time_s, known)
         is_long = self._index > 0 and time_s - self._last_s > _LONG_STEP_S
         self._n_long_steps = min(self._n_long_steps + 1, _N_LONG_STEPS) if is_long else 0
-        self._opened, self._first_s, self._last_s = opened, first_s, time_s
+        self._last_s = time_s
         self._index += 1
         self._rows.add(result)
         waited_s = next(
@@ -326,62 +407,81 @@ class Pipeline:
         self._latencies_s.append(max(waited_s, 0.0) + time.monotonic() - called_s[0])
         return result
 
-    def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Opened:
+    def _arguments(
+        self, left: Any, right: Any, time_s: Any, image: Any
+    ) -> tuple[dict[str, Image], Any]:
+        """The checked images by name, and the time, of the two ways to call `step`."""
+        if self._is_pair:
+            named = {"left": left, "right": right}
+        else:
+            if time_s is None and not isinstance(right, np.ndarray):
+                right, time_s = None, right
+            if right is not None:
+                raise FrameError(
+                    "right: expected one image, since this pipeline has one camera, found two; use "
+                    "Pipeline.stereo for two cameras."
+                )
+            named = {"image": left if image is None else image}
+        checked = {
+            name: _checked(one, name, is_left=name != "right") for name, one in named.items()
+        }
+        return checked, time_s
+
+    def _checked_time(self, time_s: Any) -> float:
+        """The time of a frame after the last one."""
+        if not _is_number(time_s) or not self._last_s < time_s < math.inf:
+            after = f" after {self._last_s} s, the time of the last frame" if self._index else ""
+            raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
+        return float(time_s)
+
+    def _result(
+        self, images: Mapping[str, Image], time_s: float, known: EgoMotion | None
+    ) -> FrameResult:
+        """The result of images; after an error, the pipeline is as before."""
+        self._end_estimate()
+        parts = self._parts
+        if parts is None:
+            parts = self._open(tuple((one.shape[1], one.shape[0]) for one in images.values()))
+        parts.check_sizes(images)
+        first_s = time_s if math.isnan(self._first_s) else self._first_s
+        recorded = RecordedFrame(self._index, time_s - first_s, tuple(images.values()))
+        try:
+            result = parts.step(recorded, known)
+        except BaseException:
+            # a first frame that is refused does not fix the size of the images
+            if self._parts is None:
+                parts.stages.close()
+            raise
+        self._parts, self._first_s = parts, first_s
+        if parts.aligner is not None and parts.aligner.can_estimate:
+            self._estimating = self._thread.submit(parts.aligner.estimate)
+        return result
+
+    def _end_estimate(self) -> None:
+        """Wait for the estimate of the alignment from the last frame."""
+        estimating, self._estimating = self._estimating, None
+        if estimating is not None:
+            estimating.result()
+
+    def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Parts:
         cameras = self._cameras
         if not isinstance(cameras, Path | StereoRig | PinholeCamera):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
             check_camera(cameras, "focal_px")
         calibration = calibration_of(cameras, sizes_px, self._view)
-        given = None if calibration.rig is None else given_alignment(self._align, calibration.rig)
-        stepwise = None if calibration.rig is None else StepwiseAlignment(calibration.rig, given)
-        aligned = calibration if given is None else calibration.with_alignment(given)
+        aligner = None
+        if calibration.rig is not None:
+            given = given_alignment(self._align, calibration.rig)
+            aligner = PairAligner(calibration, ONE_BY_ONE, given)
         stages = open_pipeline(
             self.options,
-            aligned,
+            calibration if aligner is None else aligner.calibration,
             outside_regions(self._boxes, self.options.ignore, calibration),
             self._size_model,
             region=self.options.region or "unknown",
             tracker=self._tracker,
-            alignment=stepwise if given is None else None,
         )
-        return _Opened(calibration, aligned, stages, stepwise)
-
-
-class StereoPipeline(Pipeline):
-    """The pipeline of two cameras."""
-
-    def step(
-        self, left: Image, right: Image, time_s: float, *, ego_speed_mps: float | None = None
-    ) -> FrameResult:
-        """Result of the next frame.
-
-        Args:
-            left: (H, W, 3) uint8 BGR or (H, W) uint8, as recorded (not rectified, unless the rig
-                is). The images are not copied: do not change them afterwards.
-            right: image of the right camera at the same time.
-            time_s: time of the images in seconds on any clock; must increase. Times in results
-                count from the first frame.
-            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from
-                the images (in a `MonoPipeline` only with `camera_height_m`).
-
-        Raises:
-            FrameError: an image has another size or type than the first image, or the time does not
-                increase.
-            RigError: the first images do not fit the rig, or left and right are swapped.
-            DetectorError, TrackerError, MethodError: an object of another package returned
-                something else.
-        """
-        return self._step({"left": left, "right": right}, time_s, ego_speed_mps)
-
-
-class MonoPipeline(Pipeline):
-    """The pipeline of one camera."""
-
-    def step(
-        self, image: Image, time_s: float, *, ego_speed_mps: float | None = None
-    ) -> FrameResult:
-        """Result of the next frame; see `StereoPipeline.step`."""
-        return self._step({"image": image}, time_s, ego_speed_mps)
+        return _Parts(calibration, aligner, stages)
 
 
 def _is_number(value: object) -> bool:
@@ -426,125 +526,3 @@ def _checked(image: Any, name: str, *, is_left: bool) -> Image:
         if image.ndim == 2 and is_left
         else image
     )
-
-
-class _Opened:
-    """A pipeline after its first frame: calibrations without and with the alignment, and the
-    stages.
-    """
-
-    def __init__(
-        self,
-        unaligned: RecordingCalibration,
-        aligned: RecordingCalibration,
-        stages: FramePipeline,
-        stepwise: StepwiseAlignment | None,
-    ) -> None:
-        self._unaligned, self.calibration, self._stages, self._stepwise = (
-            unaligned,
-            aligned,
-            stages,
-            stepwise,
-        )
-        rig = unaligned.rig
-        self._monitor = None if stepwise is None or rig is None else PairMonitor(rig)
-        self._sync = SyncMonitor()
-        # The alignment for the next frame is estimated while the caller waits for that frame.
-        self._is_given = stepwise is not None and stepwise.current is not None
-        self._has_stereo = self._monitor is None  # not before the first pairs are explained
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
-        self._pending: Future[PairAlignment | None] | None = None
-
-    @property
-    def alignment(self) -> PairAlignment | None:
-        self._apply()
-        return None if self._stepwise is None else self._stepwise.current
-
-    @property
-    def next_calibration(self) -> RecordingCalibration:
-        self._apply()
-        return self.calibration
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        self._apply()
-        pair = () if self._monitor is None else self._monitor.notes
-        stages = self._stages
-        scale = stages.doubting.notes()
-        return (
-            *self.calibration.notes,
-            *pair,
-            *self._sync.notes,
-            *stages.notes,
-            *stages.ranging.notes(),
-            *scale,
-        )
-
-    def check_sizes(self, images: Mapping[str, Image]) -> None:
-        for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):
-            if (image.shape[1], image.shape[0]) != size_px:
-                got = f"{image.shape[1]}x{image.shape[0]}"
-                raise FrameError(
-                    f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px."
-                )
-
-    def step(
-        self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None
-    ) -> FrameResult:
-        self._apply()
-        recorded = self.calibration.frame_of(images, index, time_s)
-        (frame,) = self._sync.add(recorded)
-        has_stereo, finding = self._has_stereo, None
-        if self._monitor is not None:
-            before = self._monitor.finding
-            self._monitor.add(frame)
-            is_same = before is not None and before is self._monitor.finding
-            has_stereo = (
-                self._has_stereo if is_same else self._checked(self._monitor, is_first=index == 0)
-            )
-            finding = self._monitor.finding
-        shown = frame if has_stereo else replace(frame, right=None)
-        result = self._stages.step(self._stages.detected(shown), known)
-        is_usable = frame is recorded and (finding is None or finding.has_stereo)
-        if self._stepwise is not None and self._stepwise.is_active and is_usable:
-            # the alignment is estimated without the correction of rows and shifts
-            unaligned = frame
-            if self.calibration.rectifier is not self._unaligned.rectifier:
-                unaligned = self._unaligned.frame_of(images, index, time_s)
-            self._pending = self._thread.submit(self._stepwise.add, unaligned, frame)
-        return result
-
-    def _checked(self, monitor: PairMonitor, *, is_first: bool) -> bool:
-        """Whether the checked frame has stereo: not before the first pairs are explained, and not
-        if they are repaired.
-
-        With a given alignment, the first pair decides until the pairs are explained.
-        """
-        if monitor.finding is None or self._stepwise is None:
-            if is_first and self._is_given:
-                self._has_stereo = monitor.has_stereo_so_far
-            return self._has_stereo
-        if self._is_given:
-            monitor.finding = monitor.finding.uncorrected()
-        finding = monitor.finding
-        self._has_stereo, is_repaired = finding.has_stereo, finding.fault in ("verged", "turned")
-        if finding.fault == "turned":
-            self._unaligned, self.calibration = self._unaligned.turned(), self.calibration.turned()
-        if is_repaired and not self._is_given:
-            self._pending = None
-            self._stepwise.restart(finding.prior)
-            if self._stepwise.current is not None:
-                self._unaligned = self.calibration = self._unaligned.with_alignment(
-                    self._stepwise.current
-                )
-        return self._has_stereo and not is_repaired
-
-    def _apply(self) -> None:
-        """Use the alignment that was estimated since the last frame."""
-        pending, self._pending = self._pending, None
-        if pending is not None and (alignment := pending.result()) is not None:
-            self.calibration = self._unaligned.with_alignment(alignment)
-
-    def close(self) -> None:
-        self._thread.shutdown(wait=True)
-        self._stages.close()

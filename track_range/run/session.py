@@ -9,7 +9,6 @@ import platform
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -183,8 +182,7 @@ class RunSession:
                 folder_fps=settings.folder_fps,
                 advance=advance,
             )
-        calibration = recording.calibration.with_focal_length(posterior.as_guess(guesses))
-        self.recording = replace(recording, calibration=calibration)
+        self.recording = recording.with_focal_length(posterior.as_guess(guesses))
 
     @contextmanager
     def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:

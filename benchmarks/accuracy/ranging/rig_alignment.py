@@ -25,7 +25,7 @@ from scipy.stats import binomtest
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.pairs.auto_alignment import find_alignment
+from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.settings import Faults
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, PairPoints, TrackedFrame
@@ -188,7 +188,10 @@ def _drive(seed: int) -> Figures:
     )
     frames = drive.frames()
     start_s = time.process_time()
-    estimate = find_alignment("auto", drive.renderer.rig, (frame for frame in frames)).measured
+    estimated = DriveAlignment(drive.renderer.rig)
+    for frame in frames:
+        estimated.add(frame)
+    estimate = PairAlignment.of_drive(estimated, drive.renderer.rig).measured
     alignment_s = time.process_time() - start_s
     u = np.linspace(-1.0, 1.0, 101)
     remaining_px = offset_px + estimate.error_px(u)

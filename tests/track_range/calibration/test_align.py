@@ -218,7 +218,7 @@ def test_large_offset_is_estimated_and_applied_by_a_run(drive, tmp_path, cli):
     assert alignment.residual_px < 0.5
     with closing(open_recording(*pair, align=tmp_path / "align.yaml")) as recording:
         assert recording.finding == PairFinding("fits")
-        assert recording.alignment.at(0.0).offset_px == pytest.approx(alignment.offset_px - 24.0)
+        assert recording.alignment.offset_px == pytest.approx(alignment.offset_px - 24.0)
     with closing(open_recording(*pair, align="off")) as recording:
         assert recording.rig is None
         assert "--align auto corrects this error" in recording.finding.sentence

@@ -46,10 +46,10 @@ def blank(n):
     return [Frame(number, float(number), grey, grey) for number in range(n)]
 
 
-def notes_of(frames, monitor):
+def notes_of(frames, monitor, corrected_px=0.0):
     for frame in frames:
         monitor.add(frame)
-    return monitor.notes
+    return monitor.notes(monitor.finding, corrected_px)
 
 
 def test_good_pair_has_no_notes():
@@ -64,8 +64,7 @@ def test_row_offset_is_reported_unless_corrected():
     (note,) = notes_of(frames(MAX_CHECKED_PAIRS, row_px=5), monitor)
     assert "vertical offset of +" in note
     assert monitor.row_offset_px == pytest.approx(5.0, abs=0.2)
-    monitor.corrected_px = 4.5
-    assert monitor.notes == ()
+    assert notes_of([], monitor, corrected_px=4.5) == ()
 
 
 def test_swapped_pair_is_an_error_at_the_end_of_the_check():

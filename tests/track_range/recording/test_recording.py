@@ -1,5 +1,6 @@
 """Tests of opening pairs and single videos, with folders of small textured images."""
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import av
@@ -365,17 +366,34 @@ def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
 def test_rig_holds_the_alignment_of_its_images(pair):
     given = Alignment(offset_px=7.4, residual_px=0.1)
     recording = open_recording(*pair, align=given)
-    assert recording.rig.alignment.at(1.0) == given.after_shift()  # the images are shifted by 7 px
-    assert open_recording(pair[0]).alignment is None
+    assert recording.rig.alignment == given.after_shift()  # the images are shifted by 7 px
+    assert next(recording.frames).alignment == given.after_shift()
+    single = open_recording(pair[0])
+    assert (single.alignment, next(single.frames).alignment) == (None, None)
     off = open_recording(*pair, align="off")
-    assert off.alignment.at(0.0).offset_px == 0.0
+    assert off.alignment.offset_px == next(off.frames).alignment.offset_px == 0.0
+
+
+def test_progress_of_the_estimate_is_shown(pair):
+    tasks, steps = [], []
+
+    @contextmanager
+    def progress(task):
+        tasks.append(task)
+        yield lambda done, total: steps.append((done, total))
+
+    open_recording(*pair, progress=progress).close()
+    assert tasks == ["estimating the alignment"]
+    assert {total for _, total in steps} <= {80}  # tenths of a second
+    open_recording(*pair, align="off", progress=progress).close()
+    assert len(tasks) == 1
 
 
 def test_alignment_given(pair):
     rows = Alignment(row_offset_px=4.0)
     recording = open_recording(pair[0], pair[1], align=rows, has_checks=False)
     assert recording.calibration.alignment.measured is rows
-    assert recording.monitors == ()
+    assert (recording.finding, recording.sync) == (None, None)
 
 
 def test_files_are_closed_when_opening_fails(tmp_path, film):

@@ -291,6 +291,29 @@ def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
         assert pipeline.step(left.image, 0.2).index == 2
 
 
+def test_ways_to_call_step(drive: Drive) -> None:
+    left, right = (frame.image for frame in images(drive)[0])
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as stereo:
+        assert stereo.step(left, right, 0.0).index == 0
+        assert stereo.step(left, right, time_s=0.1, ego_speed_mps=5.0).index == 1
+        assert stereo.step(left=left, right=right, time_s=0.2).index == 2
+        for arguments in ((left, 0.3), (left, None, 0.3)):
+            with pytest.raises(tr.FrameError, match=r"^right: expected an image"):
+                stereo.step(*arguments)
+        with pytest.raises(tr.FrameError, match=r"^time_s: expected a time"):
+            stereo.step(left, right)
+    with tr.Pipeline.mono(focal_px=360, **OPTIONS) as mono:
+        assert mono.step(left, 0.0).index == 0
+        assert mono.step(left, time_s=0.1, ego_speed_mps=5.0).index == 1
+        assert mono.step(image=left, time_s=0.2).index == 2
+        assert mono.step(left, None, 0.3).index == 3
+        for both in ((left, right, 0.4), (left, right)):
+            with pytest.raises(tr.FrameError, match=r"^right: expected one image.*two"):
+                mono.step(*both)
+        assert mono.step(left, 0.4).index == 4
+    assert tr.StereoPipeline is tr.MonoPipeline is tr.Pipeline
+
+
 def test_speed_of_each_step(drive: Drive) -> None:
     with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
         results = list(stepped(pipeline, drive, ego_speed_mps=10.25))

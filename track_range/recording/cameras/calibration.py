@@ -15,7 +15,7 @@ from track_range.ranging.fitting.camera.focal_evidence import best_guess, defaul
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.frame import VideoError, VideoFrame
+from track_range.recording.frame import RecordedFrame, VideoError, VideoFrame
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import VideoName, files_of
 from track_range.recording.pairs.auto_alignment import PairAlignment
@@ -227,40 +227,42 @@ class RecordingCalibration:
         """
         return self.rectifier if self.has_wide_lens else None
 
-    def frame(
+    def recorded(
         self,
         left: VideoFrame,
         right: VideoFrame | None,
         first_s: float,
         start: UtcStart | None = None,
-    ) -> Frame:
-        """The images of one time, cropped to `sizes_px` and rectified (one camera: undistorted).
+    ) -> RecordedFrame:
+        """The images of one time, cropped to `sizes_px`.
 
         `first_s` is the file time of the left video's first frame, and `start` its UTC; None =
         unknown.
         """
         images = (left.image,) if right is None else (left.image, right.image)
-        cut = [
+        cropped = tuple(
             image[:height_px, :width_px]
             for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)
-        ]
-        time_s = left.time_s - first_s
-        return self.frame_of(
-            cut, left.index, time_s, math.nan if start is None else start.start_s + time_s
         )
+        time_s = left.time_s - first_s
+        utc_s = math.nan if start is None else start.start_s + time_s
+        return RecordedFrame(left.index, time_s, cropped, utc_s)
 
-    def frame_of(
-        self, images: Sequence[Image], index: int, time_s: float, utc_s: float = math.nan
-    ) -> Frame:
-        """The images of one or two cameras, of `sizes_px`, rectified (one camera: undistorted)."""
-        left_image: Image
-        right_image: ImageView | None
+    def rectified(self, recorded: RecordedFrame) -> Frame:
+        """Images of `sizes_px`, rectified (one camera: undistorted)."""
+        left: Image
+        right: ImageView | None
         if isinstance(self.rectifier, Undistorter):
-            left_image, right_image = self.rectifier.undistort(images[0]), None
+            left, right = self.rectifier.undistort(recorded.images[0]), None
         else:
-            left_image, right_image = self.rectifier.rectify(images[0], images[1])
+            left, right = self.rectifier.rectify(recorded.images[0], recorded.images[1])
         return Frame(
-            index, time_s, left_image, right_image, utc_s, images[0] if self.has_wide_lens else None
+            index=recorded.index,
+            time_s=recorded.time_s,
+            left=left,
+            right=right,
+            utc_s=recorded.utc_s,
+            recorded=recorded.images[0] if self.has_wide_lens else None,
         )
 
     def with_alignment(self, alignment: PairAlignment) -> RecordingCalibration:
@@ -279,7 +281,7 @@ class RecordingCalibration:
                 fov_deg=self.view.fov_deg,
                 source=self.path or "the rig",
             )
-        rig = None if self.rig is None else replace(self.rig, alignment=alignment.correction)
+        rig = None if self.rig is None else replace(self.rig, alignment=alignment.at(0.0))
         return replace(self, rig=rig, rectifier=rectifier, alignment=alignment)
 
     def turned(self) -> RecordingCalibration:

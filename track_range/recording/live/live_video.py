@@ -147,6 +147,10 @@ class LiveVideo:
         # time of `time.monotonic` at which the reading started
         self.first_time_s = self.waiting_s()[0][1]
 
+    def forget_first_image(self) -> None:
+        """Free the memory of `first_image`."""
+        self.first_image = None
+
     @property
     def utc(self) -> UtcStart:
         """Time of this machine's clock at which the reading started."""

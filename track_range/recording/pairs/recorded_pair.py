@@ -67,6 +67,18 @@ class _Side:
             self.last_s = self.current.time_s
             self.n_read += 1
 
+    def is_nearer_to(self, time_s: float, gap_s: float) -> bool:
+        """Whether the time of the next frame differs from a time by less than `gap_s`."""
+        return self.current is not None and abs(self.current.time_s - time_s) < gap_s
+
+    def count_unpaired(self, *, is_first_pair: bool) -> None:
+        """Count the frames since the last pair as unpaired, before a pair."""
+        if is_first_pair:
+            self.n_before = self.n_after
+        else:
+            self.n_between += self.n_after
+        self.n_after = 0
+
 
 class RecordedPair(VideoPair[RecordedVideo]):
     """Pairs of frames of two videos with times that differ by at most a quarter of the shorter
@@ -118,26 +130,27 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 pair = left.current, right.current
                 is_right_earlier = pair[1].time_s < pair[0].time_s
                 earlier, later = (right, left) if is_right_earlier else (left, right)
-                later_s, gap_s = later.last_s, abs(pair[1].time_s - pair[0].time_s)
+                gap_s = abs(pair[1].time_s - pair[0].time_s)
                 earlier.advance()
-                is_successor_nearer = (
-                    earlier.current is not None and abs(earlier.current.time_s - later_s) < gap_s
-                )
-                if is_successor_nearer or gap_s > self.tolerance_s + TIME_EPSILON_S:
+                if earlier.is_nearer_to(later.last_s, gap_s) or not self._is_close(gap_s):
                     self._nearest_s = min(self._nearest_s, gap_s)
                     earlier.n_after += 1
                     continue
-                for side in self._sides:  # the frames read since the last pair are unpaired
-                    if self._n_pairs:
-                        side.n_between += side.n_after
-                    else:
-                        side.n_before = side.n_after
-                    side.n_after = 0
+                for side in self._sides:
+                    side.count_unpaired(is_first_pair=self._n_pairs == 0)
                 self._n_pairs += 1
                 yield pair
                 later.advance()
             for side in self._sides:
                 side.n_after += 0 if side.current is None else 1 + side.n_unread
+        self._check_end()
+
+    def _is_close(self, gap_s: float) -> bool:
+        """Whether times with this difference are those of a pair."""
+        return gap_s <= self.tolerance_s + TIME_EPSILON_S
+
+    def _check_end(self) -> None:
+        """Raises VideoError for the error of a video, or if there was no pair."""
         for side in self._sides:
             if side.error is not None:
                 raise side.error

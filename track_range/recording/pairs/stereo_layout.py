@@ -22,8 +22,8 @@ from track_range.recording.names import LayoutOption, StereoLayout, files_of
 from track_range.recording.pairs.video_half import image_half
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
-from track_range.stereo.alignment.pair_evidence import PairEvidence
-from track_range.stereo.alignment.pair_finding import find_fault
+from track_range.stereo.alignment.pair_evidence import PairEvidence, PairFigures
+from track_range.stereo.alignment.pair_finding import Fault, find_fault
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -136,42 +136,49 @@ def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
     """The layout of images whose halves are as similar as left and right images; None = images of
     one camera.
     """
-    if not images:
-        return None
-    for layout, reversed_layout in _SWAPPED.items():
+    for layout in _SWAPPED if images else ():
         halves = [
-            [image_half(layout, image, is_right=is_right) for is_right in (False, True)]
+            (
+                image_half(layout, image, is_right=False),
+                image_half(layout, image, is_right=True),
+            )
             for image in images
         ]
-        height_px, width_px = halves[0][0].shape[:2]
-        if min(height_px, width_px) < 2 * _THUMBNAIL_PX[1] or not _are_alike(*halves[0]):
+        if min(halves[0][0].shape[:2]) < 2 * _THUMBNAIL_PX[1] or not _are_alike(*halves[0]):
             continue
-        camera = PinholeCamera.of_focal_length(_FOCAL_PER_WIDTH * width_px, (width_px, height_px))
-        evidence = PairEvidence(camera)
-        for pair in halves:
-            evidence.add(*pair)
-        figures = evidence.figures()
-        fault, n_agreeing = (
-            find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault,
-            len(figures.left_px),
-        )
-        # the order of the halves is in doubt
-        if fault == "refused" and figures.arrangement == "equal" and n_agreeing:
-            median_px = float(np.median(figures.disparity_px))
-            fault = (
-                "unknown"
-                if abs(median_px) < _MIN_PARALLAX_PX
-                else "swapped"
-                if median_px < 0
-                else "fits"
-            )
-        if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):
-            share = (
-                f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal "
-                "rows"
-            )
-            return FoundLayout(reversed_layout if fault == "swapped" else layout, share)
+        if matched := _matched(layout, halves):
+            return matched
     return None
+
+
+def _matched(layout: StereoLayout, halves: Sequence[tuple[Image, Image]]) -> FoundLayout | None:
+    """The layout of halves, or that with the halves exchanged; None = they are not those of a
+    pair.
+    """
+    height_px, width_px = halves[0][0].shape[:2]
+    camera = PinholeCamera.of_focal_length(_FOCAL_PER_WIDTH * width_px, (width_px, height_px))
+    evidence = PairEvidence(camera)
+    for left, right in halves:
+        evidence.add(left, right)
+    figures = evidence.figures()
+    n_agreeing = len(figures.left_px)
+    if n_agreeing < _MIN_MATCHES * len(halves):
+        return None
+    fault = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault
+    if fault == "refused" and figures.arrangement == "equal":
+        fault = _order_by_parallax(figures)
+    if fault not in ("fits", "verged", "swapped"):
+        return None
+    source = f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal rows"
+    return FoundLayout(_SWAPPED[layout] if fault == "swapped" else layout, source)
+
+
+def _order_by_parallax(figures: PairFigures) -> Fault:
+    """Whether halves whose order is in doubt are exchanged, by the sign of most disparities."""
+    median_px = float(np.median(figures.disparity_px))
+    if abs(median_px) < _MIN_PARALLAX_PX:
+        return "unknown"
+    return "swapped" if median_px < 0 else "fits"
 
 
 def _are_alike(first: Image, second: Image) -> bool:

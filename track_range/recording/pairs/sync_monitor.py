@@ -10,9 +10,11 @@ some frames later or earlier has no lag. Until then, stereo is off in the frames
 present pairing.
 """
 
+from __future__ import annotations
+
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from statistics import median
@@ -68,6 +70,11 @@ class SyncFinding:
     frames: int  # its length
     action: Action
 
+    def continues(self, other: SyncFinding) -> bool:
+        """Whether both are the same fault."""
+        own, others = ((x.kind, x.side, x.lag_frames) for x in (self, other))
+        return own == others
+
 
 @dataclass(slots=True)
 class _Entry:
@@ -108,18 +115,11 @@ class SyncMonitor:
     _is_of_right: bool = True  # whether the last check was made from the motion in the right video
     _is_urgent: bool = False  # whether there is a reason to check the next frame
 
-    def paired(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames with simultaneous right images; None where the right image is unknown or
-        missing.
-        """
-        for frame in frames:
-            yield from self.add(frame)
-        while self._n_waiting:
-            yield self._next()
-
     def add(self, frame: Frame) -> list[Frame]:
         """Check the next frame; returns the frames that need not wait any longer: without
         `n_ahead`, this frame.
+
+        Their right images are simultaneous; None where such an image is unknown or missing.
         """
         if frame.right is None:
             return [frame]
@@ -145,6 +145,11 @@ class SyncMonitor:
             ready.append(self._next())
         return ready
 
+    def flush(self) -> Iterator[Frame]:
+        """The frames that still wait, after the last frame."""
+        while self._n_waiting:
+            yield self._next()
+
     def _next(self) -> Frame:
         """The first frame that waits, with its right image."""
         place = len(self._entries) - self._n_waiting
@@ -161,25 +166,41 @@ class SyncMonitor:
     def _note(self, entry: _Entry, *, is_off: bool) -> None:
         """Add the frame to the findings."""
         before, self._last = self._last, None
+        finding = self._finding_of(entry, is_off=is_off)
+        if finding is None:
+            return
+        if before is None or not finding.continues(before):
+            before = finding
+            if len(self.findings) < _MAX_FINDINGS:
+                self.findings.append(before)
+        before.frames += 1
+        # the first frames may lack a partner
+        if finding.action == "re-paired":
+            before.action = "re-paired"
+        self._last = before
+
+    @staticmethod
+    def _finding_of(entry: _Entry, *, is_off: bool) -> SyncFinding | None:
+        """What a frame alone shows, with no length yet; None = left and right are simultaneous, or
+        nothing is known.
+        """
         shift, frame = entry.shift or 0, entry.frame
-        if shift or (is_off and not entry.is_unknown):
-            side: Side = "left" if shift < 0 or entry.repeated[0] else "right"
-            kind: Kind = "lag" if shift else "apart"
-            if any(entry.repeated):
-                kind = "uniform" if entry.is_uniform else "repeated"
-            action: Action = "stereo off" if is_off else "re-paired"
-            if before is None or (before.kind, before.side, before.lag_frames) != (
-                kind,
-                side,
-                abs(shift),
-            ):
-                before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
-                if len(self.findings) < _MAX_FINDINGS:
-                    self.findings.append(before)
-            before.frames += 1
-            # the first frames may lack a partner
-            before.action = action if action == "re-paired" else before.action
-            self._last = before
+        if not shift and (entry.is_unknown or not is_off):
+            return None
+        kind: Kind = "lag" if shift else "apart"
+        if entry.is_uniform:
+            kind = "uniform"
+        elif any(entry.repeated):
+            kind = "repeated"
+        return SyncFinding(
+            frame=frame.index,
+            time_s=frame.time_s,
+            side="left" if shift < 0 or entry.repeated[0] else "right",
+            kind=kind,
+            lag_frames=abs(shift),
+            frames=0,
+            action="stereo off" if is_off else "re-paired",
+        )
 
     def _compare(self, entry: _Entry, before: _Entry) -> None:
         """Find repeated images, and whether the changes since the frame before are a reason for a
@@ -230,38 +251,46 @@ class SyncMonitor:
 
     def _searched(self, base: int) -> int | None:
         """The shift at which the newest frame has no lag; None = unknown."""
-        if self._candidate is not None and self._fits(
-            self._newest(self._candidate), self._candidate
-        ):
-            return self._candidate
+        candidate = self._candidate
+        if candidate is not None and self._fits(self._newest(candidate), candidate):
+            return candidate
+        shift, tried = self._by_newton(base)
+        if shift is not None:
+            return shift
+        if self._n_failed < _N_FAILED or self._credit < 2 * MAX_LAG:
+            return None
+        return self._best_of_all(tried)
+
+    def _by_newton(self, base: int) -> tuple[int | None, set[int]]:
+        """The shift without lag by Newton's method from `base`, None = not found; and the shifts that
+        were tried.
+        """
         shift, tried = base, set[int]()
-        # Newton's method
         while self._n_failed <= _N_FAILED and shift not in tried and abs(shift) <= MAX_LAG:
             tried.add(shift)
             place = self._newest(shift)
-            late, early = (
-                self._measured(place, shift, is_of_right=is_right) for is_right in (False, True)
-            )
+            late = self._measured(place, shift)
+            early = self._measured(place, shift, is_of_right=True)
             if shift != base and _is_same(late) and not _is_other(early):
-                return shift
-            # from the side whose moment is later, since points remain in view backwards in time
-            steps = [x.value for x in (late, early) if x is not None and math.isfinite(x.sigma)]
-            clear = [
-                x.value
-                for x, sign in ((late, 1), (early, -1))
-                if x is not None and x.value * sign > 0
-            ]
-            shift += round((clear or steps or [0.0])[0])
-        if self._n_failed < _N_FAILED or self._credit < 2 * MAX_LAG:
+                return shift, tried
+            shift += _newton_step(late, early)
+        return None, tried
+
+    def _best_of_all(self, tried: set[int]) -> int | None:
+        """The shift of all that were not tried at which most points have no lag; None = none, or it
+        does not fit.
+        """
+        n_points = dict[int, int]()  # by shift without lag
+        for shift in range(-MAX_LAG, MAX_LAG + 1):
+            if shift in tried:
+                continue
+            lag = self._measured(self._newest(shift), shift)
+            if lag is not None and _is_same(lag):
+                n_points[shift] = lag.n_points
+        if not n_points:
             return None
-        lags = {
-            k: self._measured(self._newest(k), k)
-            for k in range(-MAX_LAG, MAX_LAG + 1)
-            if k not in tried
-        }
-        same = {k: lag.n_points for k, lag in lags.items() if lag is not None and _is_same(lag)}
-        best = max(same, key=same.__getitem__, default=None)
-        return best if best is not None and self._fits(self._newest(best), best) else None
+        best = max(n_points, key=n_points.__getitem__)
+        return best if self._fits(self._newest(best), best) else None
 
     def _change(self, shift: int) -> None:
         """Use another shift from the first waiting frame on at which the present shift is wrong."""
@@ -337,6 +366,22 @@ class SyncMonitor:
         """The section `synchronisation` of summary.json, if there are findings."""
         findings = [asdict(finding) for finding in self._clear_findings]
         return {"synchronisation": findings} if findings else {}
+
+
+def _newton_step(late: Lag | None, early: Lag | None) -> int:
+    """Change of the shift by the lags measured from the left and from the right video; 0 = no lag is
+    known.
+
+    It is taken from the side whose moment is later, since points remain in view backwards in time.
+    """
+    if late is not None and late.value > 0:
+        return round(late.value)
+    if early is not None and early.value < 0:
+        return round(early.value)
+    for lag in (late, early):
+        if lag is not None and math.isfinite(lag.sigma):
+            return round(lag.value)
+    return 0
 
 
 def _is_same(lag: Lag | None, limit: float = _SAME) -> bool:

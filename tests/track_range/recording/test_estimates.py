@@ -1,11 +1,11 @@
-"""The alignment of frames that come one by one: when it is estimated, also after a stop of the
+"""When the alignment is estimated from frames that come one by one, also after a stop of the
 vehicle."""
 
-import numpy as np
 import pytest
 
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.auto_alignment import StepwiseAlignment
+from track_range.recording.pairs.aligner import ONE_BY_ONE
+from track_range.recording.pairs.estimates import AlignmentEstimates
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.rig_formats.reading import load_rig
@@ -23,14 +23,17 @@ def test_estimates_after_a_stop(render_drive, n_static):
     height_px, width_px = pairs[0][0].shape[:2]
     rig, _ = load_rig(drive.rig, size_px=(width_px, height_px))
     rectifier = Rectifier(rig)
-    alignment = StepwiseAlignment(rectifier.rig)
-    estimated = []
+    estimates = AlignmentEstimates(rectifier.rig, ONE_BY_ONE.estimates_s)
+    made = []
     for index, (left, right) in enumerate([pairs[0]] * n_static + pairs):
-        frame = Frame(index, index / 10, *rectifier.rectify(left, right))
-        if alignment.add(frame, frame) is not None:
-            estimated.append(index - n_static)
-    assert estimated[0] in range(8, 14)
-    assert len(estimated) >= 3
-    assert estimated[-1] >= 40
-    assert alignment.current.measured.source.endswith("48 frames")
-    assert np.isfinite(alignment.at(0.0).offset_px)
+        estimate = estimates.add(Frame(index, index / 10, *rectifier.rectify(left, right)))
+        if estimate is not None:
+            made.append((index - n_static, estimate))
+            if estimate.is_last:
+                break
+    frames, made = zip(*made, strict=True)
+    assert frames[0] in range(8, 14)
+    assert len(frames) >= 3
+    assert frames[-1] >= 40
+    assert [one.is_last for one in made] == [False] * (len(made) - 1) + [True]
+    assert made[-1].alignment.measured.source.endswith("48 frames")
