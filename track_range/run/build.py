@@ -21,8 +21,8 @@ from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.registry import create_rangers, method_notes
+from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
-from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.cameras.calibration import RecordingCalibration
@@ -75,7 +75,6 @@ def open_pipeline(
     settings: PipelineOptions,
     calibration: RecordingCalibration,
     boxes: BoxSource,
-    size_model: SizeModel,
     *,
     region: Region = "unknown",
     tracker: ObjectTracker | None = None,
@@ -87,12 +86,12 @@ def open_pipeline(
 
     `tracker` replaces the tracker of the settings. With `measures_speed`, an unknown speed is
     measured from the images where a scale is known; with `needs_candidates`, results have all
-    boxes, for anonymization. ModelError: the re-identification or lane network cannot be used;
-    TrackerError: the tracker cannot be created; MethodError: ranging methods of other packages
-    depend on each other in a cycle.
+    boxes, for anonymization. CurveError: the size curves cannot be read; ModelError: the
+    re-identification or lane network cannot be used; TrackerError: the tracker cannot be created;
+    MethodError: ranging methods of other packages depend on each other in a cycle.
     """
     is_ahead = calibration.view.yaw_deg == 0
-    context = _method_context(settings, calibration, boxes, size_model, region)
+    context = _method_context(settings, calibration, boxes, region)
     flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
@@ -128,7 +127,6 @@ def _method_context(
     settings: PipelineOptions,
     calibration: RecordingCalibration,
     boxes: BoxSource,
-    size_model: SizeModel,
     region: Region,
 ) -> MethodContext:
     return MethodContext(
@@ -136,7 +134,7 @@ def _method_context(
         rig=calibration.rig,
         assumed_rig=calibration.assumed_rig,
         focal_sigma=calibration.focal_sigma,
-        size_model=size_model,
+        size_model=load_curves(settings.curves, region),
         box_errors=boxes.box_errors,
         camera_height_m=settings.camera_height_m or calibration.camera_height_m,
         region=region,

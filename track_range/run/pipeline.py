@@ -176,7 +176,8 @@ class Pipeline:
         self._align, self._view = "auto" if align is None else align, view
         self._is_closed = False
         self._tracker = tracker
-        self._size_model = load_curves(options.curves, options.region or "unknown")
+        # an unusable file is reported before the first frame
+        load_curves(options.curves, options.region or "unknown")
         if detector is not None:
             self._boxes = boxes_of(detector)
         else:
@@ -477,7 +478,6 @@ class Pipeline:
             self.options,
             calibration if aligner is None else aligner.calibration,
             outside_regions(self._boxes, self.options.ignore, calibration),
-            self._size_model,
             region=self.options.region or "unknown",
             tracker=self._tracker,
         )

@@ -143,7 +143,6 @@ class RunSession:
                 settings,
                 calibration,
                 self.box_source,
-                load_curves(settings.curves, self.region),
                 region=self.region,
                 tracker=tracker,
                 ego_speed=self.speed.ego,
