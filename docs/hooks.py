@@ -200,6 +200,8 @@ def _api_text(reference: re.Match[str]) -> str:
     value = getattr(tr, name) if module == "track_range" else getattr(sys.modules[module], name)
     try:
         signature = str(inspect.signature(value)) if callable(value) else f" = {value!r}"
+        if "__signature__" in getattr(value, "__dict__", {}):
+            signature = ""  # a class that is created by its class methods
     except ValueError:
         signature = ""
     return (

@@ -45,8 +45,8 @@ class LabelFormat:
     is_general: bool = False
     is_folder: bool = False  # whether it is a folder with one file per frame
     is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
-    # regular expression that the first 64 kB match, of a folder those of its first file
-    mark: str = ""
+    # what the first 64 kB match, of a folder those of its first file
+    mark: re.Pattern[str] | None = None
     # largest difference of an edge read again; None = depends on the image size
     precision_px: float | None = None
 
@@ -91,7 +91,7 @@ _FORMATS += tuple(
 )
 # the last that recognises a file
 LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}
-_MARKED = [label_format for label_format in _FORMATS if label_format.mark]
+_MARKED = [(form.mark, form) for form in _FORMATS if form.mark is not None]
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
@@ -105,9 +105,10 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
         if not first:
             raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
     start = "" if first == _PARQUET_MARK else start_of(path)
-    marked = (form for form in _MARKED if form.is_folder or not os.path.isdir(path))
-    if of_mark := next((form for form in marked if re.match(form.mark, start, re.DOTALL)), None):
-        return of_mark
+    is_folder = os.path.isdir(path)
+    for mark, form in _MARKED:
+        if (form.is_folder or not is_folder) and mark.match(start):
+            return form
     return next(form for form in reversed(LABEL_FORMATS.values()) if form.is_format(path, first))
 
 

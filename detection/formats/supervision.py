@@ -43,9 +43,8 @@ def read_supervision(
     The names of the class ids are `class_names`, else the names in `data["class_name"]`, else
     COCO's. ValueError for arrays of unequal length, or a class id without a name.
 
-    Returns:
-        (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have none, (M,)
-        class id, and (M,) identities or None.
+    The result is (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have
+    none, (M,) class id, and (M,) identities or None.
     """
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)

@@ -33,15 +33,19 @@ def check_identities(table: BoxTable, path: Path) -> None:
         )
 
 
+# of images, and of files that are named after an image
+_SUFFIXES = frozenset("jpg jpeg png bmp webp tif tiff pgm ppm json xml txt".split())
+
+
 def image_stem(name: str) -> str:
     """The name of an image without folder, suffix, and Roboflow's appended `_jpg.rf.` with a
     hash.
     """
     stem = re.split(r"[/\\\\]", name)[-1]
-    stem = re.sub(r"(_(jpe?g|png|bmp|webp))?\.rf\.\w+", "", stem)
-    return re.sub(
-        r"(\.(jpe?g|png|bmp|webp|tiff?|pgm|ppm|json|xml|txt))+$", "", stem, flags=re.IGNORECASE
-    )
+    parts = re.sub(r"(_(jpe?g|png|bmp|webp))?\.rf\.\w+", "", stem).split(".")
+    while len(parts) > 1 and parts[-1].lower() in _SUFFIXES:
+        parts.pop()
+    return ".".join(parts)
 
 
 def frame_in_name(name: str) -> int | None:

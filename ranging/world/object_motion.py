@@ -80,8 +80,9 @@ class ObjectMotion:
         speed_sigma_mps: its standard deviation.
         heading_deg: direction of motion in the frame `map`, counterclockwise from its x axis, -180
             to 180; NaN also at rest.
-        world_x_m, world_y_m: position in the frame `map` of the middle of the object's visible
-            side, at the filtered distance.
+        world_x_m: position in the frame `map` of the middle of the object's visible side, at the
+            filtered distance.
+        world_y_m: the same along y.
         state: index into `MOTION_STATES`.
     """
 

@@ -46,7 +46,7 @@ _ZED_SIZES = {  # (width, height) of the images of one side by the name of the m
     "VGA": (672, 376), "HD1080": (1920, 1080), "HD1200": (1920, 1200), "HD720": (1280, 720), "4K": (3840, 2160),
     "QHDPLUS": (3200, 1800),
 }  # fmt: skip
-_ZED_SECTION = re.compile(r"^\s*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
+_ZED_SECTION = re.compile(r"^[^\S\n]*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
 # depthai-core, LengthUnit: m, cm, mm, in, ft
 _OAK_UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001, 3: 0.0254, 4: 0.3048}
 # relative difference of the baselines by calibration and by specification that is noted
@@ -259,7 +259,8 @@ def _route(
 
 _RS_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
 _RS_INTRINSIC = re.compile(
-    r'Intrinsic of "(?P<stream>[^"\n]+)"[^\n]*\n(?P<body>(?:(?!\n\s*\n|Intrinsic of|Extrinsic from)[\s\S]){0,2000})'
+    r'Intrinsic of "(?P<stream>[^"\n]{1,100})"[^\n]{0,300}\n'
+    r"(?P<body>(?:(?!\n\s*\n|Intrinsic of|Extrinsic from)[\s\S]){0,2000})"
 )
 _RS_EXTRINSIC = re.compile(
     r'Extrinsic from\s+"(?P<first>[^"\n]+)"\s+To\s+"(?P<second>[^"\n]+)"[\s:]*Rotation Matrix:'
@@ -307,7 +308,7 @@ def _rs_numbers(text: str) -> list[float]:
 
 def _rs_camera(body: str) -> PinholeCamera | None:
     """The camera of the lines of one stream and size; None if a number is missing."""
-    lines = re.findall(r"^\s*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
+    lines = re.findall(r"^[^\S\n]*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
     # of several lines, the first
     values = {name: _rs_numbers(line) for name, line in reversed(lines)}
     names = ("fx", "fy", "ppx", "ppy", "width", "height")

@@ -76,7 +76,7 @@ class Kind(NamedTuple):
 _M = re.MULTILINE
 KINDS = (
     Kind("middlebury", "Middlebury's calib.txt", re.compile(r"^cam0\s*=\s*\[", _M), 0.001, is_rectified=True),
-    Kind("cityscapes", "Cityscapes' camera.json", re.compile(r'"baseline"[\s\S]*"u0"|"u0"[\s\S]*"baseline"'), 1.0,
+    Kind("cityscapes", "Cityscapes' camera.json", re.compile(r'\A(?=[\s\S]*"baseline")[\s\S]*"u0"'), 1.0,
          (2048, 1024), "images of 2048x1024 px, the size of all Cityscapes images", is_rectified=True),
     Kind("foundation-stereo", "FoundationStereo's K.txt", K_AND_BASELINE, 1.0, is_rectified=True),
     Kind("virtual-kitti", "Virtual KITTI's intrinsic.txt", VIRTUAL_KITTI, 1.0, (1242, 375),
@@ -567,7 +567,7 @@ def partial_motion(given: Quantities, path: Path) -> FloatArray | None:
 def _unusable(given: Quantities, path: Path) -> str:
     """The probable kind of a file without cameras, and advice."""
     keys = " ".join(given.keys).lower()
-    advice = next((advice for pattern, advice in _SEEN if re.search(pattern, keys)), None) or (
+    advice = next((advice for pattern, advice in _SEEN if pattern.search(keys)), None) or (
         "expected the matrix M1 of a camera (or track_range_rig)",
         "track-range rig template FILE writes a rig.yaml with blanks",
     )
@@ -576,20 +576,20 @@ def _unusable(given: Quantities, path: Path) -> str:
 
 
 _SEEN = (
-    (r"stereo_?map|_map_?[xy]|map[lr12]?_?[xy]\b|remap|rectify_?map", (
+    (re.compile(r"stereo_?map|_map_?[xy]|map[lr12]?_?[xy]\b|remap|rectify_?map"), (
         "expected camera matrices, but this file seems to contain only remap tables",
         "give the file with M1, D1, M2, D2, R and T, or P1 and P2, of the same calibration",
     )),
-    (r"imagelist|images", (
+    (re.compile(r"imagelist|images"), (
         "expected a calibration, but this file seems to list images for a calibration",
         "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates the cameras",
     )),
-    (r"\br\b|\bt\b", (
+    (re.compile(r"\br\b|\bt\b"), (
         "expected the matrix M1 in this file or in an intrinsics file in its folder, but this file seems to contain "
         "only extrinsics",
         "give stereo_calib's intrinsics.yml beside it",
     )),
-    (r"controls-|param-|parameters\.", (
+    (re.compile(r"controls-|param-|parameters\."), (
         "expected a calibration, but this file seems to contain RealSense's settings",
         "rs-enumerate-devices -c > rig.txt writes the calibration",
     )),

@@ -39,7 +39,7 @@ _OST_NAMES = {
 _OST_VALUE = re.compile(
     rf"^[ \t]*({'|'.join(_OST_NAMES)})[ \t]*\n((?:[-+\d.eE \t]*\n)*)", re.MULTILINE
 )
-_OST_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?")
+_OST_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?")
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
 _SUFFIXES = (".yaml", ".yml")
 

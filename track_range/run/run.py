@@ -11,6 +11,7 @@ Files are written only if `out=` or `write()` gives a folder.
 from __future__ import annotations
 
 import html
+import inspect
 import time
 import weakref
 from collections.abc import Generator, Mapping, Sequence
@@ -56,8 +57,10 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """One pass over one recording: iterate it once; afterwards it provides the rows and the
-    summary.
+    """One pass over one recording, of two cameras with `Run.stereo`, of one with `Run.mono`.
+
+    Iterate it once; afterwards it provides the rows and the summary. `Run(settings)` is for settings
+    that were read from a file.
 
     Example:
         >>> import track_range as tr
@@ -73,6 +76,9 @@ class Run:
         settings: settings of the run.
         files: files written by a finished run.
     """
+
+    # `help` begins with the docstring, and not with the constructor, which needs all settings
+    __signature__ = inspect.Signature()
 
     def __init__(
         self,
@@ -172,7 +178,8 @@ class Run:
         """Open all inputs, so that unusable ones are reported before the first frame.
 
         Raises:
-            VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
+            UserError: an input cannot be used; its class is that of the input, such as VideoError or
+                RigError.
         """
         if self._session is None:
             try:

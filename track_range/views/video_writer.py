@@ -52,7 +52,8 @@ class VideoWriter:
 
     Args:
         path: the file; replaced if it exists.
-        width_px, height_px: size of the images.
+        width_px: width of the images.
+        height_px: height of the images.
         fps: nominal frame rate, for the duration of the last frame.
         crf: x264's constant rate factor, 0 (lossless) to 51; x264's default is 23.
         quantizer: constant quantizer, 0 to 51, instead of `crf`; faster, since x264 need not

@@ -348,33 +348,39 @@ class Layout(NamedTuple):
     """
 
     title: str
-    mark: str  # regular expression
+    mark: re.Pattern[str]
     boxes: Callable[[Any], Iterator[_Box]]
     is_folder: bool = False  # whether a folder with one file for each image is read, too
 
 
+def _mark(pattern: str) -> re.Pattern[str]:
+    return re.compile(pattern, re.DOTALL)
+
+
 LAYOUTS: Mapping[str, Layout] = {
-    "createml": Layout("CreateML", r'^\s*\[.*"coordinates"\s*:', _createml),
-    "bdd100k": Layout("BDD100K", r'^\s*[\[{].*"(box2d|frameIndex|videoName)"\s*:', _bdd100k),
-    "labelme": Layout("LabelMe", r'^\s*\{.*"(shape_type|shapes)"\s*:', _labelme, True),
+    "createml": Layout("CreateML", _mark(r'^\s*\[.*"coordinates"\s*:'), _createml),
+    "bdd100k": Layout("BDD100K", _mark(r'^\s*[\[{].*"(box2d|frameIndex|videoName)"\s*:'), _bdd100k),
+    "labelme": Layout("LabelMe", _mark(r'^\s*\{.*"(shape_type|shapes)"\s*:'), _labelme, True),
     "labelstudio": Layout(
         "Label Studio",
-        r'^\s*[\[{].*"(rectanglelabels|videorectangle|original_width)"',
+        _mark(r'^\s*[\[{].*"(rectanglelabels|videorectangle|original_width)"'),
         _label_studio,
     ),
-    "via": Layout("VIA", r'^\s*\{.*"(shape_attributes|_via_img_metadata)"\s*:', _via),
+    "via": Layout("VIA", _mark(r'^\s*\{.*"(shape_attributes|_via_img_metadata)"\s*:'), _via),
     "supervisely": Layout(
-        "Supervisely", r'^\s*\{.*"(classTitle|objectKey|objectId)"\s*:', _supervisely, True
+        "Supervisely", _mark(r'^\s*\{.*"(classTitle|objectKey|objectId)"\s*:'), _supervisely, True
     ),
     "supervision": Layout(
-        "supervision", r'^\s*\[\s*\{[^}]{0,2000}"x_min"\s*:|^"?x_min"?,"?y_min', _supervision
+        "supervision", _mark(r'^\s*\[\s*\{[^}]{0,2000}"x_min"\s*:|^"?x_min"?,"?y_min'), _supervision
     ),
     "csv_filename": Layout(
-        "CSV of Roboflow", r"^[^\n]{0,300}\bfilename\b[^\n]{0,300}\bxmin\b", _filename_rows
+        "CSV of Roboflow", _mark(r"^[^\n]{0,300}\bfilename\b[^\n]{0,300}\bxmin\b"), _filename_rows
     ),
-    "via_csv": Layout("CSV of VIA", r"^#?filename,[^\n]{0,300}region_shape_attributes", _via_rows),
-    "voc": Layout("Pascal VOC", r"^\s*<(\?xml[^>]*>\s*<)?annotation[\s>]", _voc, True),
-    "detrac": Layout("UA-DETRAC", r"^\s*<(\?xml[^>]*>\s*<)?sequence[\s>]", _detrac),
+    "via_csv": Layout(
+        "CSV of VIA", _mark(r"^#?filename,[^\n]{0,300}region_shape_attributes"), _via_rows
+    ),
+    "voc": Layout("Pascal VOC", _mark(r"^\s*<(\?xml[^>]*>\s*<)?annotation[\s>]"), _voc, True),
+    "detrac": Layout("UA-DETRAC", _mark(r"^\s*<(\?xml[^>]*>\s*<)?sequence[\s>]"), _detrac),
 }
 """Layouts by name; their order has no meaning, since at most one layout fits a file."""
 

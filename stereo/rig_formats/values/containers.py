@@ -57,18 +57,23 @@ _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbe
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
 # OpenCV allows it, YAML does not
 _NO_SPACE = re.compile(r"^([ \t]*[A-Za-z][\w.]*):(?=[-\[\d.])", re.MULTILINE)
-_SECTION = re.compile(r"^\s*\[([A-Za-z][\w ./-]*)\]\s*$", re.MULTILINE)
+_SECTION = re.compile(r"^[^\S\n]*\[([A-Za-z][\w ./-]*)\]\s*$", re.MULTILINE)
+_KEY = re.compile(r"^[^\S\n]*\w+:", re.MULTILINE)
+# texts that are no YAML: name = ..., and rows of matrices as NumPy and MATLAB print them
+_EQUALS = re.compile(r"^[ \t]*[\w.]+[ \t]*=", re.MULTILINE)
+_ROWS_BELOW = re.compile(r":(?=[^\S\n]*\n)\s*+\[\[")
+_SPACED_ROW = re.compile(r"\[[^\[\]\n,]*\d[ \t]+[-\d]")
 _ASSIGNMENT = re.compile(
-    r"^[ \t]*(?:self\.)?([A-Za-z_][\w. ]{0,40}?)[ \t]*[:=]\s*(?:np\.|numpy\.)?(?:array|matrix|mat)?\(?\s*"
+    r"^[ \t]*(?:self\.)?([A-Za-z_][\w. ]{0,40}?)[ \t]*[:=]\s*+(?:np\.|numpy\.)?(?:array|matrix|mat)?\(?\s*+"
     r"(\[[-+\d.eE,;\s\[\]]*\]|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)",
     re.MULTILINE,
 )
 _WORD = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
 # of FoundationStereo
-K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")
-VIRTUAL_KITTI = re.compile(r"\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
+K_AND_BASELINE = re.compile(rf"\A\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")
+VIRTUAL_KITTI = re.compile(r"\A\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
 _VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 def calibration_text(path: Path) -> str:
@@ -117,7 +122,7 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
         return _xml_values(text, path, expected)
     if start == "{":
         values = parse_json(text, path, RigError, expected)
-    elif _SECTION.search(text) and not re.search(r"^\s*\w+:", text, re.MULTILINE):
+    elif _SECTION.search(text) and not _KEY.search(text):
         return _section_values(text)
     elif not text.lstrip().startswith("%YAML") and (values := _assigned_values(text)):
         return values
@@ -144,9 +149,8 @@ def _assigned_values(text: str) -> dict[str, Any]:
     """Numbers by name of `name = [...]` or `name: [[...]]` as NumPy, Middlebury and MATLAB print
     them; {} = YAML.
     """
-    if not re.search(
-        r"^[ \t]*[\w.]+[ \t]*=|:\s*\n\s*\[\[|\[[^\]\n,]*\d[ \t]+[-\d][^\]]*\]", text, re.MULTILINE
-    ):
+    closed = text[: text.rfind("]") + 1]  # a row needs its end
+    if not (_EQUALS.search(text) or _ROWS_BELOW.search(text) or _SPACED_ROW.search(closed)):
         return {}
     values = {
         name.strip(): [float(x) for x in _NUMBER.findall(value)]

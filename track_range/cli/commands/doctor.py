@@ -59,7 +59,7 @@ N_TIMED, CLEAR_SCORE = 7, 0.5
 # of a device's boxes in px and score: INT8 and float differ by 1.5 and 0.05
 MAX_DIFFERENCES = 3.0, 0.1
 OK, _NOT_INSTALLED = "ok", "not installed"
-_EXTRA = re.compile(r"^([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
+_EXTRA = re.compile(r"^([\w.-]++).*extra\s*==\s*['\"]([\w-]+)['\"]")
 
 
 class DoctorError(UserError):

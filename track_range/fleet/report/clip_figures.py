@@ -29,6 +29,7 @@ _ENDS = 5  # number of clips whose median is the first or last value of a drift
 _MAX_NAMED = 5  # largest number of clips that are named in a row
 _MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
 _S_PER_H = 3600.0
+_FILE = re.compile(r"^(?=[^\s/\\]*[/\\])\S*: ")  # at the start of an error
 # what differs between messages of one kind: quoted names, and numbers, by themselves or as parts of
 # names and versions
 _VARIABLE = re.compile(
@@ -213,7 +214,7 @@ def failure_figures(failed: ClipColumns) -> list[Figures]:
         *map(failed.texts, ("clip", "error_kind", "error", "left")), strict=True
     ):
         is_of_left = left and error.startswith(f"{left}: ")
-        reason = error[len(left) + 2 :] if is_of_left else re.sub(r"^\S*[/\\]\S*: ", "", error)
+        reason = error[len(left) + 2 :] if is_of_left else _FILE.sub("", error)
         by_reason[kind or "unknown", _pattern(reason)].append((clip, reason))
     groups = sorted(by_reason.items(), key=lambda item: (-len(item[1]), item[0]))
     return [

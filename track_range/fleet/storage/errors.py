@@ -55,6 +55,7 @@ _TEXT_FAULTS: dict[StorageFault, str] = {
     r"|\bREQUEST_TIME|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bABORTED\b|\bcurlCode\b|\bCURL error"
     r"|status (?:408|429|5\d\d)|timed? ?out|onnection (?:reset|closed|refused)|resolve host",
 }
+_MAX_TEXT = 4000  # characters of a text that are read; servers may answer with whole pages
 # names in such texts
 _NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")
 _NOISE = re.compile(  # parts of such texts that do not help a user
@@ -63,7 +64,7 @@ _NOISE = re.compile(  # parts of such texts that do not help a user
     r"|\s*\(Request ID: .*?\)|\.? Detail: .*"
 )
 _SECRETS = re.compile(
-    r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
+    r"(?i)((?:access.?key(?:.?id)?|secret\w{0,40}|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )
 
 _ADVICE: dict[StorageFault, str] = {
@@ -133,7 +134,7 @@ def fault_of(error: Exception) -> StorageFault:
     is_web = type(error).__module__.startswith("aiohttp") and not isinstance(error, ValueError)
     if is_web or isinstance(error, TimeoutError | ConnectionError):
         return "network"
-    text = _NAMES.sub("", str(error))
+    text = _NAMES.sub("", str(error)[:_MAX_TEXT])
     return next(
         (fault for fault, pattern in _TEXT_FAULTS.items() if re.search(pattern, text)), "other"
     )
@@ -144,5 +145,6 @@ def reason_of(error: Exception) -> str:
     if (status := getattr(error, "status", None)) is not None:
         return f"HTTP status {status} {getattr(error, 'message', '')}".strip()
     text = describe(error) if isinstance(error, OSError) and error.errno is not None else str(error)
+    text = text[:_MAX_TEXT]
     text = _SECRETS.sub(r"\1...", " ".join(_NOISE.sub("", text).split())).strip(" .:")
     return shortened(text or type(error).__name__, _MAX_REASON)

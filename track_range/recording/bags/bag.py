@@ -61,7 +61,7 @@ def open_bag(path: Path) -> Bag:
     if not path.is_dir():
         return _open_file(path)
     files = _files_in(path)
-    series = {re.sub(r"_?\d*(\.\w+)+$", "", file.name) for file in files}
+    series = {_series(file.name) for file in files}
     if len(series) > 1 and not (path / "metadata.yaml").exists():
         raise VideoError(
             f"{path}: expected the files of one bag, found {shortened(files[0].name, 50)} and "
@@ -132,6 +132,17 @@ class SqliteFile:
                     f"the file is cut off or damaged after {number} messages "
                     f"({type(error).__name__})"
                 )
+
+
+def _series(name: str) -> str:
+    """Name of a recording from that of one of its files: trip_0.mcap -> trip."""
+    parts = name.split(".")
+    n_parts = len(parts)
+    while len(parts) > 1 and re.fullmatch(r"\w+", parts[-1]):
+        parts.pop()
+    if len(parts) == n_parts:
+        return name
+    return ".".join(parts).rstrip("0123456789").removesuffix("_")
 
 
 def _count(database: sqlite3.Connection, topic_id: int) -> int | None:

@@ -27,7 +27,7 @@ _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"
     r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:[-_.,]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
 )
-_DECIMAL = re.compile(r"(\d+)\.(\d+)")
+_DECIMAL = re.compile(r"(?<!\d)(\d+)\.(\d+)")
 _INTEGER = re.compile(r"(?<![\d.])([1-9]\d{9,18})(?![\d.])")
 _UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 # plausible median times between frames, and a usual one
@@ -291,18 +291,17 @@ def _stated_times(
     return file.name, times_s, _TIMESTAMP.match(cells[0].strip()) is not None
 
 
+# between cells of a line: a comma, semicolon or tab, or spaces before a name or a last integer
+_SEPARATOR = re.compile(r"[,;\t]|(?<![^\S\t])\s++(?=\S*[a-zA-Z/])|(?<=\d)\s++(?=\d+$)")
+_MAX_LINE = 5000  # characters of a line that are read; a path has at most 4096
+_TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
+
+
 def _rows_with_times(text: str) -> list[list[str]]:
     """Cells of the lines that start with a number: no comments, headings and empty lines."""
     lines = [line.strip() for line in text.split("\n") if line.strip()]
-    rows = [
-        re.split(r"[,;\t]|\s+(?=\S*[a-zA-Z/])|(?<=\d)\s+(?=\d+$)", line)
-        for line in lines
-        if line[0] not in "#%"
-    ]
+    rows = [_SEPARATOR.split(line[:_MAX_LINE]) for line in lines if line[0] not in "#%"]
     return [row for row in rows if re.match(r"[-+.\d]", row[0])]
-
-
-_TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
 
 def _parsed_times(cells: Sequence[str]) -> FloatArray | None:

@@ -41,6 +41,12 @@ def parse_free_gps(block: bytes) -> FreeGps | None:
     return next((content for layout in _LAYOUTS if (content := layout(padded)) is not None), None)
 
 
+_MARKS = re.compile(rb"[A\0][NS][EW]|V[^A-MO-RT-Z].", re.DOTALL)
+_SPREAD_MARKS = re.compile(rb"[AV]\0{3}.{8}[NS]\0{3}.{12}[EW]\0{3}", re.DOTALL)
+_AKASO_MARKS = re.compile(rb"[AV]\0{3}.{4}[NS]\0{3}.{4}[EW]\0{3}", re.DOTALL)
+"""Flags of validity and hemispheres."""
+
+
 class _Layout(NamedTuple):
     """Offsets of the fields of a record."""
 
@@ -55,7 +61,7 @@ class _Layout(NamedTuple):
     speed: int
     course: int  # 0 = none
     number: str = "f"  # type of the four numbers, "f" or "d"
-    marks: bytes = rb"[A\0][NS][EW]|V[^A-MO-RT-Z]."  # pattern of the characters from `status` on
+    marks: re.Pattern[bytes] = _MARKS  # of the characters from `status` on
     # whether the date must be valid; numbers are then little- or big-endian, of which one has a
     # valid date
     is_dated: bool = True
@@ -98,13 +104,13 @@ def _spread_doubles(start: int) -> _Layout:
     return _Layout(
         clock=start, date=start + 0x40, status=start + 0x0C, north=start + 0x18, east=start + 0x28,
         latitude=start + 0x10, longitude=start + 0x20, speed=start + 0x30, course=start + 0x38,
-        number="d", marks=rb"[AV]\0{3}.{8}[NS]\0{3}.{12}[EW]\0{3}", is_dated=False,
+        number="d", marks=_SPREAD_MARKS, is_dated=False,
     )  # fmt: skip
 
 
 _AKASO = _Layout(  # flags as separate words, and the hemispheres after each coordinate
     clock=0x30, date=0x58, status=0x3C, north=0x44, east=0x4C, latitude=0x40, longitude=0x48, speed=0x50, course=0x54,
-    marks=rb"[AV]\0{3}.{4}[NS]\0{3}.{4}[EW]\0{3}", is_dated=False, unit="assumed", mps=MPS_PER_UNIT["km/h"],
+    marks=_AKASO_MARKS, is_dated=False, unit="assumed", mps=MPS_PER_UNIT["km/h"],
     reversal=b"x.xx", is_like=lambda block: _is_clock(*struct.unpack_from("<3I", block, 0x30)),
 )  # fmt: skip
 
@@ -127,7 +133,7 @@ _ENCRYPTED = _compact(0x30)._replace(  # Akaso V1 and Redtiger
 
 def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
     order = _byte_order(layout, block)
-    marks = re.compile(layout.marks, re.DOTALL).match(block, layout.status)
+    marks = layout.marks.match(block, layout.status)
     if order is None or not marks or not layout.is_like(block):
         return None
 

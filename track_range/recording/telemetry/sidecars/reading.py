@@ -81,25 +81,31 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
 
 _KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is
     (
-        r"event\.json$",
+        re.compile(r"event\.json$", re.IGNORECASE),
         "Tesla's event.json, which states one position and no speed; videos from 2025 on contain "
         "the speed",
     ),
     (
-        r"[rq]log(\.bz2|\.zst)?$",
+        re.compile(r"[rq]log(\.bz2|\.zst)?$", re.IGNORECASE),
         "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV",
     ),
     (
-        r"\.(mf4|mdf|blf|asc|dbc)$",
+        re.compile(r"\.(mf4|mdf|blf|asc|dbc)$", re.IGNORECASE),
         "a log of a CAN bus; export the speed as CSV with its unit in the heading",
     ),
-    (r"\.(ubx|rtcm3?|sbf)$", "raw data of a GPS receiver; convert it to NMEA"),
     (
-        r"\.(ulg|tlog|bin|dat)$",
+        re.compile(r"\.(ubx|rtcm3?|sbf)$", re.IGNORECASE),
+        "raw data of a GPS receiver; convert it to NMEA",
+    ),
+    (
+        re.compile(r"\.(ulg|tlog|bin|dat)$", re.IGNORECASE),
         "a binary log; export the speed as CSV with its unit in the heading",
     ),
-    (r"\.kmz$", "a compressed KML file; unpack it"),
-    (r"\.(json|geojson)$", "JSON, which is not read; export the speed as CSV or GPX"),
+    (re.compile(r"\.kmz$", re.IGNORECASE), "a compressed KML file; unpack it"),
+    (
+        re.compile(r"\.(json|geojson)$", re.IGNORECASE),
+        "JSON, which is not read; export the speed as CSV or GPX",
+    ),
 )
 
 
@@ -107,6 +113,4 @@ def kind_of(path: Path) -> str:
     """Probable kind of a file that is not read, and advice, for a message after "found"; empty =
     unknown.
     """
-    return next(
-        (kind for pattern, kind in _KINDS if re.search(pattern, path.name, re.IGNORECASE)), ""
-    )
+    return next((kind for pattern, kind in _KINDS if pattern.search(path.name)), "")

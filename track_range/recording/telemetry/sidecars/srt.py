@@ -18,24 +18,36 @@ from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryEr
 
 _CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 
+
+def _pattern(text: str) -> re.Pattern[str]:
+    return re.compile(text, re.IGNORECASE)
+
+
 _UNIT = r"(?:km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z²^]|\s?2\b)"
 _IGNORED = (  # no speeds of the camera; each is removed before the next is looked for
-    r"<[^<>]{0,200}>",  # formatting
-    r"\b[VW]\.?S\.?\s*:?\s*[-+]?[\d.]+\s*m/s",  # vertical speed or wind of a drone
-    r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?" + _UNIT,
+    _pattern(r"<[^<>]{0,200}>"),  # formatting
+    _pattern(r"\b[VW]\.?S\.?\s*+:?\s*+[-+]?[\d.]+\s*m/s"),  # vertical speed or wind of a drone
+    _pattern(
+        r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?"
+        + _UNIT
+    ),
 )
 
-_HORIZONTAL = r"\bH\.?S\.?\s*:?\s*([\d.]{1,10})\s*m/s"
-_WITH_UNIT = rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})"
-_WITHOUT_UNIT = r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])"
+_HORIZONTAL = _pattern(r"\bH\.?S\.?\s*+:?\s*+([\d.]{1,10})\s*m/s")
+_WITH_UNIT = _pattern(rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})")
+_WITHOUT_UNIT = _pattern(r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])")
 
 _DEGREES = r"\s*([-+]?\d{1,3}\.\d+)"
 _POSITION = (
-    (r"latitude\s*[:=]" + _DEGREES, r"long?t?i?tude\s*[:=]" + _DEGREES),
-    (r"\blat\s*[:=]?" + _DEGREES, r"\blo?ng?\s*[:=]?" + _DEGREES),
+    (
+        _pattern(r"latitude\s*[:=]" + _DEGREES),
+        _pattern(r"long?t?i?tude\s*[:=]" + _DEGREES),
+    ),
+    (_pattern(r"\blat\s*+[:=]?" + _DEGREES), _pattern(r"\blo?ng?\s*+[:=]?" + _DEGREES)),
 )
-_DJI_POSITION = rf"GPS\s*\({_DEGREES}\s*,{_DEGREES}\s*,"  # DJI's older form: longitude first
-_HEMISPHERES = r"\b([NS])\s*:?\s*(\d{1,2}\.\d+)[\s,;]+([EW])\s*:?\s*(\d{1,3}\.\d+)"
+# DJI's older form: longitude first
+_DJI_POSITION = re.compile(rf"GPS\s*\({_DEGREES}\s*,{_DEGREES}\s*,")
+_HEMISPHERES = re.compile(r"\b([NS])\s*+:?\s*+(\d{1,2}\.\d+)[\s,;]+([EW])\s*+:?\s*+(\d{1,3}\.\d+)")
 
 _MIN_FRACTION = 0.5  # of subtitles with a speed or position: a film's dialogue may mention a speed
 
@@ -65,7 +77,7 @@ def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> Teleme
         return speed_from_positions(
             time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="video"
         )
-    if sum(bool(_search(_WITHOUT_UNIT, text)) for text in texts) >= n_needed:
+    if sum(bool(_WITHOUT_UNIT.search(text)) for text in texts) >= n_needed:
         raise TelemetryError(f"{path}: expected a unit such as km/h after each speed, found none.")
     return None
 
@@ -89,11 +101,11 @@ def _cues(text: str) -> Iterable[tuple[float, str]]:
 
 def _sample(text: str) -> Sample:
     for ignored in _IGNORED:
-        text = re.sub(ignored, " ", text, flags=re.IGNORECASE)
+        text = ignored.sub(" ", text)
     speed_mps = math.nan
-    if horizontal := _search(_HORIZONTAL, text):
+    if horizontal := _HORIZONTAL.search(text):
         speed_mps = number(horizontal[1])
-    elif stated := _search(_WITH_UNIT, text):
+    elif stated := _WITH_UNIT.search(text):
         speed_mps = float(stated[1].replace(",", ".")) * MPS_PER_UNIT[unit_in(stated[2]) or "km/h"]
     latitude_deg, longitude_deg = _position(text)
     return Sample(speed_mps=speed_mps, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
@@ -102,15 +114,11 @@ def _sample(text: str) -> Sample:
 def _position(text: str) -> tuple[float, float]:
     """Latitude and longitude in degrees; NaN = none."""
     for latitude, longitude in _POSITION:
-        lat, lon = _search(latitude, text), _search(longitude, text)
+        lat, lon = latitude.search(text), longitude.search(text)
         if lat and lon:
             return float(lat[1]), float(lon[1])
-    if dji := re.search(_DJI_POSITION, text):
+    if dji := _DJI_POSITION.search(text):
         return float(dji[2]), float(dji[1])
-    if marked := re.search(_HEMISPHERES, text):
+    if marked := _HEMISPHERES.search(text):
         return signed(float(marked[2]), marked[1]), signed(float(marked[4]), marked[3])
     return math.nan, math.nan
-
-
-def _search(pattern: str, text: str) -> re.Match[str] | None:
-    return re.search(pattern, text, re.IGNORECASE)
