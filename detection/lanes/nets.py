@@ -17,6 +17,7 @@ Decoders of lane networks' outputs into pixels on lines.
 Decoders return pixels of the network's input, with pixel centres at integers, and the line number of each pixel.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +50,8 @@ _MIN_CURVE_SCORE = 0.5  # probability of a curve
 _ROW_STEP = 2  # neighbouring rows of a mask are redundant
 # largest width of a run of line pixels, of the mask's width; stop lines and merging lines are wider
 _MAX_RUN = 0.08
+_MIN_MASK = 32  # height and width of a mask; smaller outputs are features
+_NAME_OF_LINES = re.compile("lane|line|ll")  # in names of outputs
 
 
 def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -> Points:
@@ -57,10 +60,11 @@ def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -
 
     `input_hw` is the size of the network's input, by default the size of the mask.
     """
-    is_probability = len(scores) == 1 and scores.min() >= 0.0 and scores.max() <= 1.0  # else logits
-    on_line = (
-        scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
-    )
+    if len(scores) == 2:
+        on_line = scores[1] > scores[0]
+    else:
+        is_probability = scores.min() >= 0.0 and scores.max() <= 1.0  # else a logit
+        on_line = scores[0] > (0.5 if is_probability else 0.0)
     rows = np.arange(0, on_line.shape[0], _ROW_STEP)
     row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
     height, width = input_hw or on_line.shape
@@ -184,14 +188,13 @@ class NetLaneFinder:
         row, else of all.
         """
         height, width = image_hw
-        horizon, aspect, state = self._family.horizon, self._family.aspect, self._lane.state
+        horizon, aspect = self._family.horizon, self._family.aspect
         if horizon is None:
             return slice(0, height), slice(0, width)
-        x_px, y_px = (
-            (width / 2, horizon * height)
-            if state is None
-            else (state.vanishing_x_px, state.horizon_px)
-        )
+        state = self._lane.state
+        x_px, y_px = width / 2, horizon * height
+        if state is not None:
+            x_px, y_px = state.vanishing_x_px, state.horizon_px
         tallest = min((height - y_px) / (1 - horizon), width / aspect)
         rows = round(float(np.clip(tallest, height / 3, height)))
         columns = min(round(rows * aspect), width)
@@ -205,10 +208,8 @@ class NetLaneFinder:
         mean, deviation = self._family.scale
         for channel in range(3):
             source = pixels[..., 2 - channel if self._family.is_rgb else channel]
-            factor, shift = (
-                np.float32(1 / 255 / deviation[channel]),
-                np.float32(mean[channel] / deviation[channel]),
-            )
+            factor = np.float32(1 / 255 / deviation[channel])
+            shift = np.float32(mean[channel] / deviation[channel])
             self._network.blob[0, channel] = source * factor - shift
         xy, line = self._decode(self._network.run())
         scale = np.array([part.shape[1] / self._input_hw[1], part.shape[0] / self._input_hw[0]])
@@ -222,54 +223,39 @@ _Decode = Callable[[Sequence[FloatArray32]], Points]
 def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
     _, channels, height, width = session.input_shape
     if channels != 3:
-        shape = (
-            "["
-            + ", ".join("any" if side is None else str(side) for side in session.input_shape)
-            + "]"
-        )
+        sides = ", ".join("any" if side is None else str(side) for side in session.input_shape)
         raise ModelError(
             f"{session.path}: expected a lane network with an input [1, 3, height, "
-            f"width], got {shape}."
+            f"width], got [{sides}]."
         )
     if height and width:
-        return _matched(session, session.bound((height, width)), (height, width))
+        return _matched(session, (height, width))
     # variable size: the network fails with the size of another family
     for family in (_SEGMENTATION, _ROW_ANCHORS):
         input_hw = (height or family.input_hw[0], width or family.input_hw[1])
         try:
-            return _matched(session, session.bound(input_hw), input_hw)
+            return _matched(session, input_hw)
         except ModelError as error:
             last = error
     raise last
 
 
 def _matched(
-    session: OnnxSession, network: BoundNetwork, input_hw: tuple[int, int]
+    session: OnnxSession, input_hw: tuple[int, int]
 ) -> tuple[_Family, BoundNetwork, _Decode]:
+    """The network for inputs of this size, and its family and decoder, by the shapes of its
+    outputs.
+    """
+    network = session.bound(input_hw)
     shapes = network.output_shapes
-    names = list(shapes)
-    masks = [
-        name
-        for name, shape in shapes.items()
-        if len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32
-    ]
-    anchors = [i for i, shape in enumerate(shapes.values()) if is_row_anchor_shape(shape)]
-    scores = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 2]
-    curves = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 8]
-    if scores and curves and shapes[names[scores[0]]][1] == shapes[names[curves[0]]][1]:
-        return (
-            _CURVES,
-            network,
-            lambda out: curve_points(out[scores[0]][0], out[curves[0]][0], input_hw),
-        )
-    if anchors:
-        return _ROW_ANCHORS, network, lambda out: row_anchor_points(out[anchors[0]][0], input_hw)
-    if masks:
-        named = [
-            name for name in masks if any(word in name.lower() for word in ("lane", "line", "ll"))
-        ]
-        mask = names.index((named or masks)[-1])  # the last one is after that of the drivable area
-        return _SEGMENTATION, network, lambda out: mask_points(out[mask][0], input_hw)
+    for family, decoder_of in (
+        (_CURVES, _curve_decoder),
+        (_ROW_ANCHORS, _row_anchor_decoder),
+        (_SEGMENTATION, _mask_decoder),
+    ):
+        decode = decoder_of(shapes, input_hw)
+        if decode is not None:
+            return family, network, decode
     outputs = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
     raise ModelError(
         f"{session.path}: expected a lane network with masks [1, 2, h, w], curves [1, K, 2] and "
@@ -278,12 +264,48 @@ def _matched(
     )
 
 
+_Shapes = Mapping[str, tuple[int, ...]]  # of outputs, by name, in the network's order
+
+
+def _curve_decoder(shapes: _Shapes, input_hw: tuple[int, int]) -> _Decode | None:
+    """Decoder of scores [1, K, 2] and curves [1, K, 8]; None without them."""
+    rows = {i: shape for i, shape in enumerate(shapes.values()) if len(shape) == 3}
+    scores = next((i for i, shape in rows.items() if shape[2] == 2), None)
+    curves = next((i for i, shape in rows.items() if shape[2] == 8), None)
+    if scores is None or curves is None or rows[scores][1] != rows[curves][1]:
+        return None
+    return lambda outputs: curve_points(outputs[scores][0], outputs[curves][0], input_hw)
+
+
+def _row_anchor_decoder(shapes: _Shapes, input_hw: tuple[int, int]) -> _Decode | None:
+    """Decoder of row anchors; None without them."""
+    heads = [i for i, shape in enumerate(shapes.values()) if is_row_anchor_shape(shape)]
+    if not heads:
+        return None
+    return lambda outputs: row_anchor_points(outputs[heads[0]][0], input_hw)
+
+
+def _mask_decoder(shapes: _Shapes, input_hw: tuple[int, int]) -> _Decode | None:
+    """Decoder of a mask [1, 1, h, w] or [1, 2, h, w], that of lines if there are several; None
+    without one.
+    """
+    masks = {
+        name: i
+        for i, (name, shape) in enumerate(shapes.items())
+        if len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= _MIN_MASK
+    }
+    named = [i for name, i in masks.items() if _NAME_OF_LINES.search(name.lower())]
+    candidates = named or list(masks.values())
+    if not candidates:
+        return None
+    mask = candidates[-1]  # the last one is after that of the drivable area
+    return lambda outputs: mask_points(outputs[mask][0], input_hw)
+
+
 def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:
     """`EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this
     path.
     """
-    return (
-        EdgeLaneFinder()
-        if name_or_path == CLASSICAL
-        else NetLaneFinder(Path(name_or_path), runtime)
-    )
+    if name_or_path == CLASSICAL:
+        return EdgeLaneFinder()
+    return NetLaneFinder(Path(name_or_path), runtime)

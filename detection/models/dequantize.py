@@ -1,10 +1,13 @@
 """INT8 networks in float, for devices that would run each rounding as a separate operator."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
 from onnx import numpy_helper
+
+_ROUNDING = ("QuantizeLinear", "DequantizeLinear")
 
 
 def float_network(path: Path) -> bytes | None:
@@ -14,46 +17,67 @@ def float_network(path: Path) -> bytes | None:
     inputs of operators, INT8 weights, scales of float32 as initializers), or an output is rounded.
     """
     model = onnx.load(str(path))
-    tensors = {tensor.name: tensor for tensor in model.graph.initializer}
-    kept, source = [], dict[str, str]()
-    for node in model.graph.node:
-        if node.op_type.startswith("QLinear") or node.op_type.endswith("Integer"):
-            return None
-        if node.op_type not in ("QuantizeLinear", "DequantizeLinear"):
-            kept.append(node)
-            continue
-        is_weight, parameters = node.input[0] in tensors, node.input[1:]
-        if (
-            any(name not in tensors for name in parameters)
-            or tensors[parameters[0]].data_type != onnx.TensorProto.FLOAT
-        ):
-            return None
-        if not is_weight:
-            source[node.output[0]] = source.get(node.input[0], node.input[0])
-        elif node.op_type == "QuantizeLinear":
-            return None
-        else:
-            weight, scale, *zero = (
-                numpy_helper.to_array(tensors[name]).astype(np.float32) for name in node.input
-            )
-            axis = next(
-                (attribute.i for attribute in node.attribute if attribute.name == "axis"), 1
-            )
-            shape = (
-                [-1 if i == axis % weight.ndim else 1 for i in range(weight.ndim)]
-                if scale.ndim
-                else []
-            )
-            weight = (weight - (zero[0].reshape(shape) if zero else 0)) * scale.reshape(shape)
-            model.graph.initializer.append(
-                numpy_helper.from_array(weight.astype(np.float32), node.output[0])
-            )
-    if len(kept) == len(model.graph.node) or any(
-        output.name in source for output in model.graph.output
-    ):
+    graph = model.graph
+    tensors = {tensor.name: tensor for tensor in graph.initializer}
+    kept = [node for node in graph.node if node.op_type not in _ROUNDING]
+    rounding = [node for node in graph.node if node.op_type in _ROUNDING]
+    if not rounding or any(_is_integer_operator(node) for node in kept):
+        return None
+    if not all(_is_known(node, tensors) for node in rounding):
+        return None
+    of_weights = [node for node in rounding if node.input[0] in tensors]
+    graph.initializer.extend([_float_weight(node, tensors) for node in of_weights])
+    unrounded = _unrounded([node for node in rounding if node.input[0] not in tensors])
+    if any(output.name in unrounded for output in graph.output):
         return None
     for node in kept:
-        node.input[:] = [source.get(name, name) for name in node.input]
-    del model.graph.node[:], model.graph.value_info[:]
-    model.graph.node.extend(kept)
+        node.input[:] = [unrounded.get(name, name) for name in node.input]
+    del graph.node[:], graph.value_info[:]
+    graph.node.extend(kept)
     return bytes(model.SerializeToString())
+
+
+def _is_integer_operator(node: onnx.NodeProto) -> bool:
+    return bool(node.op_type.startswith("QLinear") or node.op_type.endswith("Integer"))
+
+
+def _is_known(node: onnx.NodeProto, tensors: Mapping[str, onnx.TensorProto]) -> bool:
+    """Whether an operator rounds a value, or returns a weight stored as INT8, with a scale of
+    float32.
+    """
+    is_weight = node.input[0] in tensors
+    if is_weight and node.op_type == "QuantizeLinear":
+        return False
+    parameters = node.input[1:]
+    if any(name not in tensors for name in parameters):
+        return False
+    return bool(tensors[parameters[0]].data_type == onnx.TensorProto.FLOAT)
+
+
+def _unrounded(rounding: Sequence[onnx.NodeProto]) -> dict[str, str]:
+    """The value that each rounded value comes from, by name."""
+    values = dict[str, str]()
+    for node in rounding:
+        value = node.input[0]
+        values[node.output[0]] = values.get(value, value)
+    return values
+
+
+def _float_weight(
+    node: onnx.NodeProto, tensors: Mapping[str, onnx.TensorProto]
+) -> onnx.TensorProto:
+    """The weight that a DequantizeLinear returns: (INT8 - zero point) * scale, the latter two per
+    tensor or along an axis.
+    """
+    weight, scale, *zero = (
+        numpy_helper.to_array(tensors[name]).astype(np.float32) for name in node.input
+    )
+    axis = next((attribute.i for attribute in node.attribute if attribute.name == "axis"), 1)
+    shape = list[int]()
+    if scale.ndim and weight.ndim:
+        shape = [1] * weight.ndim
+        shape[axis % weight.ndim] = -1
+    if zero:
+        weight = weight - zero[0].reshape(shape)
+    weight = weight * scale.reshape(shape)
+    return numpy_helper.from_array(weight.astype(np.float32), node.output[0])

@@ -7,10 +7,10 @@ named after. The centre of NanoDet's, PicoDet's and YOLOv8's cells is (i + 1/2) 
 NanoDet-Plus's and RTMDet's i stride.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -91,58 +91,74 @@ def _binned(n_bins: int, offset: float = 0.5, *, is_clipped: bool = False) -> _C
     return code
 
 
+_CENTRES = "centres and sizes in pixels"
+_CENTRE_FRACTIONS = "centres and sizes as fractions"
+_CORNERS = "corners in pixels"
+_FRACTIONS = "corners as fractions"
+_OFFSETS = "offsets from the cells"
+_DISTANCES = "distances in pixels"
+_BINS8 = "8 bins per side"
+_BINS8_CORNER = "8 bins per side from the corner of the cell"
+_BINS16 = "16 bins per side"
 _CODES: dict[str, _Code] = {
-    "centres and sizes in pixels": lambda *_: centres(),
-    "centres and sizes as fractions": lambda network, _: centres(network.input_wh),
-    "corners in pixels": lambda *_: corners(),
-    "corners as fractions": lambda network, _: corners(network.input_wh),
-    "offsets from the cells": lambda _, cells: cell_offsets(cells),
-    "distances in pixels": lambda _, cells: distances(cells.points_px(0.0)),
-    "8 bins per side": _binned(8, is_clipped=True),
-    "8 bins per side from the corner of the cell": _binned(8, 0.0, is_clipped=True),
-    "16 bins per side": _binned(16),
+    _CENTRES: lambda *_: centres(),
+    _CENTRE_FRACTIONS: lambda network, _: centres(network.input_wh),
+    _CORNERS: lambda *_: corners(),
+    _FRACTIONS: lambda network, _: corners(network.input_wh),
+    _OFFSETS: lambda _, cells: cell_offsets(cells),
+    _DISTANCES: lambda _, cells: distances(cells.points_px(0.0)),
+    _BINS8: _binned(8, is_clipped=True),
+    _BINS8_CORNER: _binned(8, 0.0, is_clipped=True),
+    _BINS16: _binned(16),
 }
-(
-    _CENTRES,
-    _CENTRE_FRACTIONS,
-    _CORNERS,
-    _FRACTIONS,
-    _OFFSETS,
-    _DISTANCES,
-    _BINS8,
-    _BINS8_CORNER,
-    _BINS16,
-) = _CODES
+_FIRST = slice(0, 1)
+_LAST = slice(-1, None)
 
 
-_READINGS = {  # family, code, input format by name
-    "yolov5": ("YOLOv5", _CENTRES, _PLAIN),
-    "yolov5-fractions": ("YOLOv5", _CENTRE_FRACTIONS, _PLAIN),
-    "nanodet": ("NanoDet", _BINS8, _NANODET),
-    "nanodet-plus": ("NanoDet-Plus", _BINS8_CORNER, _NANODET_PLUS),
-    "yolox": ("YOLOX", _OFFSETS, _YOLOX),
-    "yolox-decoded": ("YOLOX", _CENTRES, _YOLOX),
-    "yolov6": ("YOLOv6", _CENTRES, _PLAIN),
-    "yolov8-rows": ("YOLOv8/YOLO11", _CENTRES, _PLAIN),
-    "ppyoloe": ("PP-YOLOE", _CORNERS, _STRETCHED),
-    "yolov8-rows-fractions": ("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
-    "yolov8": ("YOLOv8/YOLO11", _CENTRES, _PLAIN),
-    "yolov8-corners": ("YOLOv8/YOLO11", _CORNERS, _PLAIN),
-    "yolov8-fractions": ("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
-    "picodet": ("PicoDet", _BINS8, _PICODET),
-    "nanodet-levels": ("NanoDet", _BINS8, _NANODET),
-    "rtmdet-heads": ("RTMDet", _DISTANCES, _RTMDET),
-    "yolov8-pairs": ("YOLOv8/YOLO11", _BINS16, _PLAIN),
-    "yolox-heads": ("YOLOX", _OFFSETS, _YOLOX),
-    "yolov8-heads": ("YOLOv8/YOLO11", _BINS16, _PLAIN),
-    "yolov4-boxes": ("YOLOv4", _FRACTIONS, _DARKNET),
-    "yolo-nas": ("YOLO-NAS/DAMO-YOLO/YOLO-World", _CORNERS, _PLAIN),
-    "boxes-centres": ("boxes and scores", _CENTRES, _PLAIN),
-    "boxes-centres-fractions": ("boxes and scores", _CENTRE_FRACTIONS, _PLAIN),
-    "ssd": ("SSD", _FRACTIONS, _SSD),
-    "ssd-last": ("SSD", _FRACTIONS, _SSD),
-    "ssd-pixels": ("SSD", _CORNERS, _SSD),
-    "ssd-pixels-last": ("SSD", _CORNERS, _SSD),
+class _Reading(NamedTuple):
+    """What the numbers of boxes may mean."""
+
+    family: str
+    code: str  # of `_CODES`
+    input_format: InputFormat
+    background: slice | None = None  # column of the scores that is no class
+
+    @property
+    def classes(self) -> slice:
+        """Columns of the scores that are classes."""
+        if self.background is None:
+            return slice(None)
+        return slice(1, None) if self.background == _FIRST else slice(0, -1)
+
+
+_READINGS = {  # by name
+    "yolov5": _Reading("YOLOv5", _CENTRES, _PLAIN),
+    "yolov5-fractions": _Reading("YOLOv5", _CENTRE_FRACTIONS, _PLAIN),
+    "nanodet": _Reading("NanoDet", _BINS8, _NANODET),
+    "nanodet-plus": _Reading("NanoDet-Plus", _BINS8_CORNER, _NANODET_PLUS),
+    "yolox": _Reading("YOLOX", _OFFSETS, _YOLOX),
+    "yolox-decoded": _Reading("YOLOX", _CENTRES, _YOLOX),
+    "yolov6": _Reading("YOLOv6", _CENTRES, _PLAIN),
+    "yolov8-rows": _Reading("YOLOv8/YOLO11", _CENTRES, _PLAIN),
+    "ppyoloe": _Reading("PP-YOLOE", _CORNERS, _STRETCHED),
+    "yolov8-rows-fractions": _Reading("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
+    "yolov8": _Reading("YOLOv8/YOLO11", _CENTRES, _PLAIN),
+    "yolov8-corners": _Reading("YOLOv8/YOLO11", _CORNERS, _PLAIN),
+    "yolov8-fractions": _Reading("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
+    "picodet": _Reading("PicoDet", _BINS8, _PICODET),
+    "nanodet-levels": _Reading("NanoDet", _BINS8, _NANODET),
+    "rtmdet-heads": _Reading("RTMDet", _DISTANCES, _RTMDET),
+    "yolov8-pairs": _Reading("YOLOv8/YOLO11", _BINS16, _PLAIN),
+    "yolox-heads": _Reading("YOLOX", _OFFSETS, _YOLOX),
+    "yolov8-heads": _Reading("YOLOv8/YOLO11", _BINS16, _PLAIN),
+    "yolov4-boxes": _Reading("YOLOv4", _FRACTIONS, _DARKNET),
+    "yolo-nas": _Reading("YOLO-NAS/DAMO-YOLO/YOLO-World", _CORNERS, _PLAIN),
+    "boxes-centres": _Reading("boxes and scores", _CENTRES, _PLAIN),
+    "boxes-centres-fractions": _Reading("boxes and scores", _CENTRE_FRACTIONS, _PLAIN),
+    "ssd": _Reading("SSD", _FRACTIONS, _SSD, _FIRST),
+    "ssd-last": _Reading("SSD", _FRACTIONS, _SSD, _LAST),
+    "ssd-pixels": _Reading("SSD", _CORNERS, _SSD, _FIRST),
+    "ssd-pixels-last": _Reading("SSD", _CORNERS, _SSD, _LAST),
 }
 
 
@@ -156,6 +172,13 @@ class _Kind:
     n_anchors: int = 1  # boxes per cell, of networks with one output
     is_transposed: bool = False
     n_levels: tuple[int, ...] = (3, 4, 2)
+    n_dimensions: int = 3  # of each output
+    is_apart: bool = False  # whether boxes and scores are different outputs
+
+    @property
+    def is_binned(self) -> bool:
+        """Whether boxes are distributions of distances; numbers of cells are then rounded up."""
+        return self.n_box > 4
 
 
 _GRIDS = (
@@ -166,20 +189,20 @@ _GRIDS = (
     _Kind("yolov8-rows ppyoloe yolov8-rows-fractions"),
     _Kind("yolov8 yolov8-corners yolov8-fractions", is_transposed=True),
 )
-_LEVELS = (  # by number of dimensions; boxes and scores apart, then in one output for each stride
-    (3, _Kind("picodet", n_box=32, n_levels=(4,))),
-    (3, _Kind("nanodet-levels", n_box=32, n_levels=(3,))),
-    (4, _Kind("rtmdet-heads", n_levels=(3,))),
-    (4, _Kind("yolov8-pairs", n_box=64, n_levels=(3,))),
-    (4, _Kind("yolox-heads", has_objectness=True, n_levels=(3,))),
-    (4, _Kind("yolov8-heads", n_box=64, n_levels=(3,))),
+_LEVELS = (
+    _Kind("picodet", n_box=32, n_levels=(4,), is_apart=True),
+    _Kind("nanodet-levels", n_box=32, n_levels=(3,), is_apart=True),
+    _Kind("rtmdet-heads", n_levels=(3,), n_dimensions=4, is_apart=True),
+    _Kind("yolov8-pairs", n_box=64, n_levels=(3,), n_dimensions=4, is_apart=True),
+    _Kind("yolox-heads", has_objectness=True, n_levels=(3,), n_dimensions=4),
+    _Kind("yolov8-heads", n_box=64, n_levels=(3,), n_dimensions=4),
 )
-_N_APART = 4  # number of kinds above with boxes and scores apart
 _PAIRS = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions"
 _SSD_PAIRS = "ssd ssd-last ssd-pixels ssd-pixels-last"
 GRID_NAMES = " ".join(kind.names for kind in _GRIDS)
 LEVEL_NAMES = " ".join(
-    kind.names if n == 3 else f"{kind.names} {kind.names}-activated" for n, kind in _LEVELS
+    kind.names if kind.n_dimensions == 3 else f"{kind.names} {kind.names}-activated"
+    for kind in _LEVELS
 )
 PAIR_NAMES = f"{_PAIRS} {_SSD_PAIRS}"
 
@@ -188,38 +211,45 @@ def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of one output with the boxes of all cells."""
     for i, n_rows, n_columns in network.matrices():
         for kind in _GRIDS:
-            n, width = (n_columns, n_rows) if kind.is_transposed else (n_rows, n_columns)
-            is_binned = kind.n_box > 4  # boxes after the classes, and numbers of cells rounded up
-            strides = network.grid_strides(n, kind.n_anchors, is_rounded_up=is_binned)
-            first = 0 if is_binned else 4 + kind.has_objectness
-            if (
-                strides is None
-                or len(strides) not in kind.n_levels
-                or width <= kind.n_box + kind.has_objectness
-            ):
+            n_boxes, width = (n_columns, n_rows) if kind.is_transposed else (n_rows, n_columns)
+            strides = network.grid_strides(n_boxes, kind.n_anchors, is_rounded_up=kind.is_binned)
+            if strides is None or len(strides) not in kind.n_levels:
                 continue
-            n_classes, note = (width - 32, "") if is_binned else _n_classes(network, width - first)
-            cells = GridCells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=is_binned)
-            part = partial(Part, i, n_anchors=int(kind.is_transposed))
-            for name in kind.names.split():
-                family, code, form = _READINGS[name]
-                rows = BoxRows(
-                    boxes=part(slice(n_classes, None) if is_binned else slice(0, 4)),
-                    objectness=part(slice(4, 5)) if kind.has_objectness else None,
-                    scores=part(slice(first, first + n_classes)),
-                    code=_CODES[code](network, cells),
-                    cell_px=cells.points_px(),
-                )
-                is_tiny = kind.n_anchors == _ANCHORS_PER_CELL and len(strides) == 2
-                family, form = ("YOLOv4-tiny", _DARKNET) if is_tiny else (family, form)
-                layout = f"boxes of all cells {list(network.shapes[i])}: {code}"
-                model = _model(family, name, layout, n_classes, form, [rows])
-                accepts = (
-                    partial(_has_constant_objectness, i, name == "yolov6")
-                    if name in _OBJECTNESS
-                    else None
-                )
-                yield replace(model, note=note, accepts=accepts)
+            if width > kind.n_box + kind.has_objectness:
+                yield from _grid_readings(network, i, kind, strides, width)
+
+
+def _grid_readings(
+    network: NetworkOutputs, output: int, kind: _Kind, strides: Sequence[int], width: int
+) -> Iterator[YoloModel]:
+    """Readings of an output with `width` numbers per box of the grids of these strides."""
+    part = partial(Part, output, n_anchors=int(kind.is_transposed))
+    if kind.is_binned:  # boxes after the classes
+        n_classes, note = width - kind.n_box, ""
+        boxes, scores = part(slice(n_classes, None)), part(slice(0, n_classes))
+    else:
+        first = kind.n_box + kind.has_objectness
+        n_classes, note = _n_classes(network, width - first)
+        boxes, scores = part(slice(0, kind.n_box)), part(slice(first, first + n_classes))
+    cells = GridCells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=kind.is_binned)
+    is_tiny = kind.n_anchors == _ANCHORS_PER_CELL and len(strides) == 2
+    for name in kind.names.split():
+        reading = _READINGS[name]
+        if is_tiny:
+            reading = reading._replace(family="YOLOv4-tiny", input_format=_DARKNET)
+        rows = BoxRows(
+            boxes=boxes,
+            objectness=part(slice(4, 5)) if kind.has_objectness else None,
+            scores=scores,
+            code=_CODES[reading.code](network, cells),
+            cell_px=cells.points_px(),
+        )
+        layout = f"boxes of all cells {list(network.shapes[output])}: {reading.code}"
+        model = _model(reading, name, layout, n_classes, [rows])
+        if name in _OBJECTNESS:
+            is_constant = partial(_has_constant_objectness, output, name == "yolov6")
+            model = replace(model, accepts=is_constant)
+        yield replace(model, note=note)
 
 
 _OBJECTNESS = ("yolox-decoded", "yolov6")  # readings that differ by it: it is 1 in YOLOv6
@@ -230,108 +260,127 @@ def _has_constant_objectness(output: int, expected: bool, outputs: Sequence[Floa
 
 
 def _model(
-    family: str,
-    name: str,
-    layout: str,
-    n_classes: int,
-    form: InputFormat,
-    levels: Sequence[BoxRows],
+    reading: _Reading, name: str, layout: str, n_classes: int, levels: Sequence[BoxRows]
 ) -> YoloModel:
-    return YoloModel(family, layout, n_classes, form, partial(decode_rows, levels), name=name)
+    decoder = partial(decode_rows, levels)
+    return YoloModel(reading.family, layout, n_classes, reading.input_format, decoder, name=name)
 
 
 def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of the cells of each stride in one output, or in two, boxes and scores, in any
     order.
     """
+    for kind in _LEVELS:
+        levels = _levels(network, kind)
+        if levels is not None:
+            yield from _level_readings(network, kind, levels)
+
+
+def _levels(network: NetworkOutputs, kind: _Kind) -> list[BoxRows] | None:
+    """The rows of each stride; None if a stride lacks outputs, or outputs belong to no stride."""
     shapes = network.shapes
-    for number, (n_dimensions, kind) in enumerate(_LEVELS):
-        if any(len(shape) != n_dimensions or shape[0] != 1 for shape in shapes):
-            continue
-        is_apart, n_levels, name = number < _N_APART, kind.n_levels[0], kind.names
-        family, code, form = _READINGS[name]
-        levels, n_of_strides = [], 0
-        for stride in STRIDES_PX[n_levels - 3]:
-            cells = GridCells.of(network.input_hw, (stride,), is_rounded_up=True)
-            of_stride = [
-                i
-                for i, s in enumerate(shapes)
-                if (s[1] if n_dimensions == 3 else s[2] * s[3]) == len(cells.stride_px)
-            ]
-            n_of_strides += len(of_stride)
-            parts = _parts_of(network, of_stride, kind, is_apart=is_apart)
-            if parts is not None:
-                boxes, scores, objectness = parts
-                code_of = _CODES[code](network, cells)
-                levels.append(
-                    BoxRows(
-                        boxes=boxes,
-                        scores=scores,
-                        objectness=objectness,
-                        code=code_of,
-                        cell_px=cells.points_px(),
-                    )
-                )
-        if len(levels) != n_levels or n_of_strides != len(shapes):
-            continue
-        score_parts = [level.scores for level in levels]
-        widths = {
-            shapes[part.output][2 if n_dimensions == 3 else 1] - (part.columns.start or 0)
-            for part in score_parts
-        }
-        layout = (
-            f"boxes of {n_levels} strides "
-            f"{shortened(', '.join(str(list(s)) for s in shapes), 60)}: {code}"
-        )
-        model = _model(family, name, layout, widths.pop(), form, levels)
-        if widths:
-            continue
-        if n_dimensions == 3:
-            yield replace(model, score_outputs=tuple(part.output for part in score_parts))
-            continue
-        logits = [replace(level, activation="sigmoid") for level in levels]
-        decoder = partial(decode_rows, logits)
-        yield replace(
-            model, decoder=decoder, accepts=partial(_are_probabilities, score_parts, False)
-        )
-        yield replace(
-            model, name=f"{name}-activated", accepts=partial(_are_probabilities, score_parts, True)
-        )
-
-
-def _parts_of(
-    network: NetworkOutputs, outputs: Sequence[int], kind: _Kind, *, is_apart: bool
-) -> tuple[Part, Part, Part | None] | None:
-    """Boxes, scores and objectness of one stride; None if the outputs lack one of these."""
-    is_planes = all(len(network.shapes[i]) == 4 for i in outputs)
-    width = {i: network.shapes[i][1 if is_planes else 2] for i in outputs}
-    part = partial(Part, n_anchors=int(is_planes))
-    if not is_apart:
-        first = kind.n_box + kind.has_objectness
-        if len(outputs) != 1 or width[outputs[0]] <= first:
+    if any(len(shape) != kind.n_dimensions or shape[0] != 1 for shape in shapes):
+        return None
+    (n_levels,) = kind.n_levels
+    levels, n_outputs = [], 0
+    for stride in STRIDES_PX[n_levels - 3]:
+        cells = GridCells.of(network.input_hw, (stride,), is_rounded_up=True)
+        n_cells = len(cells.stride_px)
+        of_stride = [i for i, shape in enumerate(shapes) if _n_cells(shape) == n_cells]
+        parts = _parts_of(network, of_stride, kind)
+        if parts is None:
             return None
-        objectness = part(outputs[0], slice(4, 5)) if kind.has_objectness else None
-        return (
-            part(outputs[0], slice(0, kind.n_box)),
-            part(outputs[0], slice(first, None)),
-            objectness,
+        n_outputs += len(of_stride)
+        boxes, scores, objectness = parts
+        rows = BoxRows(
+            boxes=boxes,
+            scores=scores,
+            objectness=objectness,
+            code=_CODES[_READINGS[kind.names].code](network, cells),
+            cell_px=cells.points_px(),
         )
+        levels.append(rows)
+    return levels if n_outputs == len(shapes) else None
+
+
+def _n_cells(shape: tuple[int, ...]) -> int:
+    """Number of cells of an output [1, N, K] or [1, K, h, w]."""
+    return shape[1] if len(shape) == 3 else shape[2] * shape[3]
+
+
+def _n_numbers(shape: tuple[int, ...]) -> int:
+    """K of an output [1, N, K] or [1, K, h, w]."""
+    return shape[2] if len(shape) == 3 else shape[1]
+
+
+_Parts = tuple[Part, Part, Part | None]  # boxes, scores and objectness of one stride
+
+
+def _parts_of(network: NetworkOutputs, outputs: Sequence[int], kind: _Kind) -> _Parts | None:
+    """The parts of one stride; None if the outputs lack one of these."""
+    widths = {i: _n_numbers(network.shapes[i]) for i in outputs}
+    part = partial(Part, n_anchors=int(kind.n_dimensions == 4))
+    if kind.is_apart:
+        return _parts_apart(widths, kind, part)
+    first = kind.n_box + kind.has_objectness
+    if len(outputs) != 1 or widths[outputs[0]] <= first:
+        return None
+    output = outputs[0]
+    objectness = part(output, slice(4, 5)) if kind.has_objectness else None
+    return part(output, slice(0, kind.n_box)), part(output, slice(first, None)), objectness
+
+
+def _parts_apart(
+    widths: Mapping[int, int], kind: _Kind, part: Callable[[int], Part]
+) -> _Parts | None:
+    """Boxes and scores in different outputs, from the numbers per box of each output."""
     # the scores come first if there are as many classes
-    boxes = [i for i in outputs if width[i] == kind.n_box][-1:]
-    # RKNN: and their sum
-    scores = [i for i in outputs if i not in boxes and (len(outputs) == 2 or width[i] > 1)]
-    return (part(boxes[0]), part(scores[0]), None) if len(boxes) == len(scores) == 1 else None
+    boxes = [i for i, width in widths.items() if width == kind.n_box][-1:]
+    scores = [i for i in widths if i not in boxes]
+    if len(widths) > 2:  # RKNN: scores, and their sum
+        scores = [i for i in scores if widths[i] > 1]
+    if len(boxes) != 1 or len(scores) != 1:
+        return None
+    return part(boxes[0]), part(scores[0]), None
+
+
+def _level_readings(
+    network: NetworkOutputs, kind: _Kind, levels: Sequence[BoxRows]
+) -> Iterator[YoloModel]:
+    """Readings of these levels: scores of [1, N, K] are probabilities, those of planes also
+    logits.
+    """
+    scores = [level.scores for level in levels]
+    widths = {
+        _n_numbers(network.shapes[part.output]) - (part.columns.start or 0) for part in scores
+    }
+    if len(widths) != 1:
+        return
+    (n_classes,) = widths
+    name = kind.names
+    reading = _READINGS[name]
+    shapes = shortened(", ".join(str(list(shape)) for shape in network.shapes), 60)
+    layout = f"boxes of {len(levels)} strides {shapes}: {reading.code}"
+    model = _model(reading, name, layout, n_classes, levels)
+    if kind.n_dimensions == 3:
+        yield replace(model, score_outputs=tuple(part.output for part in scores))
+        return
+    logits = [replace(level, activation="sigmoid") for level in levels]
+    yield replace(
+        model,
+        decoder=partial(decode_rows, logits),
+        accepts=partial(_are_probabilities, scores, False),
+    )
+    yield replace(
+        model, name=f"{name}-activated", accepts=partial(_are_probabilities, scores, True)
+    )
 
 
 def _are_probabilities(
     parts: Sequence[Part], expected: bool, outputs: Sequence[FloatArray32]
 ) -> bool:
-    return (
-        all(
-            scores.min() >= 0 and scores.max() <= 1.001 for scores in (p.of(outputs) for p in parts)
-        )
-        == expected
-    )
+    scores = (part.of(outputs) for part in parts)
+    return all(score.min() >= 0 and score.max() <= 1.001 for score in scores) == expected
 
 
 def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -340,38 +389,53 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     The scores of SSD-like networks have a column more than there are names: the background, first
     or last.
     """
-    for boxes, scores in ((0, 1), (1, 0)) if len(network.shapes) == 2 else ():
+    if len(network.shapes) != 2:
+        return
+    for boxes, scores in ((0, 1), (1, 0)):
         box, score = network.shapes[boxes], network.shapes[scores]
-        n_rows = box[1] if len(box) > 1 else 0
-        is_box = box in ((1, n_rows, 1, 4), (1, n_rows, 4))
-        if not is_box or len(score) != 3 or score[0] != 1 or n_rows not in score[1:]:
+        if len(box) not in (3, 4) or len(score) != 3 or score[0] != 1:
             continue
-        is_transposed = score[1] != n_rows
-        n_columns = score[1] if is_transposed else score[2]
-        strides = network.grid_strides(n_rows)
-        cells = GridCells.of(network.input_hw, strides or ())
-        part = Part(scores, n_anchors=int(is_transposed))
-        is_tiny = n_rows == _ANCHORS_PER_CELL * network.n_cells((16, 32))
-        has_background = n_columns - 1 in (network.n_names, *(() if network.n_names else (80, 20)))
-        for name in (_SSD_PAIRS if has_background else _PAIRS).split():
-            family, code, form = _READINGS[name]
-            is_last = name.endswith("-last")
-            kept, other = (
-                (slice(0, -1), slice(-1, None)) if is_last else (slice(1, None), slice(0, 1))
-            )
-            rows = BoxRows(
-                boxes=Part(boxes),
-                scores=part,
-                code=_CODES[code](network, cells),
-                classes=kept if has_background else slice(None),
-                cell_px=cells.points_px() if strides else None,
-            )
-            family = "YOLOv4-tiny" if is_tiny and family == "YOLOv4" else family
-            layout = f"boxes {list(box)}: {code}, and scores {list(score)}"
-            model = _model(family, name, layout, n_columns - has_background, form, [rows])
-            yield replace(
-                model, accepts=partial(_is_background, part, other) if has_background else None
-            )
+        n_rows = box[1]
+        if box in ((1, n_rows, 1, 4), (1, n_rows, 4)) and n_rows in score[1:]:
+            yield from _pair_readings(network, boxes, scores, n_rows)
+
+
+def _pair_readings(
+    network: NetworkOutputs, boxes: int, scores: int, n_rows: int
+) -> Iterator[YoloModel]:
+    """Readings of two outputs with `n_rows` boxes and their scores."""
+    score_shape = network.shapes[scores]
+    is_transposed = score_shape[1] != n_rows
+    n_columns = score_shape[1] if is_transposed else score_shape[2]
+    part = Part(scores, n_anchors=int(is_transposed))
+    strides = network.grid_strides(n_rows)
+    cells = GridCells.of(network.input_hw, strides or ())
+    is_tiny = n_rows == _ANCHORS_PER_CELL * network.n_cells((16, 32))
+    has_background = _has_background(network, n_columns)
+    for name in (_SSD_PAIRS if has_background else _PAIRS).split():
+        reading = _READINGS[name]
+        if is_tiny and reading.family == "YOLOv4":
+            reading = reading._replace(family="YOLOv4-tiny")
+        rows = BoxRows(
+            boxes=Part(boxes),
+            scores=part,
+            code=_CODES[reading.code](network, cells),
+            classes=reading.classes,
+            cell_px=cells.points_px() if strides else None,
+        )
+        layout = (
+            f"boxes {list(network.shapes[boxes])}: {reading.code}, and scores {list(score_shape)}"
+        )
+        model = _model(reading, name, layout, n_columns - has_background, [rows])
+        if reading.background is not None:
+            model = replace(model, accepts=partial(_is_background, part, reading.background))
+        yield model
+
+
+def _has_background(network: NetworkOutputs, n_columns: int) -> bool:
+    """Whether scores have a column more than there are names: their own, or COCO's or VOC's."""
+    n_classes = n_columns - 1
+    return n_classes == network.n_names if network.n_names else n_classes in (80, 20)
 
 
 def _is_background(part: Part, column: slice, outputs: Sequence[FloatArray32]) -> bool:
@@ -380,79 +444,149 @@ def _is_background(part: Part, column: slice, outputs: Sequence[FloatArray32]) -
     return bool(np.mean(scores[:, column].max(axis=1) >= scores.max(axis=1)) > 0.5)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AnchorFamily:
+    """A family with raw heads, and its usual anchors and scales, from the finest stride."""
+
+    name: str
+    family: str
+    anchors: Anchors
+    scales: tuple[float, ...]  # scale_x_y
+    size: Literal["exp", "square"]  # see `anchored`
+    input_format: InputFormat
+
+
+def _anchor_families(n_heads: int) -> tuple[_AnchorFamily, _AnchorFamily]:
+    """The families that networks with so many heads may belong to."""
+    darknet = _AnchorFamily(
+        name="darknet-heads",
+        family="YOLOv4",
+        anchors=YOLOV4_ANCHORS,
+        scales=_YOLOV4_SCALES,
+        size="exp",
+        input_format=_DARKNET,
+    )
+    if n_heads == 2:
+        darknet = replace(
+            darknet,
+            family="YOLOv4-tiny",
+            anchors=YOLOV4_TINY_ANCHORS[::-1],
+            scales=(1.0, 1.0),
+        )
+    yolov5 = _AnchorFamily(
+        name="yolov5-heads",
+        family="YOLOv5",
+        anchors=_YOLOV5_ANCHORS,
+        scales=(2.0,) * n_heads,
+        size="square",
+        input_format=_PLAIN,
+    )
+    return darknet, yolov5
+
+
+class _Heads(NamedTuple):
+    """The common shape of two to four raw heads."""
+
+    n_anchors: int
+    n_columns: int  # 5 + C
+    is_separate: bool  # whether the heads are [1, A, rows, columns, 5 + C]
+
+    @classmethod
+    def of(cls, network: NetworkOutputs) -> Self | None:
+        """The shape of a network's heads; None if its outputs are no heads.
+
+        ModelError: the explicit anchors do not belong to as many heads.
+        """
+        shapes = network.shapes
+        dimensions = {len(shape) for shape in shapes}
+        if len(shapes) not in (2, 3, 4) or dimensions not in ({4}, {5}):
+            return None
+        if any(shape[0] != 1 for shape in shapes):
+            return None
+        n_anchors = _n_anchors(network)
+        is_separate = dimensions == {5}
+        if is_separate:
+            n_columns, remainder = shapes[0][4], shapes[0][1] - n_anchors
+        else:
+            n_columns, remainder = divmod(shapes[0][1], n_anchors)
+        n_widths = len({shape[4 if is_separate else 1] for shape in shapes})
+        if n_widths != 1 or remainder or n_columns < 6:
+            return None
+        return cls(n_anchors, n_columns, is_separate)
+
+
+def _n_anchors(network: NetworkOutputs) -> int:
+    """Number of anchors per cell; ModelError if the explicit anchors do not fit the heads."""
+    given = network.metadata.get("anchors", None, "")
+    if not given.value:
+        return _ANCHORS_PER_CELL
+    numbers = [len(head) for head in given.value]
+    if len(numbers) != len(network.shapes) or len(set(numbers)) != 1:
+        raise ModelError(
+            f"{network.path}: expected the same number of anchors for each of "
+            f"{len(network.shapes)} output heads, got {shortened(', '.join(map(str, numbers)))} "
+            f"({given.source}); give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the "
+            "outputs."
+        )
+    return numbers[0]
+
+
 def anchor_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of two to four raw heads [1, A (5 + C), rows, columns] or [1, A, rows, columns, 5 +
     C].
     """
-    shapes, metadata = network.shapes, network.metadata
-    n_dimensions = {len(shape) for shape in shapes}
-    if (
-        len(shapes) not in (2, 3, 4)
-        or n_dimensions not in ({4}, {5})
-        or any(shape[0] != 1 for shape in shapes)
-    ):
+    heads = _Heads.of(network)
+    if heads is None:
         return
-    given = metadata.get("anchors", None, "")
-    if given.value and (
-        len(given.value) != len(shapes) or len({len(head) for head in given.value}) != 1
-    ):
-        raise ModelError(
-            f"{network.path}: expected the same number of anchors for each of {len(shapes)} output "
-            f"heads, got {shortened(', '.join(str(len(head)) for head in given.value))} "
-            f"({given.source}); give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the "
-            "outputs."
-        )
-    n_anchors = len(given.value[0]) if given.value else _ANCHORS_PER_CELL
-    is_separate = n_dimensions == {5}
-    n_columns, rest = (
-        (shapes[0][4], shapes[0][1] - n_anchors) if is_separate else divmod(shapes[0][1], n_anchors)
-    )
-    if len({shape[4 if is_separate else 1] for shape in shapes}) != 1 or rest or n_columns < 6:
-        return
-    tiny = ("darknet-heads", "YOLOv4-tiny", YOLOV4_TINY_ANCHORS[::-1], (1.0, 1.0), _DARKNET)
-    darknet = ("darknet-heads", "YOLOv4", YOLOV4_ANCHORS, _YOLOV4_SCALES, _DARKNET)
-    yolov5 = ("yolov5-heads", "YOLOv5", _YOLOV5_ANCHORS, (2.0,) * len(shapes), _PLAIN)
-    is_coarse_first = shapes[0][3] < shapes[-1][3]
+    metadata = network.metadata
+    has_anchors = bool(metadata.get("anchors", None, "").value)
     is_scaled = metadata.get("scale_x_y", None, "").value is not None  # as only Darknet's heads are
-    for name, family, anchors, scales, form in (tiny if len(shapes) == 2 else darknet, yolov5):
-        is_darknet = name == "darknet-heads"
-        if (is_separate if is_darknet else is_scaled) or (
-            not given.value and len(anchors) != len(shapes)
-        ):
-            continue
-        order = slice(None, None, -1 if is_coarse_first else 1)
-        used = {
-            "anchors": metadata.get("anchors", anchors[order], f"default of {family}"),
-            "scale_x_y": metadata.get("scale_x_y", scales[order], f"default of {family}"),
-        }
-        scale = used["scale_x_y"].value
-        if len(scale) not in (1, len(shapes)):
-            raise ModelError(
-                f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, "
-                f"got {shortened(str(list(scale)))} ({used['scale_x_y'].source})."
-            )
-        levels = []
-        for i, (shape, anchor) in enumerate(zip(shapes, used["anchors"].value, strict=True)):
-            size: Literal["exp", "square"] = "exp" if is_darknet else "square"
-            cells = GridCells.of_grid(network.input_hw, shape[2:4], n_anchors)
-            code = anchored(
-                cells, np.array(anchor), scale_x_y=scale[i % len(scale)], size=size, is_logit=True
-            )
-            part = partial(Part, i, n_anchors=0 if is_separate else n_anchors)
-            boxes, objectness, classes = part(slice(0, 4)), part(slice(4, 5)), part(slice(5, None))
-            rows = BoxRows(
-                boxes=boxes,
-                objectness=objectness,
-                scores=classes,
-                code=code,
-                cell_px=cells.points_px(),
-            )
-            levels.append(replace(rows, activation="sigmoid"))
-        layout = (
-            f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per "
-            "cell"
+    for family in _anchor_families(len(network.shapes)):
+        is_excluded = heads.is_separate if family.name == "darknet-heads" else is_scaled
+        has_default_anchors = len(family.anchors) == len(network.shapes)
+        if not is_excluded and (has_anchors or has_default_anchors):
+            yield _anchor_model(network, heads, family)
+
+
+def _anchor_model(network: NetworkOutputs, heads: _Heads, family: _AnchorFamily) -> YoloModel:
+    """The reading of heads as those of a family; ModelError if `scale_x_y` does not fit."""
+    metadata, shapes = network.metadata, network.shapes
+    is_coarse_first = shapes[0][3] < shapes[-1][3]
+    order = slice(None, None, -1 if is_coarse_first else 1)
+    source = f"default of {family.family}"
+    anchors = metadata.get("anchors", family.anchors[order], source)
+    scales = metadata.get("scale_x_y", family.scales[order], source)
+    n_scales = len(scales.value)
+    if n_scales not in (1, len(shapes)):
+        raise ModelError(
+            f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, "
+            f"got {shortened(str(list(scales.value)))} ({scales.source})."
         )
-        yield replace(_model(family, name, layout, n_columns - 5, form, levels), attributes=used)
+    levels = []
+    for i, (shape, anchor) in enumerate(zip(shapes, anchors.value, strict=True)):
+        cells = GridCells.of_grid(network.input_hw, shape[2:4], heads.n_anchors)
+        code = anchored(
+            cells,
+            np.array(anchor),
+            scale_x_y=scales.value[i % n_scales],
+            size=family.size,
+            is_logit=True,
+        )
+        part = partial(Part, i, n_anchors=0 if heads.is_separate else heads.n_anchors)
+        rows = BoxRows(
+            boxes=part(slice(0, 4)),
+            objectness=part(slice(4, 5)),
+            scores=part(slice(5, None)),
+            code=code,
+            activation="sigmoid",
+            cell_px=cells.points_px(),
+        )
+        levels.append(rows)
+    listed = ", ".join(str(list(shape)) for shape in shapes)
+    layout = f"raw heads {listed}: {heads.n_anchors} anchors per cell"
+    reading = _Reading(family.family, "", family.input_format)
+    model = _model(reading, family.name, layout, heads.n_columns - 5, levels)
+    return replace(model, attributes={"anchors": anchors, "scale_x_y": scales})
 
 
 def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -460,49 +594,44 @@ def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
     A = 3.
     """
     height, width = network.input_hw
-    n, shapes = _ANCHORS_PER_CELL, network.shapes
-    n_classes = shapes[0][-1] - 5 * n
-    if [shape[:-1] for shape in shapes] != [
-        (1, height // s, width // s) for s in (16, 32)
-    ] or n_classes < 1:
+    shapes = network.shapes
+    n_anchors = _ANCHORS_PER_CELL
+    n_classes = shapes[0][-1] - 5 * n_anchors
+    grids = [(1, height // stride, width // stride) for stride in (16, 32)]
+    if [shape[:-1] for shape in shapes] != grids or n_classes < 1:
         return
     usual = [[(w * width / 352, h * height / 352) for w, h in head] for head in _FASTESTV2_ANCHORS]
     anchors = network.metadata.get("anchors", usual, "default of Yolo-FastestV2")
     levels = []
-    for i, k in np.ndindex(2, n):
+    for i, k in np.ndindex(2, n_anchors):
         cells = GridCells.of_grid(network.input_hw, shapes[i][1:3])
-        levels.append(
-            BoxRows(
-                boxes=Part(i, slice(4 * k, 4 * k + 4)),
-                objectness=Part(i, slice(4 * n + k, 4 * n + k + 1)),
-                scores=Part(i, slice(5 * n, None)),
-                code=anchored(
-                    cells, np.array(anchors.value[i][k : k + 1]), size="square", is_logit=False
-                ),
-                cell_px=cells.points_px(),
-            )
+        anchor = np.array(anchors.value[i][k : k + 1])
+        objectness = 4 * n_anchors + k
+        rows = BoxRows(
+            boxes=Part(i, slice(4 * k, 4 * k + 4)),
+            objectness=Part(i, slice(objectness, objectness + 1)),
+            scores=Part(i, slice(5 * n_anchors, None)),
+            code=anchored(cells, anchor, size="square", is_logit=False),
+            cell_px=cells.points_px(),
         )
+        levels.append(rows)
     layout = (
-        f"heads {list(shapes[0])}, {list(shapes[1])}: boxes and objectness of {n} anchors, classes"
+        f"heads {list(shapes[0])}, {list(shapes[1])}: boxes and objectness of {n_anchors} anchors, "
+        "classes"
     )
-    form = replace(_STRETCHED, colours="bgr")
-    yield _model("Yolo-FastestV2", "yolo-fastestv2", layout, n_classes, form, levels)
+    reading = _Reading("Yolo-FastestV2", "", replace(_STRETCHED, colours="bgr"))
+    yield _model(reading, "yolo-fastestv2", layout, n_classes, levels)
 
 
 def _n_classes(network: NetworkOutputs, n_columns: int) -> tuple[int, str]:
     """Number of classes among the columns after the box, and a note on coefficients of masks or
     keypoints.
     """
-    if (
-        any(len(shape) == 4 and shape[:2] == (1, N_MASKS) for shape in network.shapes)
-        and n_columns > N_MASKS
-    ):
+    if network.has_masks and n_columns > N_MASKS:
         return n_columns - N_MASKS, MASKS_NOTE
-    n_keypoints = network.n_keypoints or (
-        n_columns - 1 if network.n_names == 1 and n_columns % 3 == 1 else 0
-    )
-    return (
-        (n_columns - n_keypoints, KEYPOINTS_NOTE)
-        if 0 < n_keypoints < n_columns
-        else (n_columns, "")
-    )
+    n_keypoints = network.n_keypoints
+    if not n_keypoints and network.n_names == 1 and n_columns % 3 == 1:
+        n_keypoints = n_columns - 1  # x, y and visibility
+    if 0 < n_keypoints < n_columns:
+        return n_columns - n_keypoints, KEYPOINTS_NOTE
+    return n_columns, ""

@@ -10,6 +10,7 @@ defaults can be overridden (`detection.models.metadata`).
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
@@ -28,29 +29,46 @@ _DEFAULT_NAMES = {
 """Class list by number of classes, for networks without class names."""
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/how-to/detectors.md)"
 
-DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel]], str], ...] = (
-    ("RF-DETR", end_to_end.logits_and_boxes, "detr"),
-    (
+
+class DetectorLayout(NamedTuple):
+    """A layout of network outputs."""
+
+    title: str  # for messages
+    # the possible meanings of outputs; none if their shapes do not fit
+    readings: Callable[[NetworkOutputs], Iterator[YoloModel]]
+    reading_names: str  # of `YoloModel.name`, for `--layout`
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the readings."""
+        return self.reading_names.split()
+
+
+DETECTOR_LAYOUTS = (
+    DetectorLayout("RF-DETR", end_to_end.logits_and_boxes, "detr"),
+    DetectorLayout(
         "D-FINE/DEIM",
         end_to_end.labels_boxes_scores,
         "d-fine end2end end2end-fractions mmdet torchvision tf-detections",
     ),
-    ("YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, dense_layouts.PAIR_NAMES),
-    ("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, dense_layouts.GRID_NAMES),
-    ("NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, dense_layouts.LEVEL_NAMES),
-    ("RT-DETR", end_to_end.labelled_query_rows, "rt-detr-rows"),
-    (
+    DetectorLayout(
+        "YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, dense_layouts.PAIR_NAMES
+    ),
+    DetectorLayout("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, dense_layouts.GRID_NAMES),
+    DetectorLayout(
+        "NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, dense_layouts.LEVEL_NAMES
+    ),
+    DetectorLayout("RT-DETR", end_to_end.labelled_query_rows, "rt-detr-rows"),
+    DetectorLayout(
         "YOLOv10",
         end_to_end.labelled_rows,
         "yolov10 yolov10-fractions paddle-rows yolov7-end2end yolo-nas-flat ssd-detections",
     ),
-    ("RT-DETR", end_to_end.query_rows, "rt-detr-queries"),
-    ("Yolo-FastestV2", dense_layouts.fastest_heads, "yolo-fastestv2"),
-    ("Darknet", dense_layouts.anchor_heads, "darknet-heads yolov5-heads"),
+    DetectorLayout("RT-DETR", end_to_end.query_rows, "rt-detr-queries"),
+    DetectorLayout("Yolo-FastestV2", dense_layouts.fastest_heads, "yolo-fastestv2"),
+    DetectorLayout("Darknet", dense_layouts.anchor_heads, "darknet-heads yolov5-heads"),
 )
-"""The known layouts, in the order in which they are tried: a name for messages, the function that
-gives the readings of outputs (none if the shapes do not fit), and the readings' names for
-`--layout`."""
+"""The known layouts, in the order in which they are tried."""
 
 
 def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
@@ -60,39 +78,52 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
     ModelError: no layout fits, or the model's attributes do not fit.
     """
     requested = network.metadata.get("layout", None, "").value
-    known = [name for _, _, names in DETECTOR_LAYOUTS for name in names.split()]
+    known = [name for layout in DETECTOR_LAYOUTS for name in layout.names]
     if requested is not None and requested not in known:
         raise ModelError(
             f"{network.path}: unknown layout {quoted(requested)} (--layout); the layouts are "
             f"{', '.join(known)}."
         )
     refused: ModelError | None = None
-    for _, function, names in DETECTOR_LAYOUTS:
-        if requested is not None and requested not in names.split():
+    for layout in DETECTOR_LAYOUTS:
+        if requested is not None and requested not in layout.names:
             continue
-        readings = []
-        for model in function(network):
-            try:
-                if requested in (None, model.name):
-                    readings.append(_with_attributes(network, model))
-            except ModelError as error:
-                refused = refused or error
+        readings, error = _readings_in(layout, network, requested)
+        refused = refused or error
         if readings:
             return tuple(readings)
-    if refused is not None:
-        raise refused
-    shapes = ", ".join(
-        f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True)
-    )
+    raise refused or _unknown(network, requested)
+
+
+def _readings_in(
+    layout: DetectorLayout, network: NetworkOutputs, requested: str | None
+) -> tuple[list[YoloModel], ModelError | None]:
+    """The readings in one layout, and why the first of those that are refused does not fit the
+    model's attributes.
+    """
+    readings = []
+    refused: ModelError | None = None
+    for model in layout.readings(network):
+        if requested not in (None, model.name):
+            continue
+        try:
+            readings.append(_with_attributes(network, model))
+        except ModelError as error:
+            refused = refused or error
+    return readings, refused
+
+
+def _unknown(network: NetworkOutputs, requested: str | None) -> ModelError:
+    """The error for outputs that fit no layout, or not the requested one."""
+    outputs = zip(network.names, network.shapes, strict=True)
+    listed = shortened(", ".join(f"{name} {list(shape)}" for name, shape in outputs), 80)
     if requested is not None:
-        raise ModelError(
-            f"{network.path}: expected outputs of the layout {requested} (--layout), found "
-            f"{shortened(shapes, 80)}."
+        return ModelError(
+            f"{network.path}: expected outputs of the layout {requested} (--layout), found {listed}."
         )
-    families = ", ".join(dict.fromkeys(name for name, _, _ in DETECTOR_LAYOUTS))
-    raise ModelError(
-        f"{network.path}: expected the outputs of {families}, found {shortened(shapes, 80)}; "
-        f"{_EXPORT_HINT}."
+    families = ", ".join(dict.fromkeys(layout.title for layout in DETECTOR_LAYOUTS))
+    return ModelError(
+        f"{network.path}: expected the outputs of {families}, found {listed}; {_EXPORT_HINT}."
     )
 
 
@@ -108,12 +139,10 @@ def _with_attributes(network: NetworkOutputs, model: YoloModel) -> YoloModel:
         usual_input = replace(usual_input, divisor=1.0, mean=(0.0,) * 3, std=(1.0,) * 3)
     for key in ("letterbox", "colours", "divisor", "mean", "std"):
         used[key] = metadata.get(key, getattr(usual_input, key), f"default of {model.family}")
-    usual = COCO_BOX_ERRORS.get(model.family) if used["names"].value == COCO_CLASSES else None
-    source = (
-        "default for an unknown detector"
-        if usual is None
-        else f"usual for {model.family} trained with COCO"
-    )
+    usual, source = None, "default for an unknown detector"
+    if used["names"].value == COCO_CLASSES and model.family in COCO_BOX_ERRORS:
+        usual = COCO_BOX_ERRORS[model.family]
+        source = f"usual for {model.family} trained with COCO"
     used["box_errors"] = metadata.get("box_errors", usual, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
     scale = {key: used[key].value for key in ("colours", "divisor", "mean", "std")}

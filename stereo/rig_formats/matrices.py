@@ -9,10 +9,9 @@ R and T are checked with the rest of the file: the right camera is to the right,
 cameraIntrinsicsToOpenCV.)
 """
 
-import math
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +24,15 @@ from track_range.foundation.files.input_files import quoted, shortened
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
-from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
+from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
+from track_range.stereo.rig_formats.values.cameras import (
+    distortion_of,
+    fisheye_of,
+    of_scalars,
+    size_px_of,
+    stated_size,
+)
 from track_range.stereo.rig_formats.values.containers import (
     EXPECTED,
     K_AND_BASELINE,
@@ -40,25 +46,9 @@ from track_range.stereo.rig_formats.values.quantities import (
     quantities_of,
     read_quantities,
 )
+from track_range.stereo.rig_formats.values.units import TOLERANCE, UNIT_NAMES, Unit, unit_of
 
 Pair = tuple[Side, Side]
-_WIDE_M = 1.0  # of usual baselines; scripts without a square size have 2 to 5 squares
-_VEHICLE = 2.6  # width of the widest vehicles, metres; no baseline is longer
-# |T| from which it is read as millimetres, and as centimetres
-_MILLIMETRES, _CENTIMETRES = 30.0, 5.0
-_FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which the lens is a fisheye
-_TOLERANCE = 0.02  # largest relative difference of lengths, and difference of rotations, that agree
-_UNITS = {
-    "mm": 0.001,
-    "millimeter": 0.001,
-    "cm": 0.01,
-    "centimeter": 0.01,
-    "m": 1.0,
-    "meter": 1.0,
-    "in": 0.0254,
-}
-UNIT_NAMES = {0.001: "millimetres", 0.01: "centimetres", 1.0: "metres", 0.0254: "inches"}
-_DOUBT = "in doubt"  # in the place of the reason for a unit
 
 
 class Kind(NamedTuple):
@@ -71,6 +61,7 @@ class Kind(NamedTuple):
     size_px: tuple[int, int] = (0, 0)  # (width, height) of the images of all files of the kind
     assumption: str = ""  # for the note
     is_rectified: bool = False
+    usual_unit: Unit | None = None  # of files that state none; None = by the lengths' size
 
 
 _M = re.MULTILINE
@@ -82,7 +73,8 @@ KINDS = (
     Kind("virtual-kitti", "Virtual KITTI's intrinsic.txt", VIRTUAL_KITTI, 1.0, (1242, 375),
          "the baseline of Virtual KITTI 2 and its images of 1242x375 px", is_rectified=True),
     Kind("orb-slam", "ORB-SLAM's settings", re.compile(r"^(?:Camera1?\.fx|LEFT\.K)\s*:", _M), 1.0),
-    Kind("matlab", "MATLAB's stereoParameters", re.compile("(?i)RotationOfCamera2|RadialDistortion")),
+    Kind("matlab", "MATLAB's stereoParameters", re.compile("(?i)RotationOfCamera2|RadialDistortion"),
+         usual_unit=Unit(0.001, "assuming millimetres, MATLAB's default")),
     Kind("realsense-json", "RealSense's intrinsics and extrinsics in JSON", re.compile(r'"(?:ppx|PPX)"'), 1.0),
     Kind("opencv", "the files of OpenCV's stereo_calib", re.compile("opencv-matrix|<opencv_storage>")),
     Kind("matrices", "matrices by name, K1 D1 K2 D2 R T", re.compile("")),
@@ -90,117 +82,219 @@ KINDS = (
 _EXTRINSIC = ("R", "T", "second_from_first", "first_from_second")
 
 
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file of a kind, completed by files beside it."""
+
+    kind: Kind
+    path: Path
+    given: Quantities
+    beside: tuple[Path, ...]  # the files that complete it
+    is_fisheye: bool
+    is_depth_camera: bool  # whether its second camera is one of depth
+    notes: tuple[str, ...]  # on the lens
+
+    @property
+    def title(self) -> str:
+        """The kind and the other files, for messages."""
+        if not self.beside:
+            return self.kind.title
+        return f"{self.kind.title} with {' and '.join(file.name for file in self.beside)}"
+
+    @property
+    def sides(self) -> list[Side]:
+        """The sides of the cameras, one or two."""
+        return self.given.sides()[:2] or [None]
+
+    @property
+    def pair(self) -> Pair:
+        """The sides of both cameras; camera 2 follows a single one."""
+        sides = self.sides
+        return sides[0], sides[1] if len(sides) == 2 else 2
+
+    @property
+    def has_two_cameras(self) -> bool:
+        """Whether two cameras are named."""
+        return len(self.sides) == 2
+
+    @property
+    def has_extrinsics(self) -> bool:
+        """Whether R or T, or a transform, is known."""
+        return self.given.has(*_EXTRINSIC)
+
+    def projections(self) -> list[FloatArray] | None:
+        """The (3, 4) projection matrices of both rectified cameras; None if one is missing."""
+        projections = [self.given.of(side, "P") for side in self.pair]
+        if all(p is not None and p.size == 12 for p in projections):
+            return [p.reshape(3, 4) for p in projections]
+        return None
+
+
 def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     """The cameras of a file of a kind; with the files beside it that complete a pair, if
     `is_pair`.
     """
     expected = "a calibration of OpenCV" if kind.name == "opencv" else EXPECTED
-    given, beside = _completed(
-        quantities_of(plain_values(text, path, expected), path), path, is_pair=is_pair
-    )
+    stated = quantities_of(plain_values(text, path, expected), path)
+    given, beside = _completed(stated, path, is_pair=is_pair)
     if not given.has("K", "fx", "P"):
         raise RigError(_unusable(given, path))
-    sides = given.sides()[:2] or [None]
-    pair: Pair = sides[0], sides[1] if len(sides) == 2 else 2
-    title = kind.title + (f" with {' and '.join(file.name for file in beside)}" if beside else "")
-    notes: list[str] = []
-    is_fisheye = _is_fisheye(given, sides, path, notes)
-    has_extrinsics = given.has(*_EXTRINSIC)
-    if has_extrinsics and sides in ([2], ["right"]):
-        raise _incomplete(given, ["M1"], path)
-    projections = _projections(given, pair) if len(sides) == 2 else None
-    if projections is not None and not any(given.of(side, "K") is not None for side in sides):
-        size_px = _size(given, None, PinholeCamera.of_matrix(projections[0], (0, 0)), path)
-        cameras = [PinholeCamera.of_matrix(projection, size_px) for projection in projections]
-        note = f"{path}: projection matrices P1 and P2"
-        return _parallel(kind, given, cameras, _offset(*projections), note, "rectified images")
-    left = _camera(kind, given, sides[0], "1", path, is_fisheye=is_fisheye)
-    length = given.of(None, "baseline")
-    if length is None and (bf := given.of(None, "bf")) is not None:
-        fx = given.of(None, "fx")
-        length = bf / (left.fx_px if fx is None else fx)
-    is_depth_camera = "DepthMapFactor" in text or (kind.name == "orb-slam" and any(left.distortion))
-    if length is not None and not has_extrinsics and projections is None and not is_depth_camera:
-        right = (
-            _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye)
-            if len(sides) == 2
-            else left
-        )
-        images = (
-            "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
-        )
-        notes += [f"{path}: assumed: {kind.assumption}."] if kind.assumption else []
-        return _parallel(
-            kind, given, [left, right], -abs(float(length[0])), f"{path}: {title}", images, notes
-        )
-    if not has_extrinsics and len(sides) < 2:
-        return RigCalibration(left, None, None, notes=tuple(notes))
-    motion = _motion(given, pair, path, notes)
-    right = _camera(kind, given, pair[1], "2", path, is_fisheye=is_fisheye)
-    length = float(np.linalg.norm(motion[:3, 3]))
-    metres, reason = _unit(kind, given, length)
-    doubt = (
-        f"{path}: expected T in metres, found one {length:.4g} long, which is wider than a vehicle; give its unit: "
-        "rig convert FILE rig.yaml --unit mm, cm or m; or multiply T by the side of a square, if it counts squares of "
-        "the board."
+    side = (given.sides() or [None])[0]
+    is_fisheye, notes = fisheye_of(given, side, path)
+    file = _File(
+        kind=kind,
+        path=path,
+        given=given,
+        beside=tuple(beside),
+        is_fisheye=is_fisheye,
+        is_depth_camera="DepthMapFactor" in text,
+        notes=notes,
     )
-    _contradictions(given, pair, motion, path, notes)
-    motion[:3, 3] *= metres
-    notes.insert(0, f"{path}: {title}: the baseline is {length * metres:.4g} m, {reason}.")
-    if motion[0, 3] > abs(motion[1, 3]) and sides[0] is not None:
-        motion = inverse_motion(motion)
-        if sides[0] == "left":
-            notes.append(
-                f"{path}: R and T put the right camera to the left of the left one, so they are read as the transform "
-                "from the right camera to the left one; if the left and the right camera are swapped instead, swap "
-                "them in the file."
-            )
-        else:
-            left, right = right, left
-            notes.append(
-                f"{path}: by T, camera {sides[1]} is to the left of camera {sides[0]} (x2 = R x1 + T), so it is used "
-                "as the left camera; if T is its position instead, swap the cameras in the file."
-            )
-    return RigCalibration(
+    if file.has_extrinsics and file.sides in ([2], ["right"]):
+        raise _incomplete(given, ["M1"], path)
+    return _rig_of(file)
+
+
+def _rig_of(file: _File) -> RigCalibration:
+    """The cameras by projection matrices, by a baseline, alone, or by R and T."""
+    given = file.given
+    projections = file.projections() if file.has_two_cameras else None
+    has_matrices = any(given.of(side, "K") is not None for side in file.sides)
+    if projections is not None and not has_matrices:
+        return _of_projections(file, projections)
+    left = _camera(file, 0)
+    baseline = _baseline(file, left)
+    if baseline is not None and not file.has_extrinsics and projections is None:
+        return _of_baseline(file, left, baseline)
+    if not file.has_extrinsics and not file.has_two_cameras:
+        return RigCalibration(left, None, None, notes=file.notes)
+    return _of_transform(file, left)
+
+
+def _of_projections(file: _File, projections: Sequence[FloatArray]) -> RigCalibration:
+    """The rectified cameras of two projection matrices (3, 4)."""
+    first = PinholeCamera.of_matrix(projections[0], (0, 0))
+    size_px = size_px_of(file.given, None, (first.cx_px, first.cy_px), file.path)
+    cameras = [PinholeCamera.of_matrix(projection, size_px) for projection in projections]
+    note = f"{file.path}: projection matrices P1 and P2"
+    return _parallel(file, cameras, _offset(*projections), note, "rectified images")
+
+
+def _baseline(file: _File, left: PinholeCamera) -> float | None:
+    """The baseline in the unit of the file, stated or bf / fx; None if unknown, or that of a depth
+    camera.
+    """
+    if file.is_depth_camera or (file.kind.name == "orb-slam" and any(left.distortion)):
+        return None
+    baseline, bf = file.given.of(None, "baseline"), file.given.of(None, "bf")
+    if baseline is None and bf is not None:
+        fx = file.given.of(None, "fx")
+        baseline = bf / (left.fx_px if fx is None else fx)
+    return None if baseline is None else abs(float(baseline[0]))
+
+
+def _of_baseline(file: _File, left: PinholeCamera, baseline: float) -> RigCalibration:
+    """The pair of parallel cameras with this baseline, in the unit of the file."""
+    right = _camera(file, 1) if file.has_two_cameras else left
+    is_rectified = file.kind.is_rectified or not left.is_distorted
+    images = "rectified images" if is_rectified else "parallel cameras"
+    notes = file.notes
+    if file.kind.assumption:
+        notes = (*notes, f"{file.path}: assumed: {file.kind.assumption}.")
+    return _parallel(file, [left, right], -baseline, f"{file.path}: {file.title}", images, notes)
+
+
+def _of_transform(file: _File, left: PinholeCamera) -> RigCalibration:
+    """The pair of cameras by R and T."""
+    path = file.path
+    stated, notes = _motion(file)
+    right = _camera(file, 1)
+    length = float(np.linalg.norm(stated[:3, 3]))
+    unit = _unit(file.kind, file.given, length)
+    motion, contradictions = _checked_motion(file, stated)
+    note = f"{path}: {file.title}: the baseline is {length * unit.metres:.4g} m, {unit.reason}."
+    doubt = (
+        f"{path}: expected T in metres, found one {length:.4g} long, which is wider than a "
+        "vehicle; give its unit: rig convert FILE rig.yaml --unit mm, cm or m; or multiply T by "
+        "the side of a square, if it counts squares of the board."
+    )
+    rig = RigCalibration(
         left,
         right,
-        motion,
-        notes=tuple(notes),
-        metres_per_unit=metres,
-        unit_doubt=doubt if reason == _DOUBT else "",
+        rigid_motion(motion[:3, :3], motion[:3, 3] * unit.metres),
+        notes=(note, *file.notes, *notes, *contradictions),
+        metres_per_unit=unit.metres,
+        unit_doubt=doubt if unit.is_doubtful else "",
     )
+    return _from_left_to_right(file, rig)
+
+
+def _from_left_to_right(file: _File, rig: RigCalibration) -> RigCalibration:
+    """The rig with its right camera to the right of the left one, and a note if the file has it on
+    the left.
+    """
+    motion = rig.right_from_left
+    first, second = file.pair
+    if motion is None or rig.right is None or first is None:
+        return rig
+    if not motion[0, 3] > abs(motion[1, 3]):
+        return rig
+    if first == "left":
+        note = (
+            f"{file.path}: R and T put the right camera to the left of the left one, so they are "
+            "read as the transform from the right camera to the left one; if the left and the "
+            "right camera are swapped instead, swap them in the file."
+        )
+    else:
+        rig = replace(rig, left=rig.right, right=rig.left)
+        note = (
+            f"{file.path}: by T, camera {second} is to the left of camera {first} (x2 = R x1 + T), "
+            "so it is used as the left camera; if T is its position instead, swap the cameras in "
+            "the file."
+        )
+    return replace(rig, right_from_left=inverse_motion(motion), notes=(*rig.notes, note))
 
 
 def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantities, list[Path]]:
     """The quantities, completed by files in the folder of `path`: extrinsics, intrinsics, other
     camera.
     """
-    has_cameras, has_extrinsics = (
-        given.has("K", "fx"),
-        given.has(*_EXTRINSIC, "P", "baseline", "bf"),
-    )
+    has_cameras = given.has("K", "fx")
+    has_extrinsics = given.has(*_EXTRINSIC, "P", "baseline", "bf")
     is_single = has_cameras and len(given.sides()) < 2
     if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
-        other = other_half(path, is_intrinsic=has_cameras)
-        merged = given if other is None else given | read_quantities(other)
-        if (
-            has_cameras
-            or other is None
-            or len(merged.sides()) == 2
-            or (partner := partner_of(other)) is None
-        ):
-            return merged, [] if other is None else [other]
-        return given | _both(other, partner), [other, partner]
-    if is_pair and is_single and not has_extrinsics and (partner := partner_of(path)) is not None:
-        first, second = (partner, path) if is_second(path) else (path, partner)
-        both = _both(first, second)
-        other = other_half(path, is_intrinsic=True)
-        return (
-            (both, [partner])
-            if other is None
-            else (both | read_quantities(other), [partner, other])
-        )
+        return _with_other_half(given, path, has_cameras=has_cameras)
+    if is_pair and is_single and not has_extrinsics:
+        partner = partner_of(path)
+        if partner is not None:
+            return _with_partner(path, partner)
     return given, []
+
+
+def _with_other_half(
+    given: Quantities, path: Path, *, has_cameras: bool
+) -> tuple[Quantities, list[Path]]:
+    """The quantities with those of the file of extrinsics, or of one or two files of intrinsics."""
+    other = other_half(path, is_intrinsic=has_cameras)
+    if other is None:
+        return given, []
+    merged = given | read_quantities(other)
+    if has_cameras or len(merged.sides()) == 2:
+        return merged, [other]
+    partner = partner_of(other)
+    if partner is None:
+        return merged, [other]
+    return given | _both(other, partner), [other, partner]
+
+
+def _with_partner(path: Path, partner: Path) -> tuple[Quantities, list[Path]]:
+    """The quantities of a camera's file and of the other camera's, and of a file of extrinsics."""
+    left, right = (partner, path) if is_second(path) else (path, partner)
+    both = _both(left, right)
+    other = other_half(path, is_intrinsic=True)
+    if other is None:
+        return both, [partner]
+    return both | read_quantities(other), [partner, other]
 
 
 def _both(left: Path, right: Path) -> Quantities:
@@ -208,8 +302,7 @@ def _both(left: Path, right: Path) -> Quantities:
 
 
 def _parallel(
-    kind: Kind,
-    given: Quantities,
+    file: _File,
     cameras: Sequence[PinholeCamera],
     offset: float,
     note: str,
@@ -217,21 +310,11 @@ def _parallel(
     notes: Sequence[str] = (),
 ) -> RigCalibration:
     """The pair of two parallel cameras; `offset` = -B in the unit of the file."""
-    metres, reason = _unit(kind, given, abs(offset))
-    motion = rigid_motion(np.eye(3), [offset * metres, 0.0, 0.0])
-    note = f"{note}: the baseline is {abs(offset) * metres:.5g} m, {reason}; {images}."
+    unit = _unit(file.kind, file.given, abs(offset))
+    motion = rigid_motion(np.eye(3), [offset * unit.metres, 0.0, 0.0])
+    note = f"{note}: the baseline is {abs(offset) * unit.metres:.5g} m, {unit.reason}; {images}."
     return RigCalibration(
-        cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=metres
-    )
-
-
-def _projections(given: Quantities, pair: Pair) -> list[FloatArray] | None:
-    """The (3, 4) projection matrices of both rectified cameras; None if one is missing."""
-    projections = [given.of(side, "P") for side in pair]
-    return (
-        [p.reshape(3, 4) for p in projections]
-        if all(p is not None and p.size == 12 for p in projections)
-        else None
+        cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=unit.metres
     )
 
 
@@ -240,286 +323,175 @@ def _offset(first: FloatArray, second: FloatArray) -> float:
     return float(second[0, 3] / second[0, 0] - first[0, 3] / first[0, 0])
 
 
-def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> FloatArray:
-    """(4, 4) transform from the first camera's frame to the second's, in the unit of the file."""
-    for quantity in ("second_from_first", "first_from_second"):
-        if (numbers := given.of(None, quantity)) is not None:
-            motion = rigid_motion(*np.split(numbers.reshape(-1, 4)[:3], [3], axis=1))
-            return motion if quantity == "second_from_first" else inverse_motion(motion)
+def _unit(kind: Kind, given: Quantities, length: float) -> Unit:
+    """The unit of the lengths in a file; `length` is the baseline in that unit."""
+    if kind.metres_per_unit is not None:
+        name = UNIT_NAMES[kind.metres_per_unit]
+        return Unit(kind.metres_per_unit, f"in {name} as in all such files")
+    return unit_of(given, length, kind.usual_unit)
+
+
+def _motion(file: _File) -> tuple[FloatArray, tuple[str, ...]]:
+    """(4, 4) transform from the first camera's frame to the second's, in the unit of the file, and
+    notes.
+    """
+    given, path = file.given, file.path
+    stated = _stated_transform(given)
+    if stated is not None:
+        return stated, ()
     if (None, "T") not in given.values:
-        if (pair[1], "T") in given.values:  # a pose of each camera
-            first, second = (_pose(given, side, path) for side in pair)
-            return np.asarray(second @ inverse_motion(first))
-        projections, rotations = (
-            _projections(given, pair),
-            [given.of(side, "rect") for side in pair],
-        )
-        if projections is not None and all(rotation is not None for rotation in rotations):
-            r1, r2 = (rotation.reshape(3, 3) for rotation in rotations)
-            notes.append(f"{path}: R and T are computed from R1, R2, P1 and P2.")
-            return rigid_motion(r2.T @ r1, r2.T @ [_offset(*projections), 0.0, 0.0])
-    of_second = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}
-    missing = [
-        name
-        for name, keys in of_second.items()
-        if not any((pair[1], key) in given.values for key in keys)
-    ]
-    missing += [name for name in ("R", "T") if given.of(None, name) is None]
+        if (file.pair[1], "T") in given.values:  # a pose of each camera
+            first, second = (_pose(given, side, path) for side in file.pair)
+            return np.asarray(second @ inverse_motion(first)), ()
+        rectified = _motion_of_rectification(file)
+        if rectified is not None:
+            return rectified, (f"{path}: R and T are computed from R1, R2, P1 and P2.",)
+    missing = _missing(file)
     if missing:
         raise _incomplete(given, missing, path)
     motion = _pose(given, None, path)
-    return inverse_motion(motion) if given.of(None, "inverse") else motion
+    return inverse_motion(motion) if given.of(None, "inverse") else motion, ()
+
+
+def _stated_transform(given: Quantities) -> FloatArray | None:
+    """The transform in a matrix of 4 x 4 or 3 x 4 numbers; None without one."""
+    for quantity in ("second_from_first", "first_from_second"):
+        numbers = given.of(None, quantity)
+        if numbers is not None:
+            rotation, translation = np.split(numbers.reshape(-1, 4)[:3], [3], axis=1)
+            motion = rigid_motion(rotation, translation)
+            return motion if quantity == "second_from_first" else inverse_motion(motion)
+    return None
+
+
+def _motion_of_rectification(file: _File) -> FloatArray | None:
+    """R = R2^T R1, T = R2^T (-B, 0, 0); None without R1, R2, P1 and P2."""
+    projections = file.projections()
+    first, second = (file.given.of(side, "rect") for side in file.pair)
+    if projections is None or first is None or second is None:
+        return None
+    r1, r2 = first.reshape(3, 3), second.reshape(3, 3)
+    return rigid_motion(r2.T @ r1, r2.T @ [_offset(*projections), 0.0, 0.0])
+
+
+def _missing(file: _File) -> list[str]:
+    """Names of the matrices of a pair that the file lacks."""
+    given, second = file.given, file.pair[1]
+    missing = []
+    for name, quantities in {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}.items():
+        if not any((second, quantity) in given.values for quantity in quantities):
+            missing.append(name)
+    return [*missing, *(name for name in ("R", "T") if given.of(None, name) is None)]
 
 
 def _incomplete(given: Quantities, missing: list[str], path: Path) -> RigError:
     return RigError(
-        f"{path}: expected M2, D2, R, T of two cameras in this file or intrinsics/extrinsics{path.suffix} in its "
-        f"folder, found no {', '.join(missing)}; give the complete calibration, one with M1 and D1 for one camera, "
-        f"or complete a track-range rig template (keys found: {_listed(given.keys)})."
+        f"{path}: expected M2, D2, R, T of two cameras in this file or "
+        f"intrinsics/extrinsics{path.suffix} in its folder, found no {', '.join(missing)}; give "
+        "the complete calibration, one with M1 and D1 for one camera, or complete a track-range "
+        f"rig template (keys found: {_listed(given.keys)})."
     )
 
 
 def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
     """(4, 4) transform of R and T of a side; the identity for a camera without them."""
-    rotation, translation = (
-        given.values.get((side, "R")),
-        given.values.get((side, "T"), np.zeros(3)),
-    )
+    rotation = given.values.get((side, "R"))
     if rotation is None:
         rotation = given.values.get((side, "rect"), np.eye(3))
-    rotation = rotation if rotation.size != 3 else np.asarray(cv2.Rodrigues(rotation)[0])
+    if rotation.size == 3:
+        rotation = np.asarray(cv2.Rodrigues(rotation)[0])
+    translation = given.values.get((side, "T"), np.zeros(3))
     return rigid_motion(_shaped(rotation, (3, 3), "R", path), _shaped(translation, (3,), "T", path))
 
 
-def _contradictions(
-    given: Quantities, pair: Pair, motion: FloatArray, path: Path, notes: list[str]
-) -> None:
-    """Compare R and T with the rectification in the same file; an R that is the inverse is inverted
-    in place.
+def _checked_motion(file: _File, motion: FloatArray) -> tuple[FloatArray, list[str]]:
+    """The transform of R and T, inverted if the rectification in the same file shows that, and
+    notes on contradictions with it.
     """
-    r: list[FloatArray | None] = [given.values.get((side, "rect")) for side in pair]
-    p = given.values.get((pair[1], "P"))
-    if r[0] is not None and r[1] is not None and p is not None and (None, "T") in given.values:
-        r1, r2 = r[0].reshape(3, 3), r[1].reshape(3, 3)
-        rotation = motion[:3, :3]
-        errors = [
-            float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)
-        ]
-        if errors[0] > _TOLERANCE > errors[1]:
-            motion[:] = inverse_motion(motion)
-            notes.append(
-                f"{path}: R and T are the transform from camera 2 to camera 1, by R1 and R2; they are inverted."
-            )
-        elif errors[0] > _TOLERANCE:
-            notes.append(
-                f"{path}: R contradicts R1 and R2, which rectify another pair (R2 R R1^T differs from the identity by "
-                f"{errors[0]:.2g}); R and T are used."
-            )
-    if p is not None and p.size == 12 and p[3]:
-        length, projected = float(np.linalg.norm(motion[:3, 3])), abs(float(p[3] / p[0]))
-        if abs(projected / max(length, 1e-9) - 1) > _TOLERANCE:
-            notes.append(
-                f"{path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
-            )
+    motion, notes = _checked_rotation(file, motion)
+    p = file.given.values.get((file.pair[1], "P"))
+    if p is None or p.size != 12 or not p[3]:
+        return motion, notes
+    length, projected = float(np.linalg.norm(motion[:3, 3])), abs(float(p[3] / p[0]))
+    if abs(projected / max(length, 1e-9) - 1) > TOLERANCE:
+        notes.append(
+            f"{file.path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
+        )
+    return motion, notes
 
 
-def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
-    """Metres per unit of the lengths in a file, and the reason; `length` is the baseline in that
-    unit.
-    """
-    stated = str(given.of(None, "unit") or "").lower().rstrip("s").replace("metre", "meter")
-    square, baseline = given.of(None, "square"), given.of(None, "baseline")
-    if kind.metres_per_unit is not None:
-        return kind.metres_per_unit, f"in {UNIT_NAMES[kind.metres_per_unit]} as in all such files"
-    if stated in _UNITS:
-        return _UNITS[stated], f"in {UNIT_NAMES[_UNITS[stated]]} as the file states"
-    for quantity in ("T", "baseline"):
-        unit = _UNITS.get(given.names.get((None, quantity), "").lower().rpartition("_")[2], 0.0)
-        length_m = unit * (
-            length if quantity == "T" or baseline is None else abs(float(baseline[0]))
-        )
-        units = [
-            u
-            for u in (unit, 1.0, 0.01, 0.001)
-            if u and length_m and abs(length * u / length_m - 1) < _TOLERANCE
-        ]
-        if units:
-            return units[0], f"in {UNIT_NAMES[units[0]]} by the name of {quantity}"
-    if kind.name == "matlab":
-        return 0.001, "assuming millimetres, MATLAB's default"
-    if length <= _VEHICLE:
-        wide = (
-            "; a wide baseline: if T counts squares, multiply T by the side of a square"
-            if length > _WIDE_M
-            else ""
-        )
-        of_board = (
-            "that the square size was given in metres" if (None, "T") in given.values else "metres"
-        )
-        return 1.0, f"assuming {of_board}{wide}"
-    if length <= _CENTIMETRES:
-        return 1.0, _DOUBT
-    unit = (
-        0.001
-        if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES)
-        else 0.01
+def _checked_rotation(file: _File, motion: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Comparison of R with R1 and R2: R2 R R1^T = 1."""
+    values, (first, second) = file.given.values, file.pair
+    rect1, rect2 = values.get((first, "rect")), values.get((second, "rect"))
+    is_complete = (second, "P") in values and (None, "T") in values
+    if rect1 is None or rect2 is None or not is_complete:
+        return motion, []
+    r1, r2 = rect1.reshape(3, 3), rect2.reshape(3, 3)
+    rotation = motion[:3, :3]
+    error, error_of_inverse = (
+        float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)
     )
-    also = (
-        f" (in millimetres it would be {length * 0.001:.3g} m: rig convert --unit mm)"
-        if unit == 0.01
-        else ""
-    )
-    return unit, f"since the length of T, {length:.4g}, is taken to be in {UNIT_NAMES[unit]}{also}"
-
-
-def _camera(
-    kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool
-) -> PinholeCamera:
-    name, matrix = given.names.get((side, "K"), f"M{number}"), given.of(side, "K")
-    matrix = _of_scalars(given, side) if matrix is None else matrix
-    if matrix is None:
-        raise _incomplete(given, [f"M{number}"], path)
-    if matrix.size == 4:
-        matrix = np.array([matrix[0], 0, matrix[2], 0, matrix[1], matrix[3], 0, 0, 1])
-    matrix = _shaped(matrix, (3, 3), name, path)
-    is_matlab = kind.name == "matlab"
-    # MATLAB's are transposed
-    if matrix[2, 0] and matrix[2, 1] and not (matrix[0, 2] or matrix[1, 2]):
-        matrix, is_matlab = matrix.T.copy(), True
-    if is_matlab:
-        matrix[:2, 2] -= 1.0  # MATLAB counts pixels from 1
-    if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
-        raise RigError(
-            f"{path}: expected 0, 0, 1 in the last row of {name}, found {quoted(matrix[2].tolist())}; give the camera "
-            "matrix."
+    if error <= TOLERANCE:
+        return motion, []
+    if error_of_inverse < TOLERANCE:
+        note = (
+            f"{file.path}: R and T are the transform from camera 2 to camera 1, by R1 and R2; "
+            "they are inverted."
         )
-    distortion = _distortion(given, side)
+        return inverse_motion(motion), [note]
+    note = (
+        f"{file.path}: R contradicts R1 and R2, which rectify another pair (R2 R R1^T differs from "
+        f"the identity by {error:.2g}); R and T are used."
+    )
+    return motion, [note]
+
+
+def _camera(file: _File, index: int) -> PinholeCamera:
+    """The first (0) or second (1) camera."""
+    side, number = file.pair[index], index + 1
+    matrix = _camera_matrix(file, side, number)
+    distortion = distortion_of(file.given, side)
     if distortion is None:
-        if (
-            not kind.is_rectified
-            and (None, "baseline") not in given.values
-            and (None, "bf") not in given.values
-        ):
+        is_baseline_known = bool({(None, "baseline"), (None, "bf")} & file.given.values.keys())
+        if not file.kind.is_rectified and not is_baseline_known:
+            name = file.given.names.get((side, "K"), f"M{number}")
             raise RigError(
-                f"{path}: expected the distortion coefficients D{number} of the camera {name}, found none; write zeros "
-                "for undistorted images."
+                f"{file.path}: expected the distortion coefficients D{number} of the camera "
+                f"{name}, found none; write zeros for undistorted images."
             )
         distortion = np.zeros(0)
-    lens = KANNALA_BRANDT if is_fisheye and distortion.size == 4 else PINHOLE
+    lens = KANNALA_BRANDT if file.is_fisheye and distortion.size == 4 else PINHOLE
     camera = PinholeCamera.of_matrix(matrix, (0, 0), distortion, lens)
-    size_px = _size(given, side, camera, path)
-    width_px, height_px = size_px if size_px[0] else kind.size_px
+    size_px = size_px_of(file.given, side, (camera.cx_px, camera.cy_px), file.path)
+    width_px, height_px = size_px if size_px[0] else file.kind.size_px
     return replace(camera, width_px=width_px, height_px=height_px)
 
 
-def _of_scalars(given: Quantities, side: Side) -> FloatArray | None:
-    """(4,) fx, fy, cx, cy by their names; None if they are incomplete."""
-    fx, fy, cx, cy, centre = (given.of(side, name) for name in ("fx", "fy", "cx", "cy", "centre"))
-    if fx is None:
-        return None
-    focal = [fx[0], fx[-1] if fy is None else fy[0]]
-    if centre is not None:
-        return np.array([*focal, *centre])
-    return None if cx is None or cy is None else np.array([*focal, cx[0], cy[0]])
-
-
-def _distortion(given: Quantities, side: Side) -> FloatArray | None:
-    """OpenCV's coefficients of a camera, in D, as MATLAB's radial and tangential coefficients, or
-    by their names.
-    """
-    distortion = given.of(side, "D")
-    if distortion is not None:
-        return (
-            np.append(distortion, [0.0] * (4 - distortion.size))
-            if distortion.size < 4
-            else distortion
-        )
-    radial, tangential = given.of(side, "radial"), given.of(side, "tangential")
-    if radial is not None:
-        tangential = np.zeros(2) if tangential is None else tangential
-        return np.array([*radial[:2], *tangential, *radial[2:]])
-    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    values = {
-        name: float(number[0]) for name in names if (number := given.of(side, name)) is not None
-    }
-    if not values:
-        return None
-    if "k4" in values and "p1" not in values and "k5" not in values:  # Kannala-Brandt
-        return np.array([values.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")])
-    n = 8 if any(values.get(name) for name in names[5:]) else 5 if "k3" in values else 4
-    return np.array([values.get(name, 0.0) for name in names[:n]])
-
-
-def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[str]) -> bool:
-    """Whether the lens is OpenCV's fisheye model, as the file states, or by four coefficients and
-    the field of view.
-    """
-    if (flag := given.of(None, "fisheye")) is not None:
-        return bool(flag.any())
-    model = str(given.of(sides[0], "model") or "").lower()
-    has_k4 = [given.of(sides[0], name) is not None for name in ("k4", "p1", "k5")] == [
-        True,
-        False,
-        False,
-    ]
-    if (
-        has_k4
-        or model == "kb"
-        or any(word in model for word in ("kannala", "fisheye", "equidistant"))
-    ):
-        return True
-    distortion, k, name = (
-        _distortion(given, sides[0]),
-        given.of(sides[0], "K"),
-        given.names.get((sides[0], "K"), ""),
-    )
-    if (
-        distortion is None
-        or k is None
-        or distortion.size != 4
-        or not name.startswith("K")
-        or k.size != 9
-    ):
-        return False
-    is_wide = bool(2 * k[2] > _FISHEYE_RAD * k[0])
-    lens, other = (
-        ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
-    )
-    notes.append(
-        f"{path}: the four coefficients are read as {lens}, because of the field of view of "
-        f"{math.degrees(2 * math.atan(k[2] / k[0])):.0f} degrees; if this is wrong, add fisheye_model: {other}."
-    )
-    return is_wide
-
-
-def _stated_size(given: Quantities, side: Side, centre: FloatArray) -> FloatArray | None:
-    """(2,) width and height of the images, in the order that fits their principal point, (2,); None
-    = not stated.
-    """
-    sides: list[Side] = [side, None] if side is not None else [None, *given.sides()]
-    width, height, size = (
-        next((given.values[place, name] for place in sides if (place, name) in given.values), None)
-        for name in ("width", "height", "size")
-    )
-    if width is not None and height is not None:
-        return np.array([width[0], height[0]])
-    if size is None:
-        return None
-    either = size[[0, 1]], size[[1, 0]]  # or rows and columns, as MATLAB's and NumPy's
-    return np.asarray(min(either, key=lambda size: float(np.abs(size / 2 - centre).sum())))
-
-
-def _size(given: Quantities, side: Side, camera: PinholeCamera, path: Path) -> tuple[int, int]:
-    """(width, height) of the images; (0, 0) = not in the file."""
-    size = _stated_size(given, side, np.array([camera.cx_px, camera.cy_px]))
-    if size is None:
-        return 0, 0
-    if not ((size >= 1) & (size <= MAX_SIDE_PX)).all():
+def _camera_matrix(file: _File, side: Side, number: int) -> FloatArray:
+    """(3, 3) camera matrix, with pixels counted from 0."""
+    name = file.given.names.get((side, "K"), f"M{number}")
+    numbers = file.given.of(side, "K")
+    if numbers is None:
+        numbers = of_scalars(file.given, side)
+    if numbers is None:
+        raise _incomplete(file.given, [f"M{number}"], file.path)
+    if numbers.size == 4:
+        fx, fy, cx, cy = numbers
+        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+    matrix = _shaped(numbers, (3, 3), name, file.path).copy()
+    # MATLAB's are transposed
+    is_transposed = matrix[2, 0] and matrix[2, 1] and not (matrix[0, 2] or matrix[1, 2])
+    if is_transposed:
+        matrix = matrix.T.copy()
+    if is_transposed or file.kind.name == "matlab":
+        matrix[:2, 2] -= 1.0  # MATLAB counts pixels from 1
+    if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
         raise RigError(
-            f"{path}: expected an image_width and image_height of 1 to {MAX_SIDE_PX} px, found "
-            f"{quoted(size.tolist())}; correct the file."
+            f"{file.path}: expected 0, 0, 1 in the last row of {name}, found "
+            f"{quoted(matrix[2].tolist())}; give the camera matrix."
         )
-    return round(float(size[0])), round(float(size[1]))
+    return matrix
 
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
@@ -533,22 +505,23 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -
 def camera_values(given: Quantities, number: int) -> dict[str, object]:
     """The values of the first or second camera that could be read, by key of rig.yaml."""
     values: dict[str, object] = {}
-    if number >= len(sides := given.sides() or [None]):
+    sides = given.sides() or [None]
+    if number >= len(sides):
         return values
-    side, matrix = sides[number], given.of(sides[number], "K")
-    focal = (
-        _of_scalars(given, side)
-        if matrix is None
-        else matrix[[0, 4, 2, 5]]
-        if matrix.size == 9
-        else matrix
-    )
+    side = sides[number]
+    focal = given.of(side, "K")
+    if focal is None:
+        focal = of_scalars(given, side)
+    elif focal.size == 9:
+        focal = focal[[0, 4, 2, 5]]
+    centre = np.zeros(2)
     if focal is not None:
         values |= zip(("fx_px", "fy_px", "cx_px", "cy_px"), focal.tolist(), strict=False)
-    centre = np.zeros(2) if focal is None else focal[2:4]
-    distortion, size = _distortion(given, side), _stated_size(given, side, centre)
+        centre = focal[2:4]
+    size = stated_size(given, side, centre)
     if size is not None:
         values |= {"width_px": round(float(size[0])), "height_px": round(float(size[1]))}
+    distortion = distortion_of(given, side)
     return values if distortion is None else values | {"distortion": distortion.tolist()}
 
 
@@ -559,9 +532,11 @@ def partial_motion(given: Quantities, path: Path) -> FloatArray | None:
     if given.of(None, "R") is None or given.of(None, "T") is None:
         return None
     motion = _pose(given, None, path)
-    metres, reason = _unit(KINDS[-1], given, float(np.linalg.norm(motion[:3, 3])))
-    motion[:3, 3] *= metres
-    return None if reason == _DOUBT else motion
+    unit = _unit(KINDS[-1], given, float(np.linalg.norm(motion[:3, 3])))
+    if unit.is_doubtful:
+        return None
+    motion[:3, 3] *= unit.metres
+    return motion
 
 
 def _unusable(given: Quantities, path: Path) -> str:

@@ -17,10 +17,10 @@ from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats import reading
-from track_range.stereo.rig_formats.matrices import UNIT_NAMES
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
+from track_range.stereo.rig_formats.values.units import UNIT_NAMES
 from track_range.views.report.tables import Column, grid_of
 
 _Size = Annotated[
