@@ -1,7 +1,7 @@
 """Box-only methods on labelled boxes: registered ranging methods as in a run, and plain curves."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -115,13 +115,11 @@ def ranger_columns(
     columns of methods measured before, which the listed methods may read. MethodError: a ranger of
     another package returned no ranges, or ranges of other tracks.
     """
-    columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
-    reads = {method.name: method.reads for method in listed}
     class_id = boxes.class_id
     if size_model is not None:
         class_id = np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
-    rangers: dict[str, Ranger] = {}
-    scale = DriveScale()
+    columns = {method.name: _unmeasured(len(boxes)) for method in listed}
+    rangers = _SequenceRangers({}, {})
     for rows, tracks, frame, is_first in as_frames(boxes, class_id):
         if is_first:
             context = MethodContext(
@@ -132,27 +130,58 @@ def ranger_columns(
                 region=options.region,
                 has_images=False,
             )
-            rangers, scale = create_rangers(context, listed), DriveScale()
-        ranges = {
+            reads = {method.name: method.reads for method in listed}
+            rangers = _SequenceRangers(create_rangers(context, listed), reads)
+        before = {
             name: ranges_in_frame(column, tracks, rows) for name, column in (measured or {}).items()
         }
+        for name, ranges in rangers.measure(tracks, frame, before).items():
+            _store(columns[name], rows, ranges)
+    return {name: _without_empty_systematic(column) for name, column in columns.items()}
+
+
+class _SequenceRangers:
+    """Rangers of one sequence with the scale of its drive; `reads` are the names of the methods
+    that each reads.
+    """
+
+    def __init__(self, rangers: Mapping[str, Ranger], reads: Mapping[str, Collection[str]]) -> None:
+        self._rangers, self._reads = rangers, reads
+        self._scale = DriveScale()
+
+    def measure(
+        self, tracks: Tracks, frame: Frame, before: Mapping[str, Ranges]
+    ) -> dict[str, Ranges]:
+        """Ranges of the next frame, by name; `before` are those of methods measured before."""
+        measured: dict[str, Ranges] = {}
         evidence: list[ScaleEvidence] = []
-        for name, ranger in rangers.items():
-            others = {other: ranges[other] for other in reads[name] if other in ranges}
-            in_frame = ranger.measure_at_scale(tracks, frame, others, scale)
-            evidence += [in_frame.evidence] if in_frame.evidence else []
-            ranges[name] = result = checked_ranges(name, in_frame.ranges, tracks)
-            columns[name][:2, rows] = result.distance_m, result.sigma_m
-            columns[name][2, rows] = (
-                np.nan if result.sigma_systematic_m is None else result.sigma_systematic_m
-            )
-        scale = scale.after(evidence, frame.time_s)
-    return {
-        name: MethodColumn(
-            column[0], column[1], column[2] if np.isfinite(column[2]).any() else None
-        )
-        for name, column in columns.items()
-    }
+        for name, ranger in self._rangers.items():
+            known = {**before, **measured}
+            others = {other: known[other] for other in self._reads[name] if other in known}
+            in_frame = ranger.measure_at_scale(tracks, frame, others, self._scale)
+            if in_frame.evidence:
+                evidence.append(in_frame.evidence)
+            measured[name] = checked_ranges(name, in_frame.ranges, tracks)
+        self._scale = self._scale.after(evidence, frame.time_s)
+        return measured
+
+
+def _unmeasured(n: int) -> MethodColumn:
+    return MethodColumn(*np.full((3, n), np.nan))
+
+
+def _store(column: MethodColumn, rows: IntArray, ranges: Ranges) -> None:
+    """Store the ranges of a frame in the column's rows."""
+    column.distance_m[rows], column.sigma_m[rows] = ranges.distance_m, ranges.sigma_m
+    if column.sigma_systematic_m is not None and ranges.sigma_systematic_m is not None:
+        column.sigma_systematic_m[rows] = ranges.sigma_systematic_m
+
+
+def _without_empty_systematic(column: MethodColumn) -> MethodColumn:
+    systematic_m = column.sigma_systematic_m
+    if systematic_m is None or np.isfinite(systematic_m).any():
+        return column
+    return replace(column, sigma_systematic_m=None)
 
 
 def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodColumn:

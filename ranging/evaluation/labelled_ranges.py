@@ -45,42 +45,22 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     names = tuple(name for name in settings.methods if name)
     _check(settings, names)
     boxes = _boxes(settings, settings.frames)
-    is_exact = settings.boxes == "labels" and settings.noise_px == 0
-    if settings.fit_frames is not None:
-        train = _boxes(settings, settings.fit_frames, is_exact=settings.fit_on == "labels")
-    elif settings.fit_on == "boxes" or is_exact:
-        train = boxes
-    else:
-        train = _boxes(settings, settings.frames, is_exact=True)
-    options = MethodOptions(
-        curves=settings.curves,
-        is_cross_validated=settings.cross_validate,
-        is_same_drive=settings.same_drive,
-        is_held_out=settings.fit_frames is not None,
-        box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
-        camera_height_m=settings.camera_height_m,
-        region=settings.region,
-    )
-    columns = measured_by(names or method_names(), boxes, train, options)
+    train = _training_boxes(settings, boxes)
+    columns = measured_by(names or method_names(), boxes, train, _method_options(settings))
     if settings.truth == "centre":
-        offset_m = centre_offset_m(boxes.class_name, boxes.xyxy_px)
-        columns = {
-            name: c if name in PLAIN_CURVES else replace(c, distance_m=c.distance_m + offset_m)
-            for name, c in columns.items()
-        }
+        columns = _at_centres(columns, boxes)
     boxes = boxes.with_reference()
     methods: dict[str, Any] = {}
     measured: dict[str, MethodColumn] = {}
     for name, column in columns.items():
         measured[name], closing_mps = filtered(boxes, column, settings.filter)
-        scores = box_evaluation.figures(boxes, measured[name])
-        closing = (
-            box_evaluation.closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
-        )
-        methods[name] = {
-            class_name: {**score, **closing.get(class_name, {})}
-            for class_name, score in scores.items()
-        }
+        methods[name] = box_evaluation.figures(boxes, measured[name])
+        if settings.filter != "none":
+            closing = box_evaluation.closing_figures(boxes, closing_mps)
+            for class_name, scores in methods[name].items():
+                scores |= closing.get(class_name, {})
+    risks = {name: box_evaluation.distance_risk(boxes, c) for name, c in measured.items()}
+    n_folds = len(list(box_evaluation.folds(boxes)))
     return {
         "labels": str(settings.labels),
         "boxes": settings.boxes,
@@ -99,15 +79,40 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
         "methods": methods,
-        "notes": _notes(
-            settings, len(boxes.sequence_names), len(list(box_evaluation.folds(boxes)))
-        ),
+        "notes": _notes(settings, len(boxes.sequence_names), n_folds),
         "literature": box_evaluation.literature_metrics(boxes, measured),
-        "risk_coverage": {
-            name: curves
-            for name, c in measured.items()
-            if (curves := box_evaluation.distance_risk(boxes, c))
-        },
+        "risk_coverage": {name: curves for name, curves in risks.items() if curves},
+    }
+
+
+def _training_boxes(settings: RangeEvaluationSettings, boxes: BoxSet) -> BoxSet:
+    """The boxes to which methods are fitted: of other frames, `boxes`, or their exact labels."""
+    if settings.fit_frames is not None:
+        return _boxes(settings, settings.fit_frames, is_exact=settings.fit_on == "labels")
+    is_exact = settings.boxes == "labels" and settings.noise_px == 0
+    if settings.fit_on == "boxes" or is_exact:
+        return boxes
+    return _boxes(settings, settings.frames, is_exact=True)
+
+
+def _method_options(settings: RangeEvaluationSettings) -> MethodOptions:
+    return MethodOptions(
+        curves=settings.curves,
+        is_cross_validated=settings.cross_validate,
+        is_same_drive=settings.same_drive,
+        is_held_out=settings.fit_frames is not None,
+        box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
+        camera_height_m=settings.camera_height_m,
+        region=settings.region,
+    )
+
+
+def _at_centres(columns: Mapping[str, MethodColumn], boxes: BoxSet) -> dict[str, MethodColumn]:
+    """The columns with the distances of the objects' centres; plain curves are fitted to these."""
+    offset_m = centre_offset_m(boxes.class_name, boxes.xyxy_px)
+    return {
+        name: c if name in PLAIN_CURVES else replace(c, distance_m=c.distance_m + offset_m)
+        for name, c in columns.items()
     }
 
 

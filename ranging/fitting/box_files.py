@@ -23,7 +23,8 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.detection.formats.table_checks import other_labels_note
-from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
 
@@ -47,6 +48,7 @@ _REQUIRED = COLUMNS[:6]
 _BORDER_PX = 1.0  # distance from the image border within which a labelled box counts as cut
 _MAX_TEXT = 200  # largest number of characters of the name of a track or sequence
 
+_NUMBERS = COLUMNS[1:10]
 _POSITIVE = ("distance_m", "fx", "fy")
 
 
@@ -69,40 +71,22 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         )
     if not len(table):
         raise LabelFileError(f"{path}: expected at least one row below the header, got none.")
-    for name in ("track", "sequence"):
-        for row in [row for row, text in enumerate(table.texts(name)) if len(text) > _MAX_TEXT][:1]:
-            raise table.fault(row, f"expected at most {_MAX_TEXT} characters for {name}.")
-    numbers = {}
-    for name in [name for name in COLUMNS[1:10] if name in table]:
-        numbers[name] = values = table.numbers(name)
-        low, high = (
-            (0.0, MAX_DISTANCE_M)
-            if name == "distance_m"
-            else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
-        )
-        is_positive = name in _POSITIVE
-        is_valid = (values >= low) & (values <= high) & ((values > 0) | (not is_positive))
-        table.check(
-            name,
-            values,
-            is_valid,
-            f"a {'positive' if is_positive else 'finite'} number up to {high:,.0f}",
-        )
+    _check_texts(table)
+    numbers = _checked_numbers(table)
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
-    for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
-        raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
-    class_texts, class_names = table.texts("class"), list[str]()
-    for row, text in enumerate(class_texts):
-        class_name = "van" if text.lower() == "van" else road_class_of(text)
-        if class_name is None:
-            raise table.fault(
-                row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}."
-            )
-        class_names.append(class_name)
-    n, track = len(table), table.texts("track")
+    invalid = np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist()
+    if invalid:
+        raise table.fault(invalid[0], "expected a box with x1 < x2 and y1 < y2.")
+    class_names = _class_names(table)
+    n = len(table)
     fx = numbers["fx"] if "fx" in numbers else np.full(n, focal_px)
+    fy, cy = numbers.get("fy", fx), numbers.get("cy", 0 * fx)
     middle = np.full(n, (xyxy_px[:, 0].min() + xyxy_px[:, 2].max()) / 2)
     names, number = np.unique(table.texts("sequence"), return_inverse=True)
+    track = table.texts("track")
+    track_id = np.arange(n)
+    if track[0]:
+        track_id = np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n)
     notes = []
     if "cx" not in numbers:
         notes.append(
@@ -119,20 +103,55 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         sequence=number.astype(np.int64).reshape(n),
         frame=np.arange(n),
         time_s=np.arange(n, dtype=np.float64),
-        track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n)
-        if track[0]
-        else np.arange(n),
-        kitti_type=np.array(class_texts, np.str_),
+        track_id=track_id,
+        kitti_type=np.array(table.texts("class"), np.str_),
         class_name=np.array(class_names, np.str_),
         xyxy_px=xyxy_px,
-        fxycxy_px=np.stack(
-            [fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)],
-            axis=1,
-        ),
+        fxycxy_px=np.stack([fx, fy, numbers.get("cx", middle), cy], axis=1),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
         distance_m=numbers["distance_m"],
     )
     return boxes, tuple(notes)
+
+
+def _check_texts(table: CsvTable) -> None:
+    """Raise LabelFileError for a name of a track or sequence that is too long."""
+    for name in ("track", "sequence"):
+        for row, text in enumerate(table.texts(name)):
+            if len(text) > _MAX_TEXT:
+                raise table.fault(row, f"expected at most {_MAX_TEXT} characters for {name}.")
+
+
+def _checked_numbers(table: CsvTable) -> dict[str, FloatArray]:
+    """The columns of numbers that the table has, by name; LabelFileError for impossible numbers."""
+    numbers: dict[str, FloatArray] = {}
+    for name in _NUMBERS:
+        if name not in table:
+            continue
+        values = numbers[name] = table.numbers(name)
+        low, high = -MAX_COORDINATE_PX, MAX_COORDINATE_PX
+        if name == "distance_m":
+            low, high = 0.0, MAX_DISTANCE_M
+        is_valid = (values >= low) & (values <= high)
+        expected = "finite"
+        if name in _POSITIVE:
+            is_valid &= values > 0
+            expected = "positive"
+        table.check(name, values, is_valid, f"a {expected} number up to {high:,.0f}")
+    return numbers
+
+
+def _class_names(table: CsvTable) -> list[str]:
+    """The class of each row, also van; LabelFileError for others."""
+    names = []
+    for row, text in enumerate(table.texts("class")):
+        name = "van" if text.lower() == "van" else road_class_of(text)
+        if name is None:
+            raise table.fault(
+                row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}."
+            )
+        names.append(name)
+    return names
 
 
 def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:

@@ -79,10 +79,15 @@ NOT_MEASURED = Alignment()
 class DriveAlignment:
     """Estimates the alignment of a rig from the frames of one or several drives, which `prior` has
     corrected.
+
+    `name` is what the source of the alignment calls the drives.
     """
 
-    def __init__(self, rig: StereoRig, prior: Alignment = NOT_MEASURED) -> None:
+    def __init__(
+        self, rig: StereoRig, prior: Alignment = NOT_MEASURED, name: str = "this drive"
+    ) -> None:
         self._rig, self._prior = rig, prior  # of the rectified frames
+        self._name = name
         self._segments: list[tuple[int, tuple[float, float], Segment]] = []
         self._reasons: list[str] = []
         self._matched: list[PairPoints] = []
@@ -185,6 +190,7 @@ class DriveAlignment:
             else UNCORRECTED_SIGMA_PX / _SPREADS
         )
         rows_px = _ROWS_FRACTION * abs(rows.row_offset_px)
+        n_frames = sum(segment.n_frames for *_, segment in self._segments)
         return replace(
             rows,
             offset_px=offset_px,
@@ -196,7 +202,7 @@ class DriveAlignment:
             offset_sigma_px=offset_sigma_px,
             curvature_sigma_px=curvature_sigma_px,
             slope_sigma_px=slope_sigma_px,
-            source=f"this drive, {sum(segment.n_frames for *_, segment in self._segments)} frames",
+            source=f"{self._name}, {n_frames} frames",
         )
 
     def windows(self) -> tuple[Window, ...]:

@@ -18,6 +18,7 @@ from track_range.ranging.fitting.camera.focal_evidence import (
 from track_range.ranging.fitting.camera.measurements import (
     FocalGuess,
     KnownObject,
+    Measurements,
     SceneBoxes,
     unhidden,
 )
@@ -85,9 +86,7 @@ def test_simulated_drives():
                 SIZE_PX,
                 guess,
                 SIZES,
-                objects=known[:n],
-                scene=scene,
-                scene_noise=posterior.relative_noise,
+                Measurements(objects=known[:n], scene=scene, scene_noise=posterior.relative_noise),
             )
             for n in (1, 3)
         ]

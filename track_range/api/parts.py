@@ -9,6 +9,7 @@ ranges = ranger.measure(tracks, tr.Frame(index=0, time_s=0.0, left=left, right=r
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 from rich.console import Console
 
@@ -16,6 +17,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.devices import Device
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.yolo.detector import YoloSettings
 from track_range.foundation.arrays import Image
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.recording import recording
@@ -58,6 +60,20 @@ def load_rig(
     return rig
 
 
+class DetectorKeywords(TypedDict, total=False):
+    """Options of a `Detector` by keyword, as those of `DetectorOptions`."""
+
+    names: Sequence[str] | None
+    anchors: str | None
+    letterbox: str | None
+    layout: str | None
+    min_score: float | str
+    size: int | None
+    threads: int
+    device: Device
+    classes: Sequence[str]
+
+
 class Detector:
     """A YOLO detector of road users.
 
@@ -69,52 +85,31 @@ class Detector:
     """
 
     def __init__(
-        self,
-        model: str | Path = DEFAULT_MODEL,
-        *,
-        names: Sequence[str] | None = None,
-        anchors: str | None = None,
-        letterbox: str | None = None,
-        layout: str | None = None,
-        min_score: float | str = 0.1,
-        size: int | None = None,
-        threads: int = 0,
-        device: Device = "auto",
-        classes: Sequence[str] = (),
+        self, model: str | Path = DEFAULT_MODEL, **options: Unpack[DetectorKeywords]
     ) -> None:
         """Load a model; a model of the catalogue is downloaded to the cache folder first.
 
         Args:
             model: an ONNX file, or a name from `track-range models list`.
-            names: class names in the order of the network; None = the names in the model file.
-            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = as in
-                the model file.
-            letterbox: placement of the image and grey level of the padding, such as "centred-114";
-                None = as usual for the network family.
-            layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their
-                shapes and values.
-            min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
-            size: longer side of the network input in px, for a network of variable input size.
-            threads: CPU threads of the network; 0 = one per core.
-            device: "auto", "cpu", "cuda", "tensorrt", "openvino", "coreml" or "directml".
-            classes: road classes to detect; empty = all.
+            options: `names`, class names in the order of the network, by default those in the model
+                file; `anchors` of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ...", by default
+                as in the model file; `letterbox`, placement of the image and grey level of the
+                padding, such as "centred-114", by default as usual for the network family;
+                `layout`, name of the layout of the outputs (docs/how-to/detectors.md), by default
+                by their shapes and values; `min_score`, minimum confidence of boxes, by default
+                0.1, or "0.1,car=0.3"; `size`, longer side of the network input in px, for a network
+                of variable input size; `threads`, CPU threads of the network, by default one per
+                core; `device`, "auto", "cpu", "cuda", "tensorrt", "openvino", "coreml" or
+                "directml"; `classes`, road classes to detect, by default all.
 
         Raises:
             ModelError, DownloadError: the model cannot be used or downloaded.
             ClassNameError, ConfigError: a class, name or threshold is invalid.
+            TypeError: there is no such option.
         """
-        options = DetectorOptions(
-            names=None if names is None else ",".join(names),
-            anchors=anchors,
-            letterbox=letterbox,
-            layout=layout,
-            min_score=str(min_score),
-            size_px=size,
-            threads=threads,
-            device=device,
-            classes=tuple(classes),
+        self._network = open_detector(
+            ready_model(model, Console(quiet=True)), _detector_options(options)
         )
-        self._network = open_detector(ready_model(model, Console(quiet=True)), options)
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -136,6 +131,19 @@ class Detector:
             ValueError: the image has another shape or type.
         """
         return self._network.detect(image)
+
+
+def _detector_options(keywords: DetectorKeywords) -> DetectorOptions:
+    """The options as on the command line."""
+    options: dict[str, Any] = {**keywords}
+    names = options.pop("names", None)
+    return DetectorOptions(
+        names=None if names is None else ",".join(names),
+        min_score=str(options.pop("min_score", YoloSettings().min_score)),
+        size_px=options.pop("size", None),
+        classes=tuple(options.pop("classes", ())),
+        **options,
+    )
 
 
 class Tracker:

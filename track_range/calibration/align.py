@@ -171,18 +171,10 @@ def _from_drives(
     progress: StepProgress,
     check_baseline: CheckBaseline | None,
 ) -> RigAlignment:
-    sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
-    sources += [settings.stereo] if settings.stereo else []
-    if not sources:
-        if isinstance(settings, RigCheckSettings):
-            raise UsageError("expected a drive: give --stereo LEFT RIGHT or --drive DIR.")
-        raise UsageError(
-            "expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR "
-            "or --reference FILE."
-        )
+    sources = _sources(settings)
+    prior, notes = _prior(*sources[0], settings)
     with ExitStack() as opened:
         recordings, rigs = [], []
-        prior, notes = _prior(*sources[0], settings)
         for left, right in sources:
             recording, rig = open_pair(
                 left,
@@ -196,49 +188,66 @@ def _from_drives(
             recordings.append(recording)
             rigs.append(rig)
         _check_one_rig(rigs)
-        estimator = DriveAlignment(rigs[0], prior)
-        _add_drives(estimator, recordings, progress)
+        # in the alignment file, "this drive" would be ambiguous
+        estimator = DriveAlignment(rigs[0], prior, ", ".join(_name(left) for left, _ in sources))
+        with progress("frames") as advance:
+            for recording in recordings:
+                estimator.start_drive()
+                _add_frames(estimator, recording, advance)
+                recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(
             f"{sources[0][0]}: {measured.source}; use a longer drive past static objects."
         )
-    # in the alignment file, "this drive" would be ambiguous
-    names = ", ".join(
-        real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources
-    )
-    named = replace(measured, source=measured.source.replace("this drive", names))
-    notes += tuple(note for recording in recordings for note in recording.calibration.file_notes)
-    syncs = [recording.sync for recording in recordings if recording.sync is not None]
-    notes += tuple(note for sync in syncs for note in sync.notes)
-    aligned = RigAlignment.of(rigs[0], named, dict.fromkeys(notes), estimator.windows())
+    for recording in recordings:
+        notes += recording.calibration.file_notes
+    for recording in recordings:
+        notes += () if recording.sync is None else tuple(recording.sync.notes)
+    aligned = RigAlignment.of(rigs[0], measured, dict.fromkeys(notes), estimator.windows())
     if check_baseline is None or not settings.checks_baseline:
         return aligned
     return replace(aligned, baseline=check_baseline(sources[0], settings))
 
 
+def _sources(settings: AlignmentSettings | RigCheckSettings) -> list[tuple[Path, Path]]:
+    """The left and the right video of each drive; UsageError without a drive."""
+    sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
+    if settings.stereo:
+        sources.append(settings.stereo)
+    if sources:
+        return sources
+    if isinstance(settings, RigCheckSettings):
+        raise UsageError("expected a drive: give --stereo LEFT RIGHT or --drive DIR.")
+    raise UsageError(
+        "expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR "
+        "or --reference FILE."
+    )
+
+
+def _name(left: Path) -> str:
+    """Name of the drive with this left video."""
+    return real_path(left.parent).name if left.name == LEFT else left.name
+
+
 def _check_one_rig(rigs: Sequence[StereoRig]) -> None:
-    first = rigs[0]
-    for rig in rigs[1:]:
+    first, *others = rigs
+    for rig in others:
         if rig.left != first.left or not np.isclose(rig.baseline_m, first.baseline_m):
             raise RigError(
                 "the drives were recorded with different rigs; align each rig separately."
             )
 
 
-def _add_drives(
-    estimator: DriveAlignment, recordings: Sequence[Recording], progress: StepProgress
+def _add_frames(
+    estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int | None], None]
 ) -> None:
-    """Add as many frames of each drive as the estimation needs, and close the drives."""
-    with progress("frames") as advance:
-        for recording in recordings:
-            estimator.start_drive()
-            for number, frame in enumerate(recording.frames):
-                if estimator.is_full:
-                    break
-                estimator.add(frame)
-                advance(number + 1, max(recording.n_frames or 0, number + 1))
-            recording.close()
+    """Add the frames of a drive until the estimator has enough of it."""
+    for number, frame in enumerate(recording.frames):
+        if estimator.is_full:
+            break
+        estimator.add(frame)
+        advance(number + 1, max(recording.n_frames or 0, number + 1))
 
 
 def _prior(
@@ -260,12 +269,12 @@ def _prior(
 def _from_reference(
     reference: Path, settings: AlignmentSettings, progress: StepProgress
 ) -> RigAlignment:
-    rows_px, rigs = list[float](), list[StereoRig]()
-    pairs = reference_pairs(
+    listed = reference_pairs(
         reference, stereo=settings.stereo, rig=settings.rig, stereo_layout=settings.stereo_layout
     )
     with progress("pairs") as advance:
-        measured = measure_pairs(_with_row_offsets(pairs, rows_px, rigs, advance), (_MATCHER,))
+        pairs = _ReferencePairs(listed, advance)
+        measured = measure_pairs(pairs, (_MATCHER,))
     objects, column = measured.objects, measured.columns[_MATCHER]
     if not objects.cameras:
         raise RigError(
@@ -281,23 +290,31 @@ def _from_reference(
         sigma_px=column.sigma_px,
         seed=settings.seed,
     )
-    aligned = replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0)
-    return RigAlignment.of(rigs[0], aligned, measured.notes)
+    aligned = replace(fitted, row_offset_px=pairs.row_offset_px)
+    return RigAlignment.of(pairs.rigs[0], aligned, measured.notes)
 
 
-def _with_row_offsets(
-    pairs: Iterator[StereoPair],
-    rows_px: list[float],
-    rigs: list[StereoRig],
-    advance: Callable[[int, int | None], None],
-) -> Iterator[StereoPair]:
-    """The pairs; row offsets of the first pairs are appended to `rows_px`, the rectified rig of
-    each to `rigs`.
-    """
-    for number, pair in enumerate(pairs):
-        rigs.append(pair.rig)
-        if number < _N_ROW_PAIRS:
-            row_px = row_offset_px(pair.left, whole_image(pair.right))
-            rows_px += [] if row_px is None else [row_px]
-        advance(number + 1, number + 1)
-        yield pair
+class _ReferencePairs:
+    """The pairs of a reference, one by one, with what is measured on the way."""
+
+    def __init__(
+        self, pairs: Iterable[StereoPair], advance: Callable[[int, int | None], None]
+    ) -> None:
+        self._pairs, self._advance = pairs, advance
+        self._rows_px: list[float] = []
+        self.rigs: list[StereoRig] = []  # the rectified rig of each pair so far
+
+    def __iter__(self) -> Iterator[StereoPair]:
+        for number, pair in enumerate(self._pairs):
+            self.rigs.append(pair.rig)
+            if number < _N_ROW_PAIRS:
+                row_px = row_offset_px(pair.left, whole_image(pair.right))
+                if row_px is not None:
+                    self._rows_px.append(row_px)
+            self._advance(number + 1, number + 1)
+            yield pair
+
+    @property
+    def row_offset_px(self) -> float:
+        """Median row offset of the first pairs; 0 = not measured."""
+        return float(np.median(self._rows_px)) if self._rows_px else 0.0

@@ -26,6 +26,7 @@ from track_range.ranging.fitting.camera.focal_evidence import (
 from track_range.ranging.fitting.camera.measurements import (
     FocalGuess,
     KnownObject,
+    Measurements,
     SceneBoxes,
     unhidden,
 )
@@ -196,9 +197,9 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
                 drive.size_px,
                 prior,
                 sizes,
-                objects=known[:n],
-                scene=drive.scene,
-                scene_noise=posterior.relative_noise,
+                Measurements(
+                    objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise
+                ),
             )
             yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")
 

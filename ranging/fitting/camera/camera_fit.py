@@ -33,10 +33,9 @@ from scipy.optimize import least_squares
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.camera.measurements import (
     FocalGuess,
-    HorizonRow,
     KnownLane,
     KnownObject,
-    SceneBoxes,
+    Measurements,
 )
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
@@ -186,33 +185,22 @@ def fit_camera(
     size_px: tuple[int, int],
     focal: FocalGuess,
     sizes: SizeModel,
+    measured: Measurements,
     *,
-    objects: Sequence[KnownObject] = (),
-    lanes: Sequence[KnownLane] = (),
-    horizon: Sequence[HorizonRow] = (),
-    scene: SceneBoxes | None = None,
-    scene_noise: float = BoxNoise().relative,
     height: tuple[float, float] = (HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M),
 ) -> CameraFit:
     """The camera that agrees best with all measurements, for images of `size_px` (width, height).
 
-    `scene` are boxes of other road users, `scene_noise` is the standard deviation of their edges as
-    a fraction of their size, `height` the camera height in m and its standard deviation.
+    `height` is the camera height in m and its standard deviation.
     """
-    terms = _Terms(
-        size_px, focal, sizes, objects, lanes, horizon, scene or SceneBoxes(), scene_noise, height
-    )
+    terms = _Terms(size_px, focal, sizes, measured, height)
     fit = least_squares(terms.residuals, terms.prior_mean, x_scale=terms.prior_sigma)
     for _ in range(_N_REWEIGHTS):
         terms.reweight(fit.x)
         fit = least_squares(terms.residuals, fit.x, x_scale=terms.prior_sigma)
-    jacobian = np.asarray(fit.jac, np.float64)
     deviations = terms.deviations(fit.x)
-    n_measurements = len(deviations) - len(PARAMETERS)
-    contradiction = math.sqrt(sum(value**2 for _, value in deviations) / max(n_measurements, 1))
-    largest = max((abs(value) for _, value in deviations[len(PARAMETERS) :]), default=0.0)
-    contradiction = max(contradiction, largest * _MAX_DEVIATION / _MAX_RESIDUAL)
-    contradiction = contradiction if contradiction > _MAX_DEVIATION else 1.0
+    contradiction = _contradiction([value for _, value in deviations])
+    jacobian = np.asarray(fit.jac, np.float64)
     covariance: FloatArray = (
         np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
     )
@@ -227,6 +215,17 @@ def fit_camera(
     )
 
 
+def _contradiction(deviations: Sequence[float]) -> float:
+    """Factor of all sigmas, from the residuals of the priors and of the measurements in standard
+    deviations; 1 = they agree.
+    """
+    measured = deviations[len(PARAMETERS) :]
+    rms = math.sqrt(sum(value**2 for value in deviations) / max(len(measured), 1))
+    largest = max((abs(value) for value in measured), default=0.0)
+    factor = max(rms, largest * _MAX_DEVIATION / _MAX_RESIDUAL)
+    return factor if factor > _MAX_DEVIATION else 1.0
+
+
 class _Terms:
     """All residuals as functions of theta."""
 
@@ -235,15 +234,12 @@ class _Terms:
         size_px: tuple[int, int],
         focal: FocalGuess,
         sizes: SizeModel,
-        objects: Sequence[KnownObject],
-        lanes: Sequence[KnownLane],
-        horizon: Sequence[HorizonRow],
-        scene: SceneBoxes,
-        scene_noise: float,
+        measured: Measurements,
         height: tuple[float, float],
     ) -> None:
         self._size_px, self._centre_px = size_px, ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2)
-        self._objects, self._lanes, self._horizon = tuple(objects), tuple(lanes), tuple(horizon)
+        self._objects, self._lanes = tuple(measured.objects), tuple(measured.lanes)
+        self._horizon = tuple(measured.horizon)
         height_m, height_sigma_m = height
         self.prior_mean = np.array([math.log(focal.focal_px), math.log(height_m), 0.0, 0.0, 0.0])
         self.prior_sigma = np.array(
@@ -256,26 +252,25 @@ class _Terms:
             ]
         )
         grid = math.log(focal.focal_px) + np.linspace(-_GRID_LOG_SPAN, _GRID_LOG_SPAN, _N_GRID)
-        boxes = np.array([known.xyxy_px for known in objects]).reshape(-1, 4)
-        classes = np.array([known.size_class for known in objects], np.int64)
+        boxes = np.array([known.xyxy_px for known in self._objects]).reshape(-1, 4)
+        classes = np.array([known.size_class for known in self._objects], np.int64)
         noise = BoxNoise(_PICKED_EDGE_PX, 0.0, 0.0)
         self._known_by_size = _by_size(boxes, classes, grid, size_px, sizes, noise)
         self._offset_m = surface_offset_m(boxes, classes)
-        scene = scene.select(
-            scene.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _STANDS[scene.size_class]
-        )
-        by_size = _by_size(
-            scene.xyxy_px, scene.size_class, grid, size_px, sizes, BoxNoise(relative=scene_noise)
-        )
+
+        # Other road users: whole boxes of objects that stand on the road, with a distance by size.
+        noise = BoxNoise(relative=measured.scene_noise)
+        is_whole = measured.scene.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX)
+        whole = measured.scene.select(is_whole & _STANDS[measured.scene.size_class])
+        by_size = _by_size(whole.xyxy_px, whole.size_class, grid, size_px, sizes, noise)
         rows = np.flatnonzero(np.isfinite(by_size.log_m).all(axis=0))
-        self._scene = scene.select(rows)
+        self._scene = scene = whole.select(rows)
         self._scene_by_size = _BySize(by_size.log_f, by_size.log_m[:, rows], by_size.sigma[rows])
-        self._scene_offset_m = surface_offset_m(self._scene.xyxy_px, self._scene.size_class)
-        size_of_boxes_px = self._scene.xyxy_px[:, 2:] - self._scene.xyxy_px[:, :2]
-        self._scene_edge_px = BoxNoise(relative=scene_noise).sigma_px(
-            size_of_boxes_px, self._scene.size_class
-        )[:, 1]
-        self._scene_weight = np.sqrt(np.minimum(1.0, _VIEWS_PER_TRACK / self._scene.views))
+        self._scene_offset_m = surface_offset_m(scene.xyxy_px, scene.size_class)
+        wh_px = scene.xyxy_px[:, 2:] - scene.xyxy_px[:, :2]
+        self._scene_edge_px = noise.sigma_px(wh_px, scene.size_class)[:, 1]
+        self._scene_weight = np.sqrt(np.minimum(1.0, _VIEWS_PER_TRACK / scene.views))
+
         self._start_from(self.prior_mean)
         self._scene_sigma_px = self._sigma_of_scene(self._scene_slope)
 

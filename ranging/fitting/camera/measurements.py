@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
-from track_range.ranging.size_models.size_model import BORDER_PX
+from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise
 
 # largest fraction of a box inside a nearer one for which it counts as not hidden
 _MAX_COVERED = 0.03
@@ -114,6 +114,18 @@ class HorizonRow:
     y_px: float
     sigma_px: float  # its standard deviation
     source: str  # where it comes from
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurements:
+    """Everything that is measured in images of one camera."""
+
+    objects: Sequence[KnownObject] = ()
+    lanes: Sequence[KnownLane] = ()
+    horizon: Sequence[HorizonRow] = ()
+    scene: SceneBoxes = field(default_factory=SceneBoxes)  # boxes of other road users
+    # standard deviation of the edges of these boxes as a fraction of their size
+    scene_noise: float = BoxNoise().relative
 
 
 def unhidden(xyxy_px: FloatArray) -> BoolArray:

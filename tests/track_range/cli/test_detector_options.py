@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+import track_range as tr
 from tests.detection import darknet_networks
 from tests.detection.onnx_models import write_model
 from track_range.detection.classes import ROAD_CLASSES, ClassNameError
@@ -36,6 +37,16 @@ def test_detector_from_options(model, tmp_path):
         open_detector(model, DetectorOptions(names="person,car", classes=("truck",)))
     with pytest.raises(ModelError, match=r"--letterbox: .*middle"):
         open_detector(model, DetectorOptions(names="person,car", letterbox="middle"))
+
+
+def test_detector_from_keywords(model):
+    detector = tr.Detector(model, names=["person", "car"], min_score=0.3)
+    assert detector.class_names == ("person", "car")
+    assert detector.detect(BLACK).class_id.tolist() == [CAR]
+    person = tr.Detector(model, names=["person", "car"], classes=["pedestrian"])
+    assert person.detect(BLACK).class_id.tolist() == [PERSON]
+    with pytest.raises(TypeError, match="min_scores"):
+        tr.Detector(model, min_scores=0.3)
 
 
 @pytest.mark.parametrize(

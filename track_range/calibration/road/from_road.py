@@ -34,7 +34,12 @@ from track_range.ranging.fitting.camera.camera_fit import (
     fit_camera,
 )
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes
+from track_range.ranging.fitting.camera.measurements import (
+    FocalGuess,
+    KnownObject,
+    Measurements,
+    SceneBoxes,
+)
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
@@ -143,57 +148,111 @@ def calibrate_on_road(
     check_outputs(
         [file for file in (settings.out, settings.json_file) if file is not None], files_of(video)
     )
-    if isinstance(video, LiveAddress) or not files_of(video):
-        raise UsageError(
-            f"--mono {video}: expected a recorded video, found a live source; record "
-            "the camera first."
-        )
-    with closing(open_video(video)) as reader:
-        size_px = reader.shown_size_px
-        duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
-        guesses = focal_guesses(reader, settings.camera_model)
+    drive = _Drive.of(video, settings.camera_model)
     for known in objects:
         hint = "a box inside the image of {} px; measure it in the original video"
-        _check_inside(known.text, hint, known.xyxy_px, known.time_s, size_px, duration_s)
+        drive.check_inside(known.text, hint, known.xyxy_px, known.time_s)
     for lane in lanes:
-        (x1, x2), hint = (
-            sorted((lane.x1_px, lane.x2_px)),
-            "columns and a row inside the image of {} px",
-        )
+        x1, x2 = sorted((lane.x1_px, lane.x2_px))
+        hint = "columns and a row inside the image of {} px"
         name = f"--known-lane-width {lane.name}"
-        _check_inside(name, hint, (x1, lane.y_px, x2, lane.y_px), lane.time_s, size_px, duration_s)
-    start = focal_posterior(guesses, SceneBoxes(), size_px, None)
-    camera = PinholeCamera.of_focal_length(start.guess[0], size_px)
+        drive.check_inside(name, hint, (x1, lane.y_px, x2, lane.y_px), lane.time_s)
+
+    # Boxes and horizon, with a focal length from the guesses alone.
+    start = focal_posterior(drive.guesses, SceneBoxes(), drive.size_px, None)
+    camera = PinholeCamera.of_focal_length(start.guess[0], drive.size_px)
     detect = open_detect()
-    view = RoadEvidence(camera)
-    with progress("finding road users and lane lines") as advance:
-        is_short = duration_s <= _PART_S * len(_PARTS)
-        part_s = _PART_S * len(_PARTS) if is_short else _PART_S
-        for start_s in [0.0] if is_short else [fraction * duration_s for fraction in _PARTS]:
-            recording = open_recording(
-                video, focal_px=camera.fx_px, start_s=start_s, duration_s=part_s
-            )
-            with closing(recording):
-                view.add(recording.frames, detect, advance)
-    measured = _known_objects(objects, video, camera, detect)
+    view = _evidence(drive, camera, detect, progress)
+    known_objects = _known_objects(objects, video, camera, detect)
+
+    # Focal length by shapes, then all measurements together.
     sizes = load_curves(settings.curves, "europe")
     cuboids = sizes if isinstance(sizes, CuboidSizes) else None
-    by_shape = focal_posterior(guesses, view.scene, size_px, cuboids)
-    focal_px, sigma = by_shape.guess
-    height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
-    if settings.camera_height_m is not None:
-        height = settings.camera_height_m, _MEASURED_HEIGHT_SIGMA_M
-    fit = fit_camera(
-        size_px,
-        FocalGuess(focal_px, sigma, ""),
-        sizes,
-        objects=measured,
+    by_shape = focal_posterior(drive.guesses, view.scene, drive.size_px, cuboids)
+    measured = Measurements(
+        objects=known_objects,
         lanes=lanes,
         horizon=view.horizon,
         scene=view.scene,
         scene_noise=by_shape.relative_noise,
-        height=height,
     )
+    prior = FocalGuess(*by_shape.guess, "")
+    fit = _fitted(drive.size_px, prior, sizes, measured, settings.camera_height_m)
+    has_height = settings.camera_height_m is not None
+    sentences = separability(fit, drive.guesses, by_shape, has_height=has_height)
+    return RoadCalibration(settings.mono, fit, drive.guesses, by_shape, sentences, view.n_frames)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """What is known of a recorded drive before it is read."""
+
+    video: VideoName
+    size_px: tuple[int, int]  # width, height
+    duration_s: float  # 0 = unknown
+    guesses: tuple[FocalGuess, ...]  # of the focal length, from outside the images
+
+    @classmethod
+    def of(cls, video: VideoName, camera_model: str | None) -> "_Drive":
+        """The drive of a video; UsageError for a live source."""
+        if isinstance(video, LiveAddress) or not files_of(video):
+            raise UsageError(
+                f"--mono {video}: expected a recorded video, found a live source; record "
+                "the camera first."
+            )
+        with closing(open_video(video)) as reader:
+            duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
+            guesses = focal_guesses(reader, camera_model)
+            return cls(video, reader.shown_size_px, duration_s, guesses)
+
+    @property
+    def parts_s(self) -> list[tuple[float, float]]:
+        """Start and length of each part that is read: three of a long drive, all of a short one."""
+        whole_s = _PART_S * len(_PARTS)
+        if self.duration_s <= whole_s:
+            return [(0.0, whole_s)]
+        return [(fraction * self.duration_s, _PART_S) for fraction in _PARTS]
+
+    def check_inside(
+        self, name: str, expected: str, xyxy_px: tuple[float, float, float, float], time_s: float
+    ) -> None:
+        """Raise UsageError for a measurement outside the image or the video."""
+        x1, y1, x2, y2 = xyxy_px
+        width_px, height_px = self.size_px
+        if x1 < -1 or y1 < -1 or x2 > width_px or y2 > height_px:
+            raise UsageError(f"{name}: expected {expected.format(f'{width_px}x{height_px}')}.")
+        if self.duration_s and time_s > self.duration_s + 1.0:
+            raise UsageError(
+                f"{name}: expected a time up to {self.duration_s:.1f} s, the end of the video."
+            )
+
+
+def _evidence(
+    drive: _Drive, camera: PinholeCamera, detect: Detect, progress: StepProgress
+) -> RoadEvidence:
+    view = RoadEvidence(camera)
+    with progress("finding road users and lane lines") as advance:
+        for start_s, duration_s in drive.parts_s:
+            recording = open_recording(
+                drive.video, focal_px=camera.fx_px, start_s=start_s, duration_s=duration_s
+            )
+            with closing(recording):
+                view.add(recording.frames, detect, advance)
+    return view
+
+
+def _fitted(
+    size_px: tuple[int, int],
+    focal: FocalGuess,
+    sizes: SizeModel,
+    measured: Measurements,
+    camera_height_m: float | None,
+) -> CameraFit:
+    """The camera by all measurements; UsageError if its height is impossible."""
+    height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
+    if camera_height_m is not None:
+        height = camera_height_m, _MEASURED_HEIGHT_SIGMA_M
+    fit = fit_camera(size_px, focal, sizes, measured, height=height)
     low, high = _CAMERA_HEIGHT_M
     if not low <= fit.height_m <= high:
         raise UsageError(
@@ -201,10 +260,7 @@ def calibrate_on_road(
             f"{fit.height_m:.2f} m; check the boxes, the rows of lanes, and the distances in "
             "metres."
         )
-    sentences = separability(
-        fit, guesses, by_shape, has_height=settings.camera_height_m is not None
-    )
-    return RoadCalibration(settings.mono, fit, guesses, by_shape, sentences, view.n_frames)
+    return fit
 
 
 def focal_from_video(
@@ -238,24 +294,6 @@ def focal_from_video(
     return focal_posterior(
         guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None
     )
-
-
-def _check_inside(
-    name: str,
-    expected: str,
-    xyxy_px: tuple[float, float, float, float],
-    time_s: float,
-    size_px: tuple[int, int],
-    duration_s: float,
-) -> None:
-    """Raise UsageError for a measurement outside the image or the video; a duration of 0 is
-    unknown.
-    """
-    x1, y1, x2, y2 = xyxy_px
-    if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
-        raise UsageError(f"{name}: expected {expected.format(f'{size_px[0]}x{size_px[1]}')}.")
-    if duration_s and time_s > duration_s + 1.0:
-        raise UsageError(f"{name}: expected a time up to {duration_s:.1f} s, the end of the video.")
 
 
 def _known_objects(

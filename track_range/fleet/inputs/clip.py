@@ -57,51 +57,81 @@ class Clip:
         timestamps.txt beside a folder of images. `stat` looks a file up; `FolderListings.stat` does
         it with fewer requests. Raises StorageError.
         """
-
-        def exists(location: Location, *, is_folder: bool = False) -> bool:
-            status = stat(location)
-            return status is not None and status.is_folder == is_folder
-
         files = self.named_files()
-        videos = {role: Location.of(files[role]) for role in ("left", "right") if role in files}
-        left = videos["left"]
-        # elsewhere than on this machine, only a name without a suffix may be a folder
-        maybe = [
-            role for role, video in videos.items() if video.is_local or "." not in video.name[1:]
-        ]
-        folders = [role for role in maybe if exists(videos[role], is_folder=True)]
+        videos: dict[str, Location] = {
+            role: Location.of(files[role]) for role in ("left", "right") if role in files
+        }
+        beside = _FilesBeside(videos, stat)
         if "rig" not in files and "focal_px" not in self.settings:
-            parents = (left if "left" in folders else None, left.parent)
-            candidates = (
-                parent.child(name)
-                for parent in parents
-                if parent is not None
-                for name in _RIG_NAMES
-            )
-            if (rig := next(filter(exists, candidates), None)) is not None:
+            rig = beside.calibration()
+            if rig is not None:
                 files["rig"] = rig.address
-        for role in sorted(folders):
-            parent = videos[role].parent
-            if parent is not None and exists(parent.child(_TIMESTAMPS)):
-                files[f"{role}_timestamps"] = parent.child(_TIMESTAMPS).address
-        if self.settings.get("ego_speed", "auto") == "auto" and left.parent is not None:
-            names = [
-                TABLE_NAME,
-                OXTS_NAME,
-                *(() if "left" in folders else sidecar_names(left.name)),
-            ]
-            sidecars = [left.parent.child(name) for name in names]
-            telemetry = [
-                path
-                for path in sidecars
-                if path != left and exists(path, is_folder=path.name == OXTS_NAME)
-            ]
-            if sidecars[1] in telemetry and exists(left.parent.child(_TIMESTAMPS)):
-                telemetry.append(left.parent.child(_TIMESTAMPS))
-            files.update(
-                {f"{TELEMETRY_ROLE}{index}": path.address for index, path in enumerate(telemetry)}
-            )
+        for role, timestamps in beside.timestamps().items():
+            files[f"{role}_timestamps"] = timestamps.address
+        if self.settings.get("ego_speed", "auto") == "auto":
+            for index, location in enumerate(beside.telemetry()):
+                files[f"{TELEMETRY_ROLE}{index}"] = location.address
         return files
+
+
+class _FilesBeside:
+    """Looks up the files that a run finds by their places beside the videos of a clip, "left" and
+    perhaps "right".
+    """
+
+    def __init__(
+        self, videos: Mapping[str, Location], stat: Callable[[Location], FileStat | None]
+    ) -> None:
+        self._videos, self._stat, self._left = videos, stat, videos["left"]
+        self._folders = [
+            role
+            for role, video in sorted(videos.items())
+            if _may_be_folder(video) and self._exists(video, is_folder=True)
+        ]
+
+    def calibration(self) -> Location | None:
+        """The calibration in the left folder of images, or beside the left video."""
+        folders = [self._left] if "left" in self._folders else []
+        if self._left.parent is not None:
+            folders.append(self._left.parent)
+        candidates = (folder.child(name) for folder in folders for name in _RIG_NAMES)
+        return next(filter(self._exists, candidates), None)
+
+    def timestamps(self) -> dict[str, Location]:
+        """The times of the images in folders, by the role of the folder."""
+        beside = {role: self._timestamps_in(self._videos[role].parent) for role in self._folders}
+        return {role: location for role, location in beside.items() if location is not None}
+
+    def telemetry(self) -> list[Location]:
+        """Tables and folders of telemetry beside the left video, with the times of OXTS files."""
+        folder = self._left.parent
+        if folder is None:
+            return []
+        names = [TABLE_NAME, OXTS_NAME]
+        if "left" not in self._folders:
+            names += sidecar_names(self._left.name)
+        files = [
+            folder.child(name)
+            for name in names
+            if folder.child(name) != self._left
+            and self._exists(folder.child(name), is_folder=name == OXTS_NAME)
+        ]
+        timestamps = self._timestamps_in(folder) if folder.child(OXTS_NAME) in files else None
+        return files if timestamps is None else [*files, timestamps]
+
+    def _timestamps_in(self, folder: Location | None) -> Location | None:
+        if folder is None or not self._exists(folder.child(_TIMESTAMPS)):
+            return None
+        return folder.child(_TIMESTAMPS)
+
+    def _exists(self, location: Location, *, is_folder: bool = False) -> bool:
+        status = self._stat(location)
+        return status is not None and status.is_folder == is_folder
+
+
+def _may_be_folder(video: Location) -> bool:
+    """Elsewhere than on this machine, only a name without a suffix may be a folder."""
+    return video.is_local or "." not in video.name[1:]
 
 
 def file_title(role: str) -> str:

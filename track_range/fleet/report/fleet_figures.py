@@ -131,15 +131,8 @@ def fleet_figures(
     is one. `progress` is called with the number of the clips that were read, and of all clips.
     Raises FleetError: there is no fleet; StorageError: the storage cannot be read.
     """
-    problems: list[str] = []
     state = read_state(out)
-    try:
-        table = data_set.read_clips(out)
-    except FleetError as error:
-        reason = str(error).partition("; ")[0].removesuffix(".")
-        problems.append(f"{reason}; only the clips in the journal are in this report.")
-        table = data_set.read_journal(out)
-    clips = ClipColumns(table)
+    clips, problems = _clips(out)
     if state is None and not len(clips):
         content = (
             f"only a damaged {data_set.CLIPS_FILE}" if problems else "neither fleet.json nor clips"
@@ -148,14 +141,16 @@ def fleet_figures(
             f"{out}: expected the results of `track-range fleet run`, found {content}."
         )
     done, failed = clips.with_status("done"), clips.with_status("failed")
-    tracks, events = _rows(out, done, problems, progress)
-    starts_utc_s = dict(zip(done.texts("clip"), done.utc_s("start_utc").tolist(), strict=True))
+    tracks, events, faults = _rows(out, done, progress)
+    problems += faults
     column = clip_figures.group_column(clips, group)
     if group is not None and column is None:
         problems.append(
             f"clips.parquet: expected a column {shortened(group)} for --by; all clips "
             "are one group."
         )
+    starts_utc_s = dict(zip(done.texts("clip"), done.utc_s("start_utc").tolist(), strict=True))
+    ranked = [item.row(starts_utc_s.get(item.clip, math.nan)) for item in events.worst]
     work = clip_figures.work_figures(done)
     total = max(state.total if state is not None else 0, len(done) + len(failed))
     figures = {
@@ -178,7 +173,7 @@ def fleet_figures(
         "coverage": _coverage(tracks),
         "event_kinds": events.by_kind(work["video_h"]),
         "warnings": events.n_warnings,
-        "events": [item.row(starts_utc_s.get(item.clip, math.nan)) for item in events.worst],
+        "events": ranked,
         "closest": tracks.closest,
         "collisions": tracks.collisions,
         "errors": clip_figures.error_figures(done),
@@ -189,31 +184,41 @@ def fleet_figures(
         "stages_ms": clip_figures.stage_figures(done),
         "nodes": clip_figures.node_figures(done),
     }
-    files = {
-        row["clip"]: [*_LINKED_FILES]
-        for row in (*tracks.closest, *tracks.collisions, *figures["events"])
-    }
-    for row in figures["events"]:
-        files[row["clip"]].append(event_video(row))
-    published: dict[str, tuple[str, ...]] = {}
-    for name, names in sorted(files.items()):
-        published[name] = ()
-        with suppress(StorageError):
-            for file in names:
-                published[name] += (
-                    (file,) if data_set.runs_location(out, name).child(file).exists() else ()
-                )
+    files = {row["clip"]: [*_LINKED_FILES] for row in (*tracks.closest, *tracks.collisions)}
+    for row in ranked:
+        files.setdefault(row["clip"], [*_LINKED_FILES]).append(event_video(row))
+    published = {name: _published(out, name, names) for name, names in sorted(files.items())}
     return FleetFigures(figures, published, _starts_s(done, set(files), state))
+
+
+def _clips(out: Location) -> tuple[ClipColumns, list[str]]:
+    """The clips with results, and sentences on a damaged file."""
+    try:
+        return ClipColumns(data_set.read_clips(out)), []
+    except FleetError as error:
+        reason = str(error).partition("; ")[0].removesuffix(".")
+        problem = f"{reason}; only the clips in the journal are in this report."
+        return ClipColumns(data_set.read_journal(out)), [problem]
+
+
+def _published(out: Location, clip: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the files of a clip that exist, as far as the storage can be reached."""
+    published: list[str] = []
+    with suppress(StorageError):
+        folder = data_set.runs_location(out, clip)
+        for name in names:
+            if folder.child(name).exists():
+                published.append(name)
+    return tuple(published)
 
 
 def _rows(
     out: Location,
     done: ClipColumns,
-    problems: list[str],
     progress: Callable[[int, int | None], None],
-) -> tuple[TrackFigures, EventFigures]:
-    """Figures of the rows and events of all complete clips; problems with their files are added to
-    `problems`.
+) -> tuple[TrackFigures, EventFigures, list[str]]:
+    """Figures of the rows and events of all complete clips, and sentences on their damaged
+    files.
     """
     tracks, events, faults = TrackFigures(), EventFigures(), list[str]()
     clips = zip(done.texts("clip"), done.numbers("events").tolist(), strict=True)
@@ -226,12 +231,11 @@ def _rows(
             events.add(clip_events)
             faults += clip_faults
             progress(i + 1, len(done))
-    problems += faults[:_MAX_PROBLEMS]
-    if len(faults) > _MAX_PROBLEMS:
-        problems.append(
-            f"{len(faults) - _MAX_PROBLEMS} more files of tracks or events are missing or damaged."
-        )
-    return tracks, events
+    n_more = len(faults) - _MAX_PROBLEMS
+    if n_more > 0:
+        more = f"{n_more} more files of tracks or events are missing or damaged."
+        faults = [*faults[:_MAX_PROBLEMS], more]
+    return tracks, events, faults
 
 
 def _read_clip(

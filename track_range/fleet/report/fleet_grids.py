@@ -91,100 +91,146 @@ class Section:
     absence: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Subject:
+    """A section before it is filled."""
+
+    anchor: str
+    title: str
+    text: str  # above the tables
+    absence: str  # in their place if none has a row
+    grids: Callable[[Figures, Links], list[tables.Grid]]
+
+
+_SUBJECTS = (
+    _Subject(
+        anchor="road-users",
+        title="Road users",
+        text=(
+            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the "
+            "first frame of a track. Rates per hour are shown from 6 minutes of video on."
+        ),
+        absence="No clip has tracks.",
+        grids=lambda figures, _: [
+            _grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS),
+            _hour_grid(figures["hours"]),
+        ],
+    ),
+    _Subject(
+        anchor="coverage",
+        title="Distance coverage",
+        text=(
+            "Fraction of the observed boxes with a distance of the method, by bands of the "
+            "filtered fused distance."
+        ),
+        absence="No box has a distance.",
+        grids=lambda figures, _: [_coverage_grid(figures["coverage"])],
+    ),
+    _Subject(
+        anchor="events",
+        title="Events",
+        text=(
+            "The most severe events of all clips: warnings first, then the largest probability of "
+            "contact, the shortest time to collision, the smallest distance."
+        ),
+        absence="No clip has events.",
+        grids=lambda figures, links: [
+            _grid("Events by kind", "kind", figures["event_kinds"], _KIND_COLUMNS),
+            _ranking(
+                "Most severe events", figures["events"], _EVENT_MEASURES, links, is_event=True
+            ),
+        ],
+    ),
+    _Subject(
+        anchor="closest",
+        title="Closest approaches",
+        text=(
+            "Smallest filtered fused distance of a road user, with its standard deviation "
+            f"{tables.SIGMA} of at most half the distance; one row per track. x is to the box "
+            "centre, positive to the right of the camera."
+        ),
+        absence="No road user has a distance.",
+        grids=lambda figures, links: [
+            _ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)
+        ],
+    ),
+    _Subject(
+        anchor="collisions",
+        title="Shortest times to collision",
+        text=(
+            "Time to collision of the front with road users that are on the ego path at that "
+            "moment, or will be on it with a probability of at least one half; the path may bend. "
+            f"{tables.SIGMA} is at most half of the time; one row per track."
+        ),
+        absence="No road user on the ego path had a time to collision.",
+        grids=lambda figures, links: [
+            _ranking("Tracks on the ego path", figures["collisions"], _COLLISION_MEASURES, links)
+        ],
+    ),
+    _Subject(
+        anchor="errors",
+        title="Errors",
+        text="Clips with ground truth. Each figure is the median over the clips.",
+        absence="No clip has ground truth (column truth of a manifest).",
+        grids=lambda figures, _: [_error_grid(figures["errors"])],
+    ),
+    _Subject(
+        anchor="drift",
+        title="Calibration drift",
+        text=(
+            "Alignment of the two cameras, measured in each run. First and last are medians of up "
+            f"to five clips. At most {MAX_GROUPS} rows with the largest changes are shown."
+        ),
+        absence="No clip has an alignment of two cameras.",
+        grids=lambda figures, _: [
+            _drift_grid(figures["drift"], name, figures["drift_by"]) for name in ALIGNMENT_FIGURES
+        ],
+    ),
+    _Subject(
+        anchor="failures",
+        title="Failures",
+        text="Failed clips by reason; the option --retry-failed repeats them.",
+        absence="No clip failed.",
+        grids=lambda figures, _: [
+            _text_grid(
+                "Failures by reason", figures["failures"], ("kind", "clips", "reason", "names")
+            )
+        ],
+    ),
+    _Subject(
+        anchor="throughput",
+        title="Throughput",
+        text="A worker processes one clip at a time.",
+        absence="No clip is complete.",
+        grids=lambda figures, _: _work_grids(figures),
+    ),
+    _Subject(
+        anchor="notes",
+        title="Notes of the runs",
+        text="The most frequent notes, with the range of numbers that differ between the clips.",
+        absence="The runs have no notes.",
+        grids=lambda figures, _: [
+            _text_grid("Notes", figures["notes"], ("example", "clips", "note"))
+        ],
+    ),
+)
+
+# most severe events say more than these rankings
+_WITHOUT_EVENTS = ("closest", "collisions")
+
+
 def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section]:
     """All tables of a fleet, by subject."""
     links = links or Links()
-    sections = {
-        "road-users": (
-            "Road users",
-            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the "
-            "first frame of a track. Rates per hour are shown from 6 minutes of video on.",
-            [
-                _grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS),
-                _hour_grid(figures["hours"]),
-            ],
-            "No clip has tracks.",
-        ),
-        "coverage": (
-            "Distance coverage",
-            "Fraction of the observed boxes with a distance of the method, by bands of the "
-            "filtered fused distance.",
-            [_coverage_grid(figures["coverage"])],
-            "No box has a distance.",
-        ),
-        "events": (
-            "Events",
-            "The most severe events of all clips: warnings first, then the largest probability of "
-            "contact, the shortest time to collision, the smallest distance.",
-            [
-                _grid("Events by kind", "kind", figures["event_kinds"], _KIND_COLUMNS),
-                _ranking(
-                    "Most severe events", figures["events"], _EVENT_MEASURES, links, is_event=True
-                ),
-            ],
-            "No clip has events.",
-        ),
-        "closest": (
-            "Closest approaches",
-            "Smallest filtered fused distance of a road user, with its standard deviation "
-            f"{tables.SIGMA} of at most half the distance; one row per track. x is to the box "
-            "centre, positive to the right of the camera.",
-            [_ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)],
-            "No road user has a distance.",
-        ),
-        "collisions": (
-            "Shortest times to collision",
-            "Time to collision of the front with road users that are on the ego path at that "
-            "moment, or will be on it with a probability of at least one half; the path may bend. "
-            f"{tables.SIGMA} is at most half of the time; one row per track.",
-            [_ranking("Tracks on the ego path", figures["collisions"], _COLLISION_MEASURES, links)],
-            "No road user on the ego path had a time to collision.",
-        ),
-        "errors": (
-            "Errors",
-            "Clips with ground truth. Each figure is the median over the clips.",
-            [_error_grid(figures["errors"])],
-            "No clip has ground truth (column truth of a manifest).",
-        ),
-        "drift": (
-            "Calibration drift",
-            "Alignment of the two cameras, measured in each run. First and last are medians of up "
-            f"to five clips. At most {MAX_GROUPS} rows with the largest changes are shown.",
-            [
-                _drift_grid(figures["drift"], name, figures["drift_by"])
-                for name in ALIGNMENT_FIGURES
-            ],
-            "No clip has an alignment of two cameras.",
-        ),
-        "failures": (
-            "Failures",
-            "Failed clips by reason; the option --retry-failed repeats them.",
-            [
-                _text_grid(
-                    "Failures by reason", figures["failures"], ("kind", "clips", "reason", "names")
-                )
-            ],
-            "No clip failed.",
-        ),
-        "throughput": (
-            "Throughput",
-            "A worker processes one clip at a time.",
-            _work_grids(figures),
-            "No clip is complete.",
-        ),
-        "notes": (
-            "Notes of the runs",
-            "The most frequent notes, with the range of numbers that differ between the clips.",
-            [_text_grid("Notes", figures["notes"], ("example", "clips", "note"))],
-            "The runs have no notes.",
-        ),
-    }
-    if figures["events"]:
-        del sections["closest"], sections["collisions"]
-    return [
-        Section(anchor, title, text, tuple(grid for grid in grids if grid.rows), absence)
-        for anchor, (title, text, grids, absence) in sections.items()
-    ]
+    sections = []
+    for subject in _SUBJECTS:
+        if subject.anchor in _WITHOUT_EVENTS and figures["events"]:
+            continue
+        grids = tuple(grid for grid in subject.grids(figures, links) if grid.rows)
+        sections.append(
+            Section(subject.anchor, subject.title, subject.text, grids, subject.absence)
+        )
+    return sections
 
 
 def _grid(
