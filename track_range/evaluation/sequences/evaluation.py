@@ -64,8 +64,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         name, boxes, notes = _boxes_of_tables(settings, pairs, form)
     if not any(len(tracked_boxes) for _, tracked_boxes in boxes.values()):
         notes += _other_classes_note([tracks.path for _, tracks in pairs], name)
-    for key, (true, found) in boxes.items():
-        notes += frame_shift_note(key, true.frame, true.xyxy_px, found.frame, found.xyxy_px)
+    for key, (true, tracks) in boxes.items():
+        notes += frame_shift_note(key, true.frame, true.xyxy_px, tracks.frame, tracks.xyxy_px)
     similarity = {key: Similarity.of(*both) for key, both in boxes.items()}
     counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))

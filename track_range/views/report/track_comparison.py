@@ -78,7 +78,7 @@ class _Matches:
         rows = [np.flatnonzero(match >= 0), match[match >= 0]]
 
         def both(values: Iterable[FloatArray]) -> FloatArray:
-            return np.stack([of_run[of_rows] for of_run, of_rows in zip(values, rows, strict=True)])
+            return np.stack([side[kept] for side, kept in zip(values, rows, strict=True)])
 
         distances = [reference_distance(run, ("fused", "fused_kf")) for run in runs]
         distance_m = both(distance_m for distance_m, _ in distances)
