@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +98,16 @@ class Written(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+class OptionalColumns(TypedDict, total=False):
+    """Columns of `BoxTable` that not all formats have."""
+
+    score: npt.ArrayLike  # NaN by default, as the distances
+    observed: npt.ArrayLike  # True by default
+    distance_m: npt.ArrayLike
+    sigma_m: npt.ArrayLike
+    location_m: npt.ArrayLike
+
+
 @dataclass(frozen=True, slots=True)
 class BoxTable:
     """The N boxes of one video, sorted by frame, then by identity."""
@@ -137,13 +147,9 @@ class BoxTable:
         xyxy_px: npt.ArrayLike,
         *,
         is_region: npt.ArrayLike = False,
-        score: npt.ArrayLike = np.nan,
-        observed: npt.ArrayLike = True,
-        distance_m: npt.ArrayLike = np.nan,
-        sigma_m: npt.ArrayLike = np.nan,
-        location_m: npt.ArrayLike = np.nan,
         video: VideoFacts = NO_FACTS,
         notes: Sequence[str] = (),
+        **columns: Unpack[OptionalColumns],
     ) -> BoxTable:
         """A table from arrays or lists with rows in any order, or from one value for all rows.
 
@@ -160,11 +166,11 @@ class BoxTable:
             class_name=np.array(names, np.str_) if names else np.zeros(0, np.str_),
             class_id=np.where(region, -1, map_to_road_classes(names)),
             xyxy_px=np.asarray(xyxy_px, np.float64).reshape(-1, 4),
-            score=_column(score, np.float64, n),
-            observed=_column(observed, np.bool_, n),
-            distance_m=_column(distance_m, np.float64, n),
-            sigma_m=_column(sigma_m, np.float64, n),
-            location_m=_column(location_m, np.float64, n, 3),
+            score=_column(columns.get("score", np.nan), np.float64, n),
+            observed=_column(columns.get("observed", True), np.bool_, n),
+            distance_m=_column(columns.get("distance_m", np.nan), np.float64, n),
+            sigma_m=_column(columns.get("sigma_m", np.nan), np.float64, n),
+            location_m=_column(columns.get("location_m", np.nan), np.float64, n, 3),
             video=video,
             notes=tuple(notes),
         )

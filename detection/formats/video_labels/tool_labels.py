@@ -126,10 +126,7 @@ def _label_studio(content: Any) -> Iterator[_Box]:
     for task in content if isinstance(content, list) else [content]:
         data = task.get("data", task)
         done = [done for done in task.get("annotations") or () if not done.get("was_cancelled")]
-        results = [
-            {"value": item} for key in ("label", "bbox", "box") for item in task.get(key) or ()
-        ]
-        results = (done or task.get("predictions") or [{"result": results}])[0]["result"]
+        results = (done or task.get("predictions") or [_as_predicted(task)])[0]["result"]
         for number_of_result, result in enumerate(results):
             value = result["value"]
             size_px = tuple(
@@ -139,12 +136,7 @@ def _label_studio(content: Any) -> Iterator[_Box]:
             if "sequence" in value:
                 yield from _interpolated(value, number_of_result, size_px)
             elif labels := value.get("rectanglelabels"):
-                name = next(
-                    text
-                    for key in ("image", "img", "ocr")
-                    if isinstance(text := data.get(key), str)
-                )
-                image = _UPLOADED.sub("", name.partition("?")[0].rpartition("/")[2])
+                image = _image_of_task(data)
                 scale = (float(size_px[0]) / 100, float(size_px[1]) / 100)
                 yield _Box(
                     image,
@@ -155,6 +147,19 @@ def _label_studio(content: Any) -> Iterator[_Box]:
                     False,
                     size_px,
                 )
+
+
+def _as_predicted(task: _Object) -> _Object:
+    """The boxes of a task in Label Studio's short JSON, as an annotation has them."""
+    items = [item for key in ("label", "bbox", "box") for item in task.get(key) or ()]
+    return {"result": [{"value": item} for item in items]}
+
+
+def _image_of_task(data: _Object) -> str:
+    """The name of a task's image, without the address and Label Studio's prefix of uploads."""
+    texts = (data.get(key) for key in ("image", "img", "ocr"))
+    name = next(text for text in texts if isinstance(text, str))
+    return _UPLOADED.sub("", name.partition("?")[0].rpartition("/")[2])
 
 
 def _interpolated(value: _Object, identity: int, size_px: tuple[Any, Any]) -> Iterator[_Box]:
@@ -423,42 +428,16 @@ def read_layout(name: str) -> Callable[[Path, VideoFacts], BoxTable]:
 
 
 def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
-    boxes: list[_Box] = []
     is_folder = path.is_dir()
     files = label_files(path) if is_folder else [path]
     if len(files) > _MAX_FILES:
         raise LabelFileError(f"{path}: expected at most {_MAX_FILES} files, found {len(files)}.")
+    boxes: list[_Box] = []
     for file in files:
-        try:
-            for box in layout.boxes(_content(file, layout.title)):
-                # a file has the name of its image; tools may repeat a wrong name in the file
-                image = (
-                    file.name
-                    if (is_folder and isinstance(box.image, str)) or box.image == ""
-                    else box.image
-                )
-                if not isinstance(image, int | str) or isinstance(image, bool):
-                    raise TypeError(type(image).__name__)
-                boxes.append(box._replace(image=image, label=str(box.label)[:_MAX_TEXT]))
-                if len(boxes) > _MAX_BOXES:
-                    raise LabelFileError(
-                        f"{path}: expected at most {_MAX_BOXES} boxes, found more."
-                    )
-        except LabelFileError as error:
-            text = str(error)
-            raise LabelFileError(text if str(path) in text else f"{file}: {text}.") from error
-        except (
-            ArithmeticError,
-            AttributeError,
-            LookupError,
-            TypeError,
-            ValueError,
-            StopIteration,
-            RuntimeError,
-        ) as error:
-            raise LabelFileError(
-                f"{file}: expected labels of {layout.title}, found other content ({quoted(error)})."
-            ) from error
+        for box in _boxes_in(file, layout, path, is_folder=is_folder):
+            boxes.append(box)
+            if len(boxes) > _MAX_BOXES:
+                raise LabelFileError(f"{path}: expected at most {_MAX_BOXES} boxes, found more.")
     images = dict.fromkeys(box.image for box in boxes)
     if is_folder and all(isinstance(image, str) for image in images):
         images = dict.fromkeys(file.name for file in files)  # also those without boxes
@@ -470,24 +449,49 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
             "larger or invalid values."
         )
     is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
+    kept = [boxes[row] for row in np.flatnonzero(is_box).tolist()]
     sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
     facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
-    rows = np.flatnonzero(is_box).tolist()
+    n_empty = len(boxes) - len(kept)
     table = BoxTable.of(
-        [frame_of[boxes[row].image] for row in rows],
-        _identities([boxes[row].identity for row in rows]),
-        [boxes[row].label for row in rows],
+        [frame_of[box.image] for box in kept],
+        _identities([box.identity for box in kept]),
+        [box.label for box in kept],
         edges[is_box] - HALF_PIXEL_PX,
-        is_region=np.array([boxes[row].is_region for row in rows], np.bool_),
-        score=[_number(boxes[row].score) for row in rows],
+        is_region=np.array([box.is_region for box in kept], np.bool_),
+        score=[_number(box.score) for box in kept],
         video=video.completed_by(facts, path),
-        notes=(
-            *notes,
-            *table_checks.ignored_note(path, len(boxes) - len(rows), "without width or height"),
-        ),
+        notes=(*notes, *table_checks.ignored_note(path, n_empty, "without width or height")),
     )
     table_checks.check_identities(table, path)
     return table
+
+
+def _boxes_in(file: Path, layout: Layout, path: Path, *, is_folder: bool) -> Iterator[_Box]:
+    """The boxes of a file of labels at `path`, each with an image; raises LabelFileError."""
+    try:
+        for box in layout.boxes(_content(file, layout.title)):
+            # a file has the name of its image; tools may repeat a wrong name in the file
+            is_of_file = box.image == "" or (is_folder and isinstance(box.image, str))
+            image = file.name if is_of_file else box.image
+            if not isinstance(image, int | str) or isinstance(image, bool):
+                raise TypeError(type(image).__name__)
+            yield box._replace(image=image, label=str(box.label)[:_MAX_TEXT])
+    except LabelFileError as error:
+        text = str(error)
+        raise LabelFileError(text if str(path) in text else f"{file}: {text}.") from error
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        StopIteration,
+        RuntimeError,
+    ) as error:
+        raise LabelFileError(
+            f"{file}: expected labels of {layout.title}, found other content ({quoted(error)})."
+        ) from error
 
 
 def _content(file: Path, title: str) -> Any:

@@ -279,58 +279,24 @@ class _Reading:
         self.tracks_px = tuple(
             (one.codec_context.width, one.codec_context.height) for one in tracks
         )
-        largest = max(range(len(tracks)), key=lambda number: math.prod(self.tracks_px[number]))
-        number = largest if track is None else track
-        if not 0 <= number < len(tracks):
-            self.container.close()
-            raise VideoError(
-                f"{path}: expected video track {track}, found {counted(len(tracks), 'track')}, "
-                "counted from 0; correct --track (Python: track)."
-            )
-        self.stream = _prepared(tracks[number])
-        self.log = DecodeLog()
-        self.notes: list[str] = []
-        for other, size_px in enumerate(self.tracks_px if track is None else ()):
-            if other != number:
-                is_equal = size_px == self.tracks_px[number]
-                self.notes.append(
-                    f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track "
-                    f"{number} is used; --track chooses another "
-                    f"track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
-                )
-        # since PyAV 17
-        entries = itertools.islice(getattr(self.stream, "index_entries", ()), _MAX_ENTRIES)
-        stamps = [entry.timestamp for entry in entries]
         try:
+            number = self._chosen(track)
+            self.stream = _prepared(tracks[number])
+            # since PyAV 17
+            entries = itertools.islice(getattr(self.stream, "index_entries", ()), _MAX_ENTRIES)
+            stamps = [entry.timestamp for entry in entries]
             _check_times(path, len(stamps), len(set(stamps)))
         except VideoError:
             self.container.close()
             raise
-        rates_hz = [
-            float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate
-        ]
-        plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
-        self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
-        if rates_hz and not plausible_hz:
-            self.notes.append(
-                f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used."
-            )
+        self.log = DecodeLog()
+        self.notes: list[str] = [] if track is not None else self._notes_on_tracks(number)
+        self.fps = self._rate_hz()
+        name = self.container.format.name
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
-        self._is_stamped = not (
-            self.container.format.name == "avi" and self.stream.codec_context.has_b_frames
-        )
-        # without timestamps, which FFmpeg counts at 25 frames/s
-        if self.container.format.name in _RAW:
-            self._is_stamped = False
-            stated = float(self.stream.codec_context.framerate or 0)
-            if _MIN_STATED_HZ <= stated <= _MAX_STATED_HZ:
-                self.fps = stated
-            else:
-                self.notes.append(
-                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, and "
-                    "speeds depend on this rate: store the video with the true rate (ffmpeg -r "
-                    "RATE -i IN -c copy OUT.mp4)."
-                )
+        is_guessed = name == "avi" and self.stream.codec_context.has_b_frames
+        # In streams without a container, FFmpeg counts times at 25 frames/s.
+        self._is_stamped = not is_guessed and name not in _RAW
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
         # of the packets so far, in ticks of `time_base`, continued over resets
         self._last_stamp: int | None = None
@@ -338,6 +304,54 @@ class _Reading:
         self.packets = self._demuxed()
         self._decoded: deque[av.VideoFrame] = deque()
         self._from_s = math.inf  # damaged frames before the requested part do not count
+
+    def _chosen(self, track: int | None) -> int:
+        """The number of the track that is read, by default the largest one; raises VideoError."""
+        numbers = range(len(self.tracks_px))
+        if track is None:
+            return max(numbers, key=lambda number: math.prod(self.tracks_px[number]))
+        if track not in numbers:
+            raise VideoError(
+                f"{self._path}: expected video track {track}, found "
+                f"{counted(len(numbers), 'track')}, counted from 0; correct --track (Python: track)."
+            )
+        return track
+
+    def _notes_on_tracks(self, number: int) -> list[str]:
+        """A note on each track but the one that is read."""
+        notes = []
+        for other, size_px in enumerate(self.tracks_px):
+            if other == number:
+                continue
+            pair = ""
+            if size_px == self.tracks_px[number]:
+                pair = ", and --stereo FILE uses two of equal size as left and right"
+            notes.append(
+                f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} "
+                f"is used; --track chooses another track{pair}."
+            )
+        return notes
+
+    def _rate_hz(self) -> float:
+        """Nominal frame rate; notes if the stated one is not plausible, or missing and needed."""
+        rates = (self.stream.average_rate, self.stream.guessed_rate)
+        rates_hz = [float(rate) for rate in rates if rate]
+        plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
+        fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
+        if rates_hz and not plausible_hz:
+            self.notes.append(
+                f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used."
+            )
+        if self.container.format.name not in _RAW:
+            return fps
+        stated_hz = float(self.stream.codec_context.framerate or 0)
+        if _MIN_STATED_HZ <= stated_hz <= _MAX_STATED_HZ:
+            return stated_hz
+        self.notes.append(
+            f"states no times and no frame rate; {fps:g} frames/s are assumed, and speeds depend "
+            "on this rate: store the video with the true rate (ffmpeg -r RATE -i IN -c copy OUT.mp4)."
+        )
+        return fps
 
     def close(self) -> None:
         self.container.close()
