@@ -8,8 +8,8 @@ of W px, it lies off centre in images of w.
 """
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -22,42 +22,21 @@ _ASPECT_TOLERANCE = 0.01
 # in Middlebury's crops. Above 0.07: doubt.
 _CENTRED, _OFF_CENTRE = 0.05, 0.07
 _USUAL_FOV_DEG = (20.0, 130.0)  # horizontal field of view of pinhole cameras for driving
-_COMMON_SIZES = (  # of images of cameras and data sets for driving, pixels
-    *(
-        (640, 360),
-        (848, 480),
-        (960, 540),
-        (1280, 720),
-        (1600, 900),
-        (1920, 1080),
-        (2304, 1296),
-        (2560, 1440),
-    ),
-    *(
-        (2704, 1520),
-        (3840, 2160),
-        (640, 480),
-        (800, 600),
-        (1024, 768),
-        (1280, 960),
-        (1440, 1080),
-        (1600, 1200),
-    ),
-    *(
-        (2592, 1944),
-        (1280, 800),
-        (1920, 1200),
-        (1928, 1208),
-        (752, 480),
-        (672, 376),
-        (2208, 1242),
-        (1164, 874),
-    ),
-    *((1242, 375), (1408, 376), (1392, 512), (2048, 1024), (1762, 800)),
-)
+_COMMON_SIZES = (  # of images of cameras and data sets for driving, (width, height) in pixels
+    (640, 360), (848, 480), (960, 540), (1280, 720), (1600, 900), (1920, 1080), (2304, 1296),
+    (2560, 1440), (2704, 1520), (3840, 2160), (640, 480), (800, 600), (1024, 768), (1280, 960),
+    (1440, 1080), (1600, 1200), (2592, 1944), (1280, 800), (1920, 1200), (1928, 1208), (752, 480),
+    (672, 376), (2208, 1242), (1164, 874), (1242, 375), (1408, 376), (1392, 512), (2048, 1024),
+    (1762, 800),
+)  # fmt: skip
 
 # widths and heights of digitised analogue video
 _ANALOGUE_PX = (352, 704, 720, 960), (240, 288, 480, 576)
+
+SizeReading = Literal["stated", "scaled", "other aspect", "assumed", "off centre"]
+"""How images belong to a camera: they have its size, perhaps cropped by a codec; its aspect ratio;
+another one. Where the file states no size, they are taken to have been calibrated; or the principal
+point is too far from their middle."""
 
 
 class FocalAlternative(NamedTuple):
@@ -73,14 +52,7 @@ def size_alternatives(
     """Readings of a camera, as stated in its file, that its principal point supports; `size_px` is
     (width, height).
     """
-    size = camera.size_px if camera.width_px else size_px
-    width = size[0]
-    if abs(camera.cx_px - (width - 1) / 2) <= _OFF_CENTRE * width:
-        return ()
-    return tuple(
-        FocalAlternative(w / width, f"K belongs to images of {w}x{h} px that were resized")
-        for w, h in _centred_sizes(camera, size)
-    )
+    return SizeFit(camera, size_px).alternatives
 
 
 def _centred_sizes(camera: PinholeCamera, size_px: tuple[int, int]) -> list[tuple[int, int]]:
@@ -96,6 +68,57 @@ def _centred_sizes(camera: PinholeCamera, size_px: tuple[int, int]) -> list[tupl
     return sizes[:2] or [(round(2 * camera.cx_px + 1), round(2 * camera.cy_px + 1))]
 
 
+@dataclass(frozen=True, slots=True)
+class SizeFit:
+    """A camera, as stated in its file, and images of a size."""
+
+    stated: PinholeCamera
+    size_px: tuple[int, int]  # (width, height)
+
+    @property
+    def reading(self) -> SizeReading:
+        """How the images belong to the camera."""
+        if self.stated.width_px:
+            if is_size_of(self.stated, self.size_px):
+                return "stated"
+            return "scaled" if has_aspect_of(self.stated, self.size_px) else "other aspect"
+        width, height = self.size_px
+        is_central_x = width / 3 <= self.stated.cx_px <= width * 2 / 3
+        is_central_y = height / 3 <= self.stated.cy_px <= height * 2 / 3
+        return "assumed" if is_central_x and is_central_y else "off centre"
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The camera of the images; without a meaning if these have another aspect, or are off
+        centre.
+        """
+        if self.reading == "scaled":
+            return self.stated.resized(self.size_px)
+        width, height = self.size_px
+        return replace(self.stated, width_px=width, height_px=height)
+
+    @property
+    def calibrated_px(self) -> tuple[int, int]:
+        """The size that the file states, else that of the images."""
+        return self.stated.size_px if self.stated.width_px else self.size_px
+
+    @property
+    def centred_sizes(self) -> list[tuple[int, int]]:
+        """Usual sizes in which the principal point is central."""
+        return _centred_sizes(self.stated, self.calibrated_px)
+
+    @property
+    def alternatives(self) -> tuple[FocalAlternative, ...]:
+        """Readings that a principal point off the centre supports, the likeliest first."""
+        width = self.calibrated_px[0]
+        if abs(self.stated.cx_px - (width - 1) / 2) <= _OFF_CENTRE * width:
+            return ()
+        return tuple(
+            FocalAlternative(w / width, f"K belongs to images of {w}x{h} px that were resized")
+            for w, h in self.centred_sizes
+        )
+
+
 def fitted_to_size(
     camera: PinholeCamera, size_px: tuple[int, int], source: object
 ) -> tuple[PinholeCamera, tuple[str, ...]]:
@@ -106,64 +129,81 @@ def fitted_to_size(
     the middle third of the image. Raises RigError if the calibration is for images of a different
     shape or size.
     """
-    width, height = size_px
-    fitted, notes = replace(camera, width_px=width, height_px=height), tuple[str, ...]()
+    fit = SizeFit(camera, size_px)
+    notes = [*_reading_notes(fit, source), *_doubt_notes(fit, source)]
+    return fit.camera, (*notes, *field_notes(fit.camera, source))
+
+
+def _reading_notes(fit: SizeFit, source: object) -> tuple[str, ...]:
+    """A note on a size that is assumed or scaled; RigError for images that do not belong to the
+    camera.
+    """
+    camera, (width, height) = fit.stated, fit.size_px
     calibrated = f"{camera.width_px}x{camera.height_px}"
-    if camera.width_px == 0:
-        if not (
-            width / 3 <= camera.cx_px <= width * 2 / 3
-            and height / 3 <= camera.cy_px <= height * 2 / 3
-        ):
+    match fit.reading:
+        case "off centre":
             raise RigError(
                 f"{source}: expected a principal point in the middle third of the {width}x{height} "
                 f"px images, found ({camera.cx_px:.1f}, {camera.cy_px:.1f}), as in images of "
-                f"{_listed(_centred_sizes(camera, size_px))} px; give the calibration of these "
-                "images."
+                f"{_listed(fit.centred_sizes)} px; give the calibration of these images."
             )
-        notes = (
-            f"{source}: the calibration has no image size; it is taken to be {width}x{height} px, "
-            "the size of the images.",
-        )
-    elif not is_size_of(camera, size_px):
-        if not has_aspect_of(camera, size_px):
+        case "other aspect":
             raise RigError(
                 f"{source}: expected images with the aspect ratio of {calibrated} px, found "
                 f"{width}x{height} px; give the calibration of these images."
             )
-        fitted = camera.resized(size_px)
-        notes = (
-            f"{source}: the calibration is scaled from {calibrated} px to the image size, "
-            f"{width}x{height} px, assuming that the images are resized: the focal length is "
-            f"{fitted.fx_px:.0f} px. If they are cropped, as in modes that use a part of the "
-            f"sensor, the focal length is {camera.fx_px:.0f} px, and distances are "
-            f"{camera.width_px / width:.2f} times as long; in that case, give the calibration of "
-            "these images.",
-        )
-    doubts = size_alternatives(camera, size_px)
-    if doubts:
-        own = camera.size_px if camera.width_px else size_px
-        likely, sizes = doubts[0], _centred_sizes(camera, own)
-        size = _listed(sizes[:1])
-        command = (
-            "" if camera.width_px else f" (track-range rig convert FILE rig.yaml --size {size})"
-        )
-        advice = f"state this size in the calibration{command}"
-        if not has_aspect_of(replace(camera, width_px=sizes[0][0], height_px=sizes[0][1]), size_px):
-            advice = (
-                "give the calibration of these images (fy "
-                f"{camera.fy_px * height / sizes[0][1]:.0f} px)"
+        case "assumed":
+            note = (
+                f"{source}: the calibration has no image size; it is taken to be {width}x{height} "
+                "px, the size of the images."
             )
-        notes += (
-            f"{source}: the focal length is in doubt: the principal point x = {camera.cx_px:.0f} "
-            f"px is {abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the "
-            f"middle of {own[0]}x{own[1]} px (usual: up to {_CENTRED:.0%}), but central in "
-            f"{_listed(sizes)} px. If images were resized from {size} px, the focal length is "
-            f"{fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and "
-            f"distances are {likely.factor:.2f} times what they should be; in that case, {advice}. "
-            "If they were cropped, the focal length is right. The sigmas of all distances cover "
-            "both.",
-        )
-    return fitted, (*notes, *field_notes(fitted, source))
+        case "scaled":
+            note = (
+                f"{source}: the calibration is scaled from {calibrated} px to the image size, "
+                f"{width}x{height} px, assuming that the images are resized: the focal length is "
+                f"{fit.camera.fx_px:.0f} px. If they are cropped, as in modes that use a part of "
+                f"the sensor, the focal length is {camera.fx_px:.0f} px, and distances are "
+                f"{camera.width_px / width:.2f} times as long; in that case, give the calibration "
+                "of these images."
+            )
+        case "stated":
+            return ()
+    return (note,)
+
+
+def _doubt_notes(fit: SizeFit, source: object) -> tuple[str, ...]:
+    """A note on a principal point that is central in images of another size."""
+    if not fit.alternatives:
+        return ()
+    camera, (width, height) = fit.stated, fit.calibrated_px
+    factor = fit.alternatives[0].factor
+    sizes = fit.centred_sizes
+    likely_size = _listed(sizes[:1])
+    focal_px = fit.camera.fx_px
+    off_centre = abs(camera.cx_px + 0.5 - width / 2) / width
+    return (
+        f"{source}: the focal length is in doubt: the principal point x = {camera.cx_px:.0f} "
+        f"px is {off_centre:.0%} of the width off the middle of {width}x{height} px (usual: up to "
+        f"{_CENTRED:.0%}), but central in {_listed(sizes)} px. If images were resized from "
+        f"{likely_size} px, the focal length is {focal_px / factor:.0f} px instead of "
+        f"{focal_px:.0f} px, and distances are {factor:.2f} times what they should be; in that "
+        f"case, {_advice(fit, sizes[0])}. If they were cropped, the focal length is right. The "
+        "sigmas of all distances cover both.",
+    )
+
+
+def _advice(fit: SizeFit, likely_px: tuple[int, int]) -> str:
+    """What to do if the camera belongs to images of `likely_px`, (width, height)."""
+    camera, (width_px, height_px) = fit.stated, likely_px
+    likely = replace(camera, width_px=width_px, height_px=height_px)
+    if not has_aspect_of(likely, fit.size_px):
+        fy_px = camera.fy_px * fit.size_px[1] / height_px
+        return f"give the calibration of these images (fy {fy_px:.0f} px)"
+    if camera.width_px:
+        return "state this size in the calibration"
+    size = f"{width_px}x{height_px}"
+    command = f"track-range rig convert FILE rig.yaml --size {size}"
+    return f"state this size in the calibration ({command})"
 
 
 def fitted_rig(
@@ -187,15 +227,12 @@ def analogue_alternatives(size_px: tuple[int, int]) -> tuple[FocalAlternative, .
     """
     if size_px[0] not in _ANALOGUE_PX[0] or size_px[1] not in _ANALOGUE_PX[1]:
         return ()
-    aspects = {
-        shape: shape[0] * size_px[1] / (shape[1] * size_px[0]) for shape in ((4, 3), (16, 9))
-    }
-    return tuple(
-        FocalAlternative(
-            math.sqrt(aspect), f"shown as {w}:{h}, pixels are {aspect:.2f} times as wide as high"
-        )
-        for (w, h), aspect in aspects.items()
-    )
+    alternatives = []
+    for width, height in ((4, 3), (16, 9)):
+        aspect = width * size_px[1] / (height * size_px[0])
+        cause = f"shown as {width}:{height}, pixels are {aspect:.2f} times as wide as high"
+        alternatives.append(FocalAlternative(math.sqrt(aspect), cause))
+    return tuple(alternatives)
 
 
 def field_notes(camera: PinholeCamera, source: object) -> tuple[str, ...]:
@@ -224,7 +261,5 @@ def is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
 
 def has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
     """Whether images of this size have the aspect ratio of the images of the camera."""
-    return (
-        abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1)
-        <= _ASPECT_TOLERANCE
-    )
+    scale_x, scale_y = size_px[0] / camera.width_px, size_px[1] / camera.height_px
+    return abs(scale_x / scale_y - 1) <= _ASPECT_TOLERANCE

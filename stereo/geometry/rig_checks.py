@@ -91,16 +91,16 @@ class RigCalibration:
         if size_px is None or not self.others:
             return self
         modes = (self, *self.others)
-        alike = sorted(
-            (mode for mode in modes if has_aspect_of(mode.left, size_px)),
-            key=lambda mode: (
-                mode.left.width_px < size_px[0],
-                abs(mode.left.width_px - size_px[0]),
-            ),
-        )
-        exact = (mode for mode in modes if is_size_of(mode.left, size_px))
-        return next(
-            exact, self if self in alike and len(modes) == 2 else alike[0] if alike else self
+        for mode in modes:
+            if is_size_of(mode.left, size_px):
+                return mode
+        alike = [mode for mode in modes if has_aspect_of(mode.left, size_px)]
+        if not alike or (len(modes) == 2 and has_aspect_of(self.left, size_px)):
+            return self
+        width_px = size_px[0]
+        return min(
+            alike,
+            key=lambda mode: (mode.left.width_px < width_px, abs(mode.left.width_px - width_px)),
         )
 
     def in_unit(self, metres_per_unit: float | None) -> RigCalibration:
@@ -177,11 +177,13 @@ def shared_view(rig: StereoRig) -> float:
         *(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in rig.left.size_px)
     )
     xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
-    rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)
+    left, right = rig.left, rig.right
+    rays = left.recorded_rays(xy_px) if left.is_wide else left.rays(xy_px)
     rays = rays[np.isfinite(rays).all(axis=1)] @ rig.right_from_left[:3, :3].T
-    u, v = (rig.right.recorded_px(rays) if rig.right.is_wide else rig.right.project(rays)).T
-    is_seen = (u >= 0) & (u <= rig.right.width_px - 1) & (v >= 0) & (v <= rig.right.height_px - 1)
-    return float(is_seen.mean())
+    u, v = (right.recorded_px(rays) if right.is_wide else right.project(rays)).T
+    is_in_columns = (u >= 0) & (u <= right.width_px - 1)
+    is_in_rows = (v >= 0) & (v <= right.height_px - 1)
+    return float((is_in_columns & is_in_rows).mean())
 
 
 def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
@@ -212,53 +214,67 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
             f"{source}: expected an image size of 1 to {MAX_SIDE_PX} px, found "
             f"{shortened(f'{size_px[0]}x{size_px[1]}')} px; correct the file."
         )
-    for name, focal_px in (("fx_px", camera.fx_px), ("fy_px", camera.fy_px)):
-        if not 0 < focal_px <= _FOCAL_PER_WIDTH[1] * MAX_SIDE_PX:
-            raise RigError(
-                f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}."
-            )
-        low, high = (fraction * max(camera.width_px, 1) for fraction in _FOCAL_PER_WIDTH)
-        if camera.width_px and not low <= focal_px <= high:
-            raise RigError(
-                f"{source}: expected a focal length {name} between {low:g} and {high:g} px for "
-                f"images {camera.width_px} px wide, found {focal_px:g}; give it in pixels, not in "
-                "millimetres."
-            )
-    if not max(abs(camera.cx_px), abs(camera.cy_px)) <= _MAX_PRINCIPAL_POINT_PX:  # also NaN
+    _check_focal_length("fx_px", camera.fx_px, camera.width_px, source)
+    _check_focal_length("fy_px", camera.fy_px, camera.width_px, source)
+    _check_principal_point(camera, source)
+    _check_distortion(camera, source)
+    if camera.is_wide and camera.width_px:
+        _check_wide(camera, source)
+
+
+def _check_focal_length(name: str, focal_px: float, width_px: int, source: object) -> None:
+    """Check a focal length; `width_px` 0 = the file has no image size."""
+    low, high = _FOCAL_PER_WIDTH
+    if not 0 < focal_px <= high * MAX_SIDE_PX:
         raise RigError(
-            f"{source}: expected a finite principal point in pixels, found ({camera.cx_px:g}, "
-            f"{camera.cy_px:g})."
+            f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}."
         )
-    margins = (
+    if width_px and not low * width_px <= focal_px <= high * width_px:
+        raise RigError(
+            f"{source}: expected a focal length {name} between {low * width_px:g} and "
+            f"{high * width_px:g} px for images {width_px} px wide, found {focal_px:g}; give it in "
+            "pixels, not in millimetres."
+        )
+
+
+def _check_principal_point(camera: PinholeCamera, source: object) -> None:
+    """Check that the principal point is inside of the image, or finite without an image size."""
+    cx_px, cy_px = camera.cx_px, camera.cy_px
+    if not max(abs(cx_px), abs(cy_px)) <= _MAX_PRINCIPAL_POINT_PX:  # also NaN
+        raise RigError(
+            f"{source}: expected a finite principal point in pixels, found ({cx_px:g}, {cy_px:g})."
+        )
+    if not camera.width_px:
+        return
+    margins = [
         min(centre_px, side_px - centre_px) / max(side_px, 1)
-        for centre_px, side_px in (
-            (camera.cx_px, camera.width_px),
-            (camera.cy_px, camera.height_px),
-        )
-    )
-    if camera.width_px and min(margins) < _MIN_MARGIN:
+        for centre_px, side_px in ((cx_px, camera.width_px), (cy_px, camera.height_px))
+    ]
+    if min(margins) < _MIN_MARGIN:
         raise RigError(
             f"{source}: expected a principal point inside the image of "
             f"{camera.width_px}x{camera.height_px} px, at least {_MIN_MARGIN:.0%} of the side from "
-            f"its border, found ({camera.cx_px:g}, {camera.cy_px:g}), as in images of about "
-            f"{2 * camera.cx_px:.0f}x{2 * camera.cy_px:.0f} px; correct the image size, or "
-            "calibrate again."
+            f"its border, found ({cx_px:g}, {cy_px:g}), as in images of about "
+            f"{2 * cx_px:.0f}x{2 * cy_px:.0f} px; correct the image size, or calibrate again."
         )
-    coefficients, names = camera.distortion, LENSES[camera.lens].coefficients
-    numbers = (len(names),) if camera.is_wide else _N_DISTORTION_COEFFICIENTS
+
+
+def _check_distortion(camera: PinholeCamera, source: object) -> None:
+    """Check the number and magnitude of the distortion coefficients."""
+    names = LENSES[camera.lens].coefficients
+    if camera.is_wide:
+        numbers: tuple[int, ...] = (len(names),)
+        expected = f"{len(names)} finite coefficients ({' '.join(names)})"
+    else:
+        numbers = _N_DISTORTION_COEFFICIENTS
+        expected = _COEFFICIENTS
+    coefficients = camera.distortion
     is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN
     if len(coefficients) not in numbers or not is_plausible:
-        expected = (
-            f"{len(names)} finite coefficients ({' '.join(names)})"
-            if camera.is_wide
-            else _COEFFICIENTS
-        )
         raise RigError(
             f"{source}: expected {expected}, found {len(coefficients)}: "
             f"{quoted(list(coefficients))}; calibrate again."
         )
-    if camera.is_wide and camera.width_px:
-        _check_wide(camera, source)
 
 
 def _check_wide(camera: PinholeCamera, source: object) -> None:

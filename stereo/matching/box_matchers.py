@@ -16,7 +16,6 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, Objects
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
-from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
@@ -95,6 +94,43 @@ class MatcherResults:
 Expectation = Callable[[StereoPair], ExpectedDisparity]
 
 
+class _MatcherRun:
+    """A matcher on one pair after the other; the last disparity of a track is the prior in the next
+    pair.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._last_px: dict[int, float] = {}  # by track, of the last pair
+        self._disparity_px: list[FloatArray] = [np.zeros(0)]  # of each pair
+        self._sigma_px: list[FloatArray] = [np.zeros(0)]
+        self._times_ms: list[float] = []
+
+    def match(self, pair: StereoPair, by_size: ExpectedDisparity | None) -> None:
+        """Measure the objects of a pair."""
+        matcher = open_matcher(self._name, pair.rig)
+        # objects without tracks have no priors
+        tracks = pair.track_id.tolist() or [-1] * len(pair.true_px)
+        prior_px = np.array([self._last_px.get(track, np.nan) for track in tracks])
+        start_s = time.perf_counter()
+        matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px, by_size)
+        self._times_ms.append(1e3 * (time.perf_counter() - start_s))
+        self._disparity_px.append(matches.disparity_px)
+        self._sigma_px.append(matches.sigma_px)
+        measured = zip(tracks, matches.disparity_px.tolist(), strict=True)
+        self._last_px = {track: disparity for track, disparity in measured if track >= 0}
+
+    @property
+    def column(self) -> MatcherColumn:
+        """The disparities of all objects."""
+        return MatcherColumn(np.concatenate(self._disparity_px), np.concatenate(self._sigma_px))
+
+    @property
+    def ms_per_frame(self) -> float | None:
+        """Median time per pair, milliseconds; None without pairs."""
+        return float(np.median(self._times_ms)) if self._times_ms else None
+
+
 def measure_pairs(
     pairs: Iterable[StereoPair], names: Sequence[str], *, expected: Expectation | None = None
 ) -> MatcherResults:
@@ -105,44 +141,49 @@ def measure_pairs(
     pair; other objects are searched in the full range. `expected` gives the expected disparities of
     the objects of a pair; None = unknown. Raises ValueError for unknown names.
     """
+    runs = {name: _MatcherRun(name) for name in names}
     notes = dict[str, None]()
-    cameras = list[PinholeCamera]()
-    none, none_int = np.zeros(0), np.zeros(0, np.int64)
-    columns: list[tuple[Any, ...]] = [(none, none, none, none_int, none_int)]  # those of `Objects`
-    measured: dict[str, list[tuple[FloatArray, FloatArray]]] = {
-        name: [(none, none)] for name in names
-    }
-    times_ms: dict[str, list[float]] = {name: [] for name in names}
-    last_px: dict[str, dict[int, float]] = {name: {} for name in names}
+    objects = [_no_objects()]
     for number, pair in enumerate(pairs):
         notes |= dict.fromkeys(pair.notes)
-        n_objects = len(pair.true_px)
-        ids = pair.track_id.tolist() or [-1] * n_objects
-        for name in measured:
-            matcher, last = open_matcher(name, pair.rig), last_px[name]
-            prior_px = np.array([last.get(track, np.nan) for track in ids])
-            by_size = None if expected is None else expected(pair)
-            start_s = time.perf_counter()
-            matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px, by_size)
-            times_ms[name].append(1e3 * (time.perf_counter() - start_s))
-            measured[name].append((matches.disparity_px, matches.sigma_px))
-            last_px[name] = {
-                n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0
-            }
-        cameras.append(pair.rig.left)
-        focal_baseline_m = np.full(n_objects, pair.rig.left.fx_px * pair.rig.baseline_m)
-        numbers = np.full(n_objects, number)
-        group = pair.track_id if len(pair.track_id) else numbers
-        columns.append((pair.true_px, focal_baseline_m, pair.x_px, numbers, group))
-    true_px, focal_baseline_m, x_px, pair_number, group = map(
-        np.concatenate, zip(*columns, strict=True)
-    )
+        by_size = None if expected is None else expected(pair)
+        for run in runs.values():
+            run.match(pair, by_size)
+        objects.append(_objects(pair, number))
+    times_ms = {name: run.ms_per_frame for name, run in runs.items()}
     return MatcherResults(
-        Objects(true_px, focal_baseline_m, x_px, pair_number, group, tuple(cameras)),
-        {
-            name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True)))
-            for name, parts in measured.items()
-        },
-        {name: float(np.median(times)) for name, times in times_ms.items() if times},
+        _joined(objects),
+        {name: run.column for name, run in runs.items()},
+        {name: ms for name, ms in times_ms.items() if ms is not None},
         tuple(notes),
+    )
+
+
+def _no_objects() -> Objects:
+    none, none_int = np.zeros(0), np.zeros(0, np.int64)
+    return Objects(none, none, none, none_int, none_int, ())
+
+
+def _objects(pair: StereoPair, number: int) -> Objects:
+    """The objects of the pair with this number; those without tracks are one group."""
+    n = len(pair.true_px)
+    numbers = np.full(n, number)
+    return Objects(
+        true_px=pair.true_px,
+        focal_baseline_m=np.full(n, pair.rig.left.fx_px * pair.rig.baseline_m),
+        x_px=pair.x_px,
+        pair=numbers,
+        group=pair.track_id if len(pair.track_id) else numbers,
+        cameras=(pair.rig.left,),
+    )
+
+
+def _joined(objects: Sequence[Objects]) -> Objects:
+    return Objects(
+        true_px=np.concatenate([part.true_px for part in objects]),
+        focal_baseline_m=np.concatenate([part.focal_baseline_m for part in objects]),
+        x_px=np.concatenate([part.x_px for part in objects]),
+        pair=np.concatenate([part.pair for part in objects]),
+        group=np.concatenate([part.group for part in objects]),
+        cameras=tuple(camera for part in objects for camera in part.cameras),
     )

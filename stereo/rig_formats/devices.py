@@ -36,17 +36,16 @@ from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
 
-_ZED_TITLE, _OAK_TITLE, _REALSENSE_TITLE = (
-    "ZED's SN*.conf",
-    "DepthAI's (OAK) calibration",
-    "RealSense's calibration",
-)
+_ZED_TITLE = "ZED's SN*.conf"
+_OAK_TITLE = "DepthAI's (OAK) calibration"
+_REALSENSE_TITLE = "RealSense's calibration"
 _ZED_SIZES = {  # (width, height) of the images of one side by the name of the mode
     "2K": (2208, 1242), "FHD": (1920, 1080), "FHD1200": (1920, 1200), "HD": (1280, 720), "SVGA": (960, 600),
     "VGA": (672, 376), "HD1080": (1920, 1080), "HD1200": (1920, 1200), "HD720": (1280, 720), "4K": (3840, 2160),
     "QHDPLUS": (3200, 1800),
 }  # fmt: skip
 _ZED_SECTION = re.compile(r"^[^\S\n]*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
+_OAK_SOCKETS = (1, 2)  # usual ones of the left and the right camera
 # depthai-core, LengthUnit: m, cm, mm, in, ft
 _OAK_UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001, 3: 0.0254, 4: 0.3048}
 # relative difference of the baselines by calibration and by specification that is noted
@@ -62,52 +61,55 @@ def _read_zed(text: str, path: Path) -> RigCalibration:
         for name, section in plain_values(text, path, _ZED_TITLE).items()
         if isinstance(section, dict)
     }
-    modes = [name.removeprefix("LEFT_CAM_") for name in values if name.startswith("LEFT_CAM_")]
-    modes = [
-        mode for mode in modes if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values
-    ] or modes[:1]
-    if not modes:
+    stated = [name.removeprefix("LEFT_CAM_") for name in values if name.startswith("LEFT_CAM_")]
+    if not stated:
         raise RigError(
-            f"{path}: expected sections such as LEFT_CAM_HD and RIGHT_CAM_HD, found none; download the file again from "
-            "calib.stereolabs.com."
+            f"{path}: expected sections such as LEFT_CAM_HD and RIGHT_CAM_HD, found none; download "
+            "the file again from calib.stereolabs.com."
         )
+    known = [mode for mode in stated if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values]
+    modes = known or stated[:1]
     modes.sort(key=lambda mode: mode != "HD")  # the usual one first
     sizes = ", ".join("{}x{}".format(*_ZED_SIZES.get(mode, (0, 0))) for mode in modes)
     note = (
-        f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px. The images are taken to be "
-        "unrectified, as recorded; each image of a pair has one of these sizes."
+        f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px. The "
+        "images are taken to be unrectified, as recorded; each image of a pair has one of these "
+        "sizes."
     )
     first, *others = [replace(_zed_mode(values, mode, path), notes=(note,)) for mode in modes]
     return replace(first, others=tuple(others))
 
 
 def _zed_mode(values: Mapping[str, Mapping[str, float]], mode: str, path: Path) -> RigCalibration:
-    cameras = []
-    for side in ("LEFT", "RIGHT"):
-        section = {**values.get(f"{side}_DISTO", {}), **values.get(f"{side}_CAM_{mode}", {})}
-        missing = [name for name in ("fx", "fy", "cx", "cy") if name not in section]
-        if missing:
-            raise RigError(
-                f"{path}: expected numbers {', '.join(missing)} in the section {side}_CAM_{mode}, found none; download "
-                "the file again from calib.stereolabs.com."
-            )
-        coefficients = [
-            section.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-        ]
-        distortion = tuple(coefficients if any(coefficients[5:]) else coefficients[:5])
-        focal = (section["fx"], section["fy"], section["cx"], section["cy"])
-        cameras.append(PinholeCamera(*focal, *_ZED_SIZES.get(mode, (0, 0)), distortion))
+    left, right = (_zed_camera(values, side, mode, path) for side in ("LEFT", "RIGHT"))
     common = values.get("STEREO", {})
-    stereo = defaultdict(float, common) | {  # values of the resolution before those of all
-        name.removesuffix(f"_{mode.lower()}"): value
-        for name, value in common.items()
-        if name.endswith(f"_{mode.lower()}")
+    ending = f"_{mode.lower()}"
+    of_mode = {
+        name.removesuffix(ending): value for name, value in common.items() if name.endswith(ending)
     }
+    stereo = defaultdict(float, common) | of_mode  # values of the resolution before those of all
     convergence = stereo["cv"] or stereo["ry"] or stereo["convergence"]
     rotation = cv2.Rodrigues(np.array([stereo["rx"], convergence, stereo["rz"]]))[0]
     position_mm = np.array([stereo[name] for name in ("baseline", "ty", "tz")])
     motion = rigid_motion(rotation, -position_mm * math.copysign(0.001, stereo["baseline"]) + 0.0)
-    return RigCalibration(cameras[0], cameras[1], motion, metres_per_unit=0.001)
+    return RigCalibration(left, right, motion, metres_per_unit=0.001)
+
+
+def _zed_camera(
+    values: Mapping[str, Mapping[str, float]], side: str, mode: str, path: Path
+) -> PinholeCamera:
+    section = {**values.get(f"{side}_DISTO", {}), **values.get(f"{side}_CAM_{mode}", {})}
+    missing = [name for name in ("fx", "fy", "cx", "cy") if name not in section]
+    if missing:
+        raise RigError(
+            f"{path}: expected numbers {', '.join(missing)} in the section {side}_CAM_{mode}, "
+            "found none; download the file again from calib.stereolabs.com."
+        )
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    coefficients = [section.get(name, 0.0) for name in names]
+    distortion = tuple(coefficients if any(coefficients[5:]) else coefficients[:5])
+    focal = (section["fx"], section["fy"], section["cx"], section["cy"])
+    return PinholeCamera(*focal, *_ZED_SIZES.get(mode, (0, 0)), distortion)
 
 
 class _Point(BaseModel):
@@ -165,67 +167,100 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     if isinstance(content, dict) and isinstance(content.get("cameraData"), dict):
         content["cameraData"] = list(content["cameraData"].items())
     file = validated(_OakFile, content, path, RigError)
+    cameras = _oak_cameras(file, path)
+    sockets = _oak_sockets(file, cameras)
+    if sockets is None:
+        if len(cameras) == 1:
+            ((socket, camera),) = cameras.items()
+            note = f"{path}: {_OAK_TITLE} of one camera, socket {socket}."
+            return RigCalibration(camera.camera(), None, None, notes=(note,))
+        left, right = _OAK_SOCKETS
+        raise RigError(
+            f"{path}: expected calibrated cameras in the sockets {left} and {right}, found "
+            f"calibrations of the sockets {', '.join(map(str, cameras)) or 'none'}; give the "
+            "calibration of a camera with a stereo pair."
+        )
+    left, right = sockets
+    motion, baseline = _oak_motion(cameras, left, right, path)
+    note = (
+        f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) "
+        f"and {right} (right), lengths in centimetres; the baseline is {baseline}."
+    )
+    rig = RigCalibration(
+        cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01
+    )
+    return _with_cropped(rig, path)
+
+
+def _oak_cameras(file: _OakFile, path: Path) -> dict[int, _OakCamera]:
+    """The calibrated cameras by socket."""
     cameras = {}
     for socket, camera in file.cameraData:
         matrix = camera.get("intrinsicMatrix") if isinstance(camera, dict) else None
         # other sockets are empty, or not calibrated
         if isinstance(matrix, list) and len(matrix) == 3:
-            cameras[socket] = validated(
-                _OakCamera, camera, f"{path}: cameraData {socket}", RigError
-            )
-    pair = file.stereoRectificationData
-    left, right = pair.leftCameraSocket, pair.rightCameraSocket
-    if not {left, right} <= cameras.keys():
-        left, right = 1, 2
-    if not {left, right} <= cameras.keys():
-        sockets = ", ".join(map(str, cameras)) or "none"
-        if len(cameras) == 1:
-            note = f"{path}: {_OAK_TITLE} of one camera, socket {sockets}."
-            return RigCalibration(next(iter(cameras.values())).camera(), None, None, notes=(note,))
-        raise RigError(
-            f"{path}: expected calibrated cameras in the sockets {left} and {right}, found calibrations of the sockets "
-            f"{sockets}; give the calibration of a camera with a stereo pair."
-        )
+            name = f"{path}: cameraData {socket}"
+            cameras[socket] = validated(_OakCamera, camera, name, RigError)
+    return cameras
+
+
+def _oak_sockets(file: _OakFile, cameras: Mapping[int, _OakCamera]) -> tuple[int, int] | None:
+    """The sockets of the left and the right camera, as stated, else the usual ones; None if they
+    have no cameras.
+    """
+    stated = file.stereoRectificationData
+    for pair in ((stated.leftCameraSocket, stated.rightCameraSocket), _OAK_SOCKETS):
+        if set(pair) <= cameras.keys():
+            return pair
+    return None
+
+
+def _oak_motion(
+    cameras: Mapping[int, _OakCamera], left: int, right: int, path: Path
+) -> tuple[FloatArray, str]:
+    """(4, 4) transform from the left camera to the right one, and its baseline with the source, for
+    messages.
+    """
     motion = _route(cameras, left, right, "translation")
     specified = _route(cameras, left, right, "specTranslation")
     if motion is None or specified is None:
         raise RigError(
-            f"{path}: expected extrinsics from the socket {left} to {right}, found none; calibrate the device."
+            f"{path}: expected extrinsics from the socket {left} to {right}, found none; calibrate "
+            "the device."
         )
-    length_m, specified_m = (
-        float(np.linalg.norm(transform[:3, 3])) for transform in (motion, specified)
-    )
-    reason = "calibrated translation"
+    length_m = float(np.linalg.norm(motion[:3, 3]))
+    specified_m = float(np.linalg.norm(specified[:3, 3]))
     if not length_m:
-        motion, length_m, reason = specified, specified_m, "specified translation"
-    elif specified_m and abs(length_m / specified_m - 1) > _SPEC_DIFFERENCE:
-        reason += f" ({specified_m:.4g} m in its specification)"
-    note = (
-        f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) and {right} (right), "
-        f"lengths in centimetres; the baseline is {length_m:.4f} m from its {reason}."
-    )
-    rig = RigCalibration(
-        cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01
-    )
-    # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
-    cropped = [_cropped(cameras[socket].camera()) for socket in (left, right)]
-    if cropped[0] is None or cropped[1] is None:
+        return specified, f"{specified_m:.4f} m from its specified translation"
+    baseline = f"{length_m:.4f} m from its calibrated translation"
+    if specified_m and abs(length_m / specified_m - 1) > _SPEC_DIFFERENCE:
+        baseline += f" ({specified_m:.4g} m in its specification)"
+    return motion, baseline
+
+
+def _with_cropped(rig: RigCalibration, path: Path) -> RigCalibration:
+    """The rig with the cameras of images in 16:9 as `others`: modes such as 720p of a sensor with
+    800 rows leave out rows at the top and at the bottom.
+    """
+    left = _cropped(rig.left)
+    right = None if rig.right is None else _cropped(rig.right)
+    if left is None or right is None:
         return rig
-    crop_note = f"{path}: images in 16:9 are taken to lack rows at the top and bottom, as in the sensor's modes."
-    return replace(
-        rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),)
+    note = (
+        f"{path}: images in 16:9 are taken to lack rows at the top and bottom, as in the sensor's "
+        "modes."
     )
+    cropped = replace(rig, left=left, right=right, notes=(*rig.notes, note))
+    return replace(rig, others=(cropped,))
 
 
 def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
     """The camera of the middle rows in 16:9; None for a camera whose images have no more rows."""
     height_px = round(camera.width_px * 9 / 16)
     n_rows = (camera.height_px - height_px) / 2
-    return (
-        replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px)
-        if n_rows > 0 and height_px
-        else None
-    )
+    if n_rows <= 0 or not height_px:
+        return None
+    return replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px)
 
 
 def _route(
@@ -236,25 +271,24 @@ def _route(
     """
     steps: dict[tuple[int, int], FloatArray] = {}
     for socket, camera in cameras.items():
-        extrinsics, to = camera.extrinsics, camera.extrinsics.toCameraSocket
+        extrinsics = camera.extrinsics
+        to = extrinsics.toCameraSocket
         if to in cameras and len(extrinsics.rotationMatrix) == 3:
-            point, metres = (
-                getattr(extrinsics, translation),
-                _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01),
-            )
-            motion = rigid_motion(
-                extrinsics.rotationMatrix, np.array([point.x, point.y, point.z]) * metres
-            )
+            point = getattr(extrinsics, translation)
+            metres = _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01)
+            position_m = np.array([point.x, point.y, point.z]) * metres
+            motion = rigid_motion(extrinsics.rotationMatrix, position_m)
             steps.setdefault((socket, to), motion)
             steps.setdefault((to, socket), inverse_motion(motion))
     routes = {start: np.eye(4)}
-    while goal not in routes and (
-        further := {
+    while goal not in routes:
+        further = {
             b: step @ routes[a] for (a, b), step in steps.items() if a in routes and b not in routes
         }
-    ):
+        if not further:
+            return None
         routes |= further
-    return routes.get(goal)
+    return routes[goal]
 
 
 _RS_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
@@ -269,37 +303,57 @@ _RS_EXTRINSIC = re.compile(
 _RS_STREAMS = (("Infrared 1", "Infrared 2"), ("Infrared", "Infrared 2"), ("Fisheye 1", "Fisheye 2"))
 
 
+_RsCameras = Mapping[tuple[int, int], PinholeCamera]  # of one stream, by size
+
+
 def _read_realsense(text: str, path: Path) -> RigCalibration:
     """The two infrared cameras, for all resolutions of the output of rs-enumerate-devices -c."""
-    intrinsics: dict[str, dict[tuple[int, int], PinholeCamera]] = defaultdict(dict)
+    cameras = _rs_cameras(text)
+    motions = _rs_motions(text)
+    for first, second in _RS_STREAMS:
+        lefts, rights = cameras.get(first, {}), cameras.get(second, {})
+        sizes = [size for size in lefts if size in rights]
+        if not sizes or (first, second) not in motions:
+            continue
+        listed = ", ".join(f"{width}x{height}" for width, height in sizes)
+        note = (
+            f'{path}: {_REALSENSE_TITLE}: "{first}" (left) and "{second}" (right), lengths in '
+            f"metres, images of {listed} px."
+        )
+        motion = motions[first, second]
+        rig, *others = [
+            RigCalibration(lefts[size], rights[size], motion, notes=(note,)) for size in sizes
+        ]
+        return replace(rig, others=tuple(others))
+    streams = quoted(", ".join(cameras) or "none")
+    raise RigError(
+        f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between '
+        f"them, found only {streams}; write the file with rs-enumerate-devices -c > rig.txt."
+    )
+
+
+def _rs_cameras(text: str) -> dict[str, _RsCameras]:
+    """The cameras of each stream; of several with one size, the first."""
+    cameras: dict[str, dict[tuple[int, int], PinholeCamera]] = {}
     for match in _RS_INTRINSIC.finditer(text):
-        if (camera := _rs_camera(match["body"])) is not None:
-            intrinsics[match["stream"].strip()].setdefault(camera.size_px, camera)
+        camera = _rs_camera(match["body"])
+        if camera is not None:
+            cameras.setdefault(match["stream"].strip(), {}).setdefault(camera.size_px, camera)
+    return dict(cameras)
+
+
+def _rs_motions(text: str) -> dict[tuple[str, str], FloatArray]:
+    """(4, 4) transforms from one stream's camera to another's, and their inverses."""
     motions = {}
     for match in _RS_EXTRINSIC.finditer(text):
-        rotation, translation = _rs_numbers(match["rotation"]), _rs_numbers(match["translation"])
+        rotation = _rs_numbers(match["rotation"])
+        translation = _rs_numbers(match["translation"])
         if len(rotation) == 9 and len(translation) == 3:
             motion = rigid_motion(np.reshape(rotation, (3, 3)), translation)
-            streams = match["first"].strip(), match["second"].strip()
-            motions[streams] = motion
-            motions.setdefault(streams[::-1], inverse_motion(motion))
-    for first, second in _RS_STREAMS:
-        sizes = [size for size in intrinsics[first] if size in intrinsics[second]]
-        if sizes and (first, second) in motions:
-            note = (
-                f'{path}: {_REALSENSE_TITLE}: "{first}" (left) and "{second}" (right), lengths in metres, images of '
-                f"{', '.join(f'{width}x{height}' for width, height in sizes)} px."
-            )
-            pairs = ((intrinsics[first][size], intrinsics[second][size]) for size in sizes)
-            rig, *others = [
-                RigCalibration(*pair, motions[first, second], notes=(note,)) for pair in pairs
-            ]
-            return replace(rig, others=tuple(others))
-    names = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
-    raise RigError(
-        f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between them, found only '
-        f"{names}; write the file with rs-enumerate-devices -c > rig.txt."
-    )
+            first, second = match["first"].strip(), match["second"].strip()
+            motions[first, second] = motion
+            motions.setdefault((second, first), inverse_motion(motion))
+    return motions
 
 
 def _rs_numbers(text: str) -> list[float]:
@@ -317,11 +371,12 @@ def _rs_camera(body: str) -> PinholeCamera | None:
     fx, fy, ppx, ppy, width, height = (values[name][0] for name in names)
     coefficients = values.get("coeffs", [])
     is_fisheye = "kannala" in body.lower() or "f-theta" in body.lower()
-    distortion = coefficients[:4] if is_fisheye else coefficients[:5] if any(coefficients) else []
+    distortion = coefficients[: 4 if is_fisheye else 5]
+    if not is_fisheye and not any(coefficients):
+        distortion = []
     lens = KANNALA_BRANDT if is_fisheye and len(distortion) == 4 else PINHOLE
-    return PinholeCamera(
-        fx, fy, ppx, ppy, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens
-    )
+    size_px = round(min(width, 1e6)), round(min(height, 1e6))
+    return PinholeCamera(fx, fy, ppx, ppy, *size_px, tuple(distortion), lens)
 
 
 ZED = format_by_pattern(

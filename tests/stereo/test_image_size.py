@@ -9,7 +9,12 @@ import pytest
 
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.image_size import field_notes, fitted_to_size, size_alternatives
+from track_range.stereo.geometry.image_size import (
+    SizeFit,
+    field_notes,
+    fitted_to_size,
+    size_alternatives,
+)
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
@@ -17,6 +22,27 @@ from track_range.stereo.rig_formats.reading import load_calibration
 
 KITTI = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 0, 0)  # calib.txt has no image size
 HD = PinholeCamera(1150.0, 1150.0, 655.0, 349.0, 1280, 720)  # 1 % of the width off centre
+
+
+@pytest.mark.parametrize(
+    ("camera", "size_px", "reading", "fx_px"),
+    [
+        (HD, (1280, 720), "stated", 1150.0),
+        (HD, (1278, 720), "stated", 1150.0),  # cropped by a codec
+        (HD, (1276, 720), "scaled", 1150.0 * 1276 / 1280),
+        (HD, (640, 360), "scaled", 575.0),
+        (HD, (640, 480), "other aspect", None),
+        (KITTI, (1242, 375), "assumed", 721.5377),
+        (KITTI, (915, 375), "assumed", 721.5377),  # cx 609.6, two thirds of the width are 610
+        (KITTI, (914, 375), "off centre", None),  # 609.3
+        (KITTI, (1242, 519), "off centre", None),  # cy 172.9, a third of the height is 173
+    ],
+)
+def test_how_images_belong_to_a_camera(camera, size_px, reading, fx_px):
+    fit = SizeFit(camera, size_px)
+    assert fit.reading == reading
+    if fx_px is not None:
+        assert (fit.camera.size_px, fit.camera.fx_px) == (size_px, pytest.approx(fx_px))
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,8 @@ _SCALARS = "k1 k2 k3 k4 k5 k6 p1 p2".split()
 _OF_PAIR = (
     "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye".split()
 )
+_OF_SECOND_CAMERA = ("rotationofcamera2", "translationofcamera2")  # in words of MATLAB; of the pair
+_UNIT_ENDING = re.compile(r"(?<=.{4})(?:mm|cm)$")
 _COUNTS = {  # possible numbers of values
     "K": (9, 4), "D": (0, 1, 2, 4, 5, 8, 12, 14), "radial": (2, 3), "tangential": (2,), "R": (9, 3),
     "R_transposed": (9,), "T": (3,), "rect": (9,), "P": (12, 9), "Q": (16,), "second_from_first": (16, 12),
@@ -168,47 +170,65 @@ class Quantities(NamedTuple):
         """The sides of the file's cameras, the first (left, or with the smaller number) first; [] =
         no named side.
         """
-        named = {
-            side
-            for side, quantity in self.values
-            if quantity in ("K", "fx", "P") and side is not None
-        }
+        named = {side for side, quantity in self.values if quantity in ("K", "fx", "P")}
         words: list[Side] = [side for side in ("left", "right") if side in named]
-        return (
-            words
-            if len(words) == 2
-            else [*words, *sorted(side for side in named if isinstance(side, int))]
-        )
+        if len(words) == 2:
+            return words
+        return [*words, *sorted(side for side in named if isinstance(side, int))]
 
 
 def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
     """The quantities in plain values; raises RigError for a matrix of OpenCV that is damaged."""
+    named = _named_values(content, source)
+    values = named.values
+    transposed = values.get((None, "R_transposed"))
+    if transposed is not None:  # MATLAB's
+        values[None, "R"] = transposed.reshape(3, 3).T.ravel()
+    q = values.get((None, "Q"))
+    if q is not None and not named.has("K", "fx", "P"):
+        values.update({**_of_reprojection(q), **values})
+    for side in dict.fromkeys(side for side, quantity in values if quantity == "P"):
+        is_rectified_alone = (side, "R") in values and (side, "T") not in values
+        if side is not None and is_rectified_alone:  # as in camera_info
+            values.setdefault((side, "rect"), values.pop((side, "R")))
+    return named
+
+
+def _named_values(content: Mapping[str, Any], source: object) -> Quantities:
+    """The values whose keys name a quantity; of several, the first."""
     named = Quantities({}, tuple(dict.fromkeys(_top_keys(content))), {})
     for path, value in _leaves(content, ()):
         key = ".".join(path)
         if _OTHER_SET.search(key.lower()):
             continue
-        side, quantity = _named(path, value)
-        if quantity in ("R", "T") and (between := _direction(path)) is not None:
+        side, quantity = _place(path, value)
+        direction = _direction(path) if quantity in ("R", "T") else None
+        if direction is not None:
             # of other streams, such as depth to colour
-            if not between or (None, quantity) in named.values:
+            if not direction or (None, quantity) in named.values:
                 continue
-            side, named.values[None, "inverse"] = None, between < 0
+            side = None
+            named.values[None, "inverse"] = direction < 0
         if quantity is None or (side, quantity) in named.values:
             continue
-        if (numbers := _value(value, quantity, key, source)) is not None:
+        numbers = _value(value, quantity, key, source)
+        if numbers is not None:
             named.values[side, quantity] = numbers
             named.names[side, quantity] = key
-    if (transposed := named.values.get((None, "R_transposed"))) is not None:  # MATLAB's
-        named.values[None, "R"] = transposed.reshape(3, 3).T.ravel()
-    q = named.values.get((None, "Q"))
-    if q is not None and q[14] and q[11] > 0 and not named.has("K", "fx", "P"):
-        named.values[None, "K"] = np.array([q[11], q[11], -q[3], -q[7]])  # of the rectified images
-        named.values.setdefault((None, "baseline"), np.array([abs(1.0 / q[14])]))
-    for side in {side for side, quantity in named.values if quantity == "P" and side is not None}:
-        if (side, "R") in named.values and (side, "T") not in named.values:  # as in camera_info
-            named.values.setdefault((side, "rect"), named.values.pop((side, "R")))
     return named
+
+
+def _of_reprojection(q: FloatArray) -> dict[tuple[Side, str], FloatArray]:
+    """Camera matrix and baseline of rectified images by OpenCV's Q (16,), [[1, 0, 0, -cx],
+    [0, 1, 0, -cy], [0, 0, 0, f], [0, 0, -1 / Tx, 0]]; none for another matrix.
+    """
+    focal_px, inverse_baseline = q[11], q[14]
+    if not inverse_baseline or not focal_px > 0:
+        return {}
+    return {
+        (None, "K"): np.array([focal_px, focal_px, -q[3], -q[7]]),
+        (None, "baseline"): np.array([abs(1.0 / inverse_baseline)]),
+    }
 
 
 def read_quantities(path: Path) -> Quantities:
@@ -242,27 +262,34 @@ def _leaves(value: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, .
         yield path, value
 
 
-def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
+def _place(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
     """The side and the quantity of a value by its keys; None if the keys name no quantity."""
     words = [_SEPARATORS.sub("", key.lower()) for key in path]
-    around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
-    side = _side_of(around[-1]) if around else None
-    name, n_values = words[-1], sum(1 for _ in _flat(value))
+    name = words[-1]
     # camera_matrix: {left: ...}
     if len(words) > 1 and words[-2] in _QUANTITY and re.fullmatch(_SIDES, name):
         return _word_side(name), _QUANTITY[words[-2]]
+    n_values = sum(1 for _ in _flat(value))
+    around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
+    side = _side_of(around[-1]) if around else None
     if name in _SCALARS and n_values == 1:
         return side, name
-    name = re.sub(r"(?<=.{4})(?:mm|cm)$", "", name) if name not in _QUANTITY else name
-    if quantity := _QUANTITY.get(name):
-        return (None if name in ("rotationofcamera2", "translationofcamera2") else side), quantity
+    if name not in _QUANTITY:
+        name = _UNIT_ENDING.sub("", name)
+    if name in _QUANTITY:
+        return None if name in _OF_SECOND_CAMERA else side, _QUANTITY[name]
+    return _place_by_affix(name, n_values)
+
+
+def _place_by_affix(name: str, n_values: int) -> tuple[Side, str | None]:
+    """The side and the quantity of a name that begins or ends with its side."""
     for affix, word in _AFFIXES.items():
         stems = (name.removeprefix(affix), name.removesuffix(affix))
-        quantity = next(
-            (_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY), None
-        )
-        if quantity and quantity not in _OF_PAIR:
-            return _word_side(word), "rect" if quantity == "R" and n_values == 9 else quantity
+        quantities = [_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY]
+        if not quantities or quantities[0] in _OF_PAIR:
+            continue
+        is_rectification = quantities[0] == "R" and n_values == 9
+        return _word_side(word), "rect" if is_rectification else quantities[0]
     return None, None
 
 
@@ -284,7 +311,9 @@ def _side_of(match: re.Match[str] | None) -> Side:
 
 
 def _word_side(word: str) -> Side:
-    return {"l": "left", "r": "right"}.get(word, int(word) if word.isdecimal() else word)
+    if word.isdecimal():
+        return int(word)
+    return {"l": "left", "r": "right"}.get(word, word)
 
 
 def _value(value: Any, quantity: str, key: str, source: object) -> Any:
@@ -297,15 +326,15 @@ def _value(value: Any, quantity: str, key: str, source: object) -> Any:
     is_strict = key in _KNOWN_MATRICES
     if _is_matrix(value) and {"rows", "cols"} <= value.keys():
         numbers: FloatArray | None = _stored(value, f"{source}: {key}")
-    elif (numbers := _numbers(value)) is None and (is_strict or _is_matrix(value)):
-        raise RigError(
-            f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again."
-        )
-    return (
-        numbers
-        if numbers is not None and (is_strict or numbers.size in _COUNTS.get(quantity, (1,)))
-        else None
-    )
+    else:
+        numbers = _numbers(value)
+    if numbers is None:
+        if is_strict or _is_matrix(value):
+            raise RigError(
+                f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again."
+            )
+        return None
+    return numbers if is_strict or numbers.size in _COUNTS.get(quantity, (1,)) else None
 
 
 def _stored(value: dict[str, Any], name: str) -> FloatArray:
