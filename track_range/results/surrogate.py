@@ -95,19 +95,18 @@ def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys
     without moments.
     """
-    extremes = [f"{kind}_{key}" for key, kind in EXTREMES.items()]
-    figures = []
-    for name in ROAD_CLASSES:
-        own = [row for row in rows if row["class"] == name]
-        if not own:
-            continue
-        n_exposed = sum(row["tet_s"] > 0 for row in own)
-        figure: dict[str, Any] = {"class": name, "n": len(own), "n_exposed": n_exposed}
-        for key in (*extremes, "pet_s"):
-            figure[key] = _extreme(key, [row[key] for row in own if row[key] is not None])
-        for key in ("tet_s", "tit_s2", "lead_s"):
-            figure[key] = sum(row[key] for row in own)
-        figures.append(figure)
+    by_name = {name: [row for row in rows if row["class"] == name] for name in ROAD_CLASSES}
+    return [{"class": name, **_figures(own)} for name, own in by_name.items() if own]
+
+
+def _figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of road users of one class."""
+    n_exposed = sum(row["tet_s"] > 0 for row in rows)
+    figures: dict[str, Any] = {"n": len(rows), "n_exposed": n_exposed}
+    for key in (*(f"{kind}_{key}" for key, kind in EXTREMES.items()), "pet_s"):
+        figures[key] = _extreme(key, [row[key] for row in rows if row[key] is not None])
+    for key in ("tet_s", "tit_s2", "lead_s"):
+        figures[key] = sum(row[key] for row in rows)
     return figures
 
 
