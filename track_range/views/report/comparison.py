@@ -119,17 +119,23 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     grids = [grid_of("Runs", "run", names, columns)]
     methods = [run.section("methods") for run in runs]
     for title, key, pattern, scale, cost in _METHOD_GRIDS:
-        values = {
-            name: [figure(rows.get(name) or {}, key) for rows in methods] for name in _keys(methods)
-        }
-        columns = [Column(name, numbers, pattern, scale, cost) for name, numbers in values.items()]
+        columns = []
+        for name in _keys(methods):
+            values = [figure(rows.get(name) or {}, key) for rows in methods]
+            columns.append(Column(name, values, pattern, scale, cost))
         grids.append(grid_of(title, "run", names, columns))
-    stages = [run.section("stages_ms") for run in runs]
-    times = {stage: [figure(row, stage) or None for row in stages] for stage in _keys(stages)}
-    columns = [Column(stage, numbers, cost=abs) for stage, numbers in times.items()]
-    title = "Run time by stage in ms per frame (stages overlap)"
-    grids.append(grid_of(title, "run", names, columns))
+    grids.append(_stage_grid(runs, names))
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
+
+
+def _stage_grid(runs: Sequence[ComparedRun], names: Sequence[str]) -> Grid:
+    stages = [run.section("stages_ms") for run in runs]
+    columns = []
+    for stage in _keys(stages):
+        values = [figure(times, stage) or None for times in stages]
+        columns.append(Column(stage, values, cost=abs))
+    title = "Run time by stage in ms per frame (stages overlap)"
+    return grid_of(title, "run", names, columns)
 
 
 def _keys(sections: Iterable[Mapping[str, Any]]) -> list[str]:
