@@ -153,23 +153,30 @@ def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> Fl
 
 def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
     """UsageError for unknown methods, and for settings that contradict each other."""
-    is_fitted, fit_frames = settings.cross_validate or settings.same_drive, settings.fit_frames
+    is_fitted = settings.cross_validate or settings.same_drive
+    is_refitted, fit_frames = settings.fit_frames is not None, settings.fit_frames
     unknown = ",".join(name for name in names if name not in method_names())
     is_rrc = settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"
-    is_both, is_refitted = settings.cross_validate and settings.same_drive, fit_frames is not None
+    has_lidar = settings.velodyne is not None
     faults = {
-        f"--method {unknown}: expected methods from {', '.join(method_names())}.": unknown,
-        f"--boxes {settings.boxes}: expected labels or rrc:DIR.": settings.boxes != "labels"
-        and not is_rrc,
+        f"--method {unknown}: expected methods from {', '.join(method_names())}.": unknown != "",
+        f"--boxes {settings.boxes}: expected labels or rrc:DIR.": (
+            settings.boxes != "labels" and not is_rrc
+        ),
         "--curves: not allowed with --cross-validate or --same-drive, which fit the curves "
-        "themselves.": (is_fitted and settings.curves is not None),
-        "--cross-validate: not allowed with --same-drive; give only one of them.": is_both,
-        "expected --truth lidar with --velodyne DIR, or neither.": (settings.truth == "lidar")
-        == (settings.velodyne is None),
-        "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.": is_refitted
-        and (is_fitted or settings.curves),
-        "--fit-frames: expected --frames with other frames to evaluate, found none.": is_refitted
-        and settings.frames is None,
+        "themselves.": is_fitted and settings.curves is not None,
+        "--cross-validate: not allowed with --same-drive; give only one of them.": (
+            settings.cross_validate and settings.same_drive
+        ),
+        "expected --truth lidar with --velodyne DIR, or neither.": (
+            (settings.truth == "lidar") != has_lidar
+        ),
+        "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.": (
+            is_refitted and (is_fitted or settings.curves is not None)
+        ),
+        "--fit-frames: expected --frames with other frames to evaluate, found none.": (
+            is_refitted and settings.frames is None
+        ),
     }
     for message, is_fault in faults.items():
         if is_fault:

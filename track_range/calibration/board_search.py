@@ -74,9 +74,9 @@ def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSear
         else:
             shots.append(views)
     _check_board(board, samples, n_found=len(shots), n_images=n_images)
-    notes: list[str] = []
-    shots = _of_one_size(shots, rejected, notes)
-    shots = _sharp(shots, rejected)
+    shots, deviating, notes = _of_one_size(shots)
+    shots, blurred = _sharp(shots)
+    rejected += [*deviating, *blurred]
     if len(shots) > MAX_VIEWS:
         notes.append(f"{MAX_VIEWS} of {len(shots)} views are used, selected for variety.")
         shots = [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
@@ -106,64 +106,66 @@ def _views(finder: BoardFinder, shot: Shot, *, is_video: bool) -> Views | Reject
     )
 
 
-def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[str]) -> list[Views]:
-    """The shots with images of the most common size per camera; differences of up to two pixels are
-    cropped.
+def _of_one_size(shots: Sequence[Views]) -> tuple[list[Views], list[RejectedView], list[str]]:
+    """The shots with images of the most common size per camera, the other images, and notes;
+    differences of up to two pixels are cropped.
     """
-    if not shots:
-        return shots
-    n_cameras = len(shots[0])
+    accepted: list[Views] = []
+    rejected: list[RejectedView] = []
+    cropped: list[str] = []
     common = [
-        Counter(shot[camera].size_px for shot in shots).most_common(1)[0][0]
-        for camera in range(n_cameras)
+        Counter(view.size_px for view in views).most_common(1)[0][0]
+        for views in zip(*shots, strict=True)
     ]
-    accepted, cropped = [], []
     for shot in shots:
         deviating = [
-            camera
-            for camera in range(n_cameras)
-            if any(
-                abs(a - b) > _MAX_CROP_PX
-                for a, b in zip(shot[camera].size_px, common[camera], strict=True)
-            )
+            (view, size) for view, size in zip(shot, common, strict=True) if not _fits(view, size)
         ]
         if deviating:
-            view, size = shot[deviating[0]], common[deviating[0]]
-            rejected.append(
-                RejectedView(
-                    view.name, f"{_text(view.size_px)} px, while most have {_text(size)} px"
-                )
-            )
+            view, size = deviating[0]
+            reason = f"{_text(view.size_px)} px, while most have {_text(size)} px"
+            rejected.append(RejectedView(view.name, reason))
             continue
-        cropped += [
-            view.name for view, size in zip(shot, common, strict=True) if view.size_px != size
-        ]
+        for view, size in zip(shot, common, strict=True):
+            if view.size_px != size:
+                cropped.append(view.name)
         accepted.append(
             tuple(replace(view, size_px=size) for view, size in zip(shot, common, strict=True))
         )
-    if cropped:
-        sizes = " and ".join(dict.fromkeys(_text(size) for size in common))
-        notes.append(f"Cropped to {sizes} px at the right and lower edges: {', '.join(cropped)}.")
-    return accepted
+    if not cropped:
+        return accepted, rejected, []
+    sizes = " and ".join(dict.fromkeys(map(_text, common)))
+    note = f"Cropped to {sizes} px at the right and lower edges: {', '.join(cropped)}."
+    return accepted, rejected, [note]
+
+
+def _fits(view: BoardView, size_px: Size) -> bool:
+    """Whether an image has this size, but for a crop."""
+    width_px, height_px = view.size_px
+    most = max(abs(width_px - size_px[0]), abs(height_px - size_px[1]))
+    return most <= _MAX_CROP_PX
 
 
 def _text(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
-    """The shots that are not blurred: edges of blurred shots are much wider than usual."""
+def _sharp(shots: list[Views]) -> tuple[list[Views], list[RejectedView]]:
+    """The shots that are not blurred, and the images that are: their edges are much wider than
+    usual.
+    """
     if not shots:
-        return shots
-    widths = np.array([max(view.edge_px for view in shot) for shot in shots])
-    limit_px = max(_BLURRED_PX, _BLURRED_RATIO * float(np.percentile(widths, 25)))
-    for shot in shots:
-        worst = max(shot, key=lambda view: view.edge_px)
-        if worst.edge_px > limit_px:
-            rejected.append(
-                RejectedView(worst.name, f"blurred: its edges are {worst.edge_px:.1f} px wide")
-            )
-    return [shot for shot, width in zip(shots, widths, strict=True) if width <= limit_px]
+        return shots, []
+    worst = [max(shot, key=lambda view: view.edge_px) for shot in shots]
+    usual_px = float(np.percentile([view.edge_px for view in worst], 25))
+    limit_px = max(_BLURRED_PX, _BLURRED_RATIO * usual_px)
+    blurred = [
+        RejectedView(view.name, f"blurred: its edges are {view.edge_px:.1f} px wide")
+        for view in worst
+        if view.edge_px > limit_px
+    ]
+    pairs = zip(shots, worst, strict=True)
+    return [shot for shot, view in pairs if view.edge_px <= limit_px], blurred
 
 
 def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_images: int) -> None:

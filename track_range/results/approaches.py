@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 
 # largest standard deviation of a distance or closing speed that counts, relative to it
@@ -49,16 +49,21 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
         row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]])}
         row["class"] = most_frequent(columns["class"][rows])
         for key, values, sigma_key, sigmas in measures:
-            known = rows[np.isfinite(values[rows])]
             value = sigma = time_s = math.nan
-            if len(known):
-                at = known[np.argmin(values[known])]
+            at = row_of_smallest(values, rows)
+            if at is not None:
                 value, sigma, time_s = abs(values[at]), sigmas[at], columns["time_s"][at]
             row[key] = _finite(value)
             if sigma_key:
                 row[sigma_key] = _finite(sigma)
             row[f"{key}_at_s"] = _finite(time_s)
         yield row
+
+
+def row_of_smallest(values: FloatArray, rows: IntArray) -> int | None:
+    """The one of `rows` with the smallest value; None = all values are unknown."""
+    known = rows[np.isfinite(values[rows])]
+    return int(known[np.argmin(values[known])]) if len(known) else None
 
 
 def _finite(value: float) -> float | None:

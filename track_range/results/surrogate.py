@@ -15,6 +15,7 @@ from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
+from track_range.results.approaches import row_of_smallest
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
@@ -78,15 +79,10 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
     row |= {"state": most_frequent(columns["state"][rows]) if "state" in columns else ""}
     row |= {"from_s": float(time_s[0]), "to_s": float(time_s[-1]), "lead_s": lead_s}
     for key, kind in EXTREMES.items():
-        values = columns[key][rows]
-        known = np.flatnonzero(np.isfinite(values))
-        i = (
-            known[(np.argmin if kind == "min" else np.argmax)(values[known])]
-            if len(known)
-            else None
-        )
-        row[f"{kind}_{key}"] = None if i is None else float(values[i])
-        row[f"{kind}_{key}_at_s"] = None if i is None else float(time_s[i])
+        values = columns[key]
+        at = row_of_smallest(-values if kind == "max" else values, rows)
+        row[f"{kind}_{key}"] = None if at is None else float(values[at])
+        row[f"{kind}_{key}_at_s"] = None if at is None else float(columns["time_s"][at])
     row |= {key: float(np.nan_to_num(columns[key][rows[-1]])) for key in ("tet_s", "tit_s2")}
     path = np.stack([time_s, columns["world_x_m"][rows], columns["world_y_m"][rows]], axis=1)
     path = path[np.isfinite(path).all(axis=1)]
@@ -99,19 +95,18 @@ def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys
     without moments.
     """
-    largest = [f"{kind}_{key}" for key, kind in EXTREMES.items()]
-    figures = []
-    for name in ROAD_CLASSES:
-        own = [row for row in rows if row["class"] == name]
-        if not own:
-            continue
-        n_exposed = sum(row["tet_s"] > 0 for row in own)
-        figure: dict[str, Any] = {"class": name, "n": len(own), "n_exposed": n_exposed}
-        for key in (*largest, "pet_s"):
-            figure[key] = _extreme(key, [row[key] for row in own if row[key] is not None])
-        for key in ("tet_s", "tit_s2", "lead_s"):
-            figure[key] = sum(row[key] for row in own)
-        figures.append(figure)
+    by_name = {name: [row for row in rows if row["class"] == name] for name in ROAD_CLASSES}
+    return [{"class": name, **_figures(own)} for name, own in by_name.items() if own]
+
+
+def _figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of road users of one class."""
+    n_exposed = sum(row["tet_s"] > 0 for row in rows)
+    figures: dict[str, Any] = {"n": len(rows), "n_exposed": n_exposed}
+    for key in (*(f"{kind}_{key}" for key, kind in EXTREMES.items()), "pet_s"):
+        figures[key] = _extreme(key, [row[key] for row in rows if row[key] is not None])
+    for key in ("tet_s", "tit_s2", "lead_s"):
+        figures[key] = sum(row[key] for row in rows)
     return figures
 
 

@@ -55,6 +55,7 @@ from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings, still_boxes_note
+from track_range.run.option_notes import assumed_rate, unused_options
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
@@ -62,9 +63,7 @@ from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import (
     absolute_settings,
-    assumed_rate,
     input_files,
-    unused_options,
     without_folders,
 )
 from track_range.stereo.geometry.rig import StereoRig

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -18,18 +18,15 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.options import Options, is_file, option_of, value_type
+from track_range.foundation.options import is_file, option_of, value_type
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
-from track_range.recording.live.address import LiveAddress, live_address
+from track_range.recording.live.address import live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
-from track_range.run.options.detection import MASK_SUFFIXES, DetectionOptions
+from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.input import plain_name
-from track_range.run.settings import PipelineOptions, RunSettings
-
-if TYPE_CHECKING:
-    from track_range.recording.recording import Recording
+from track_range.run.settings import RunSettings
 
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
@@ -57,52 +54,6 @@ def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSe
     if base.get("anonymize"):
         _check_anonymized(settings, [key for key in base if key not in given], file)
     return settings
-
-
-def options_and_objects(
-    model: type[Options], options: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are
-    objects.
-
-    ConfigError: one of the three is neither a text or path nor such an object.
-    """
-    objects = {}
-    for name, member, expected in (
-        (
-            "detector",
-            "detect",
-            "the name or file of a model, or an object with detect(image) -> Detections",
-        ),
-        (
-            "tracker",
-            "update",
-            "a name, or an object with update(detections, time_s, image) -> Tracks",
-        ),
-        ("rig", "right_from_left", "a calibration file or a StereoRig"),
-    ):
-        value = options.get(name)
-        if hasattr(value, member) and not isinstance(value, type):
-            objects[name] = value
-        elif not isinstance(value, str | Path | None):
-            given = (
-                f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
-            )
-            raise ConfigError(f"{name}: expected {expected}, found {given}.")
-    keywords = model.keywords()
-    return {
-        keywords.get(name, name): value for name, value in options.items() if name not in objects
-    }, objects
-
-
-def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
-    """Options of detection, tracking and ranging from values by field (None = not given);
-    ConfigError if invalid.
-    """
-    try:
-        return PipelineOptions.of(values)
-    except UsageError as error:
-        raise ConfigError(str(error)) from error
 
 
 def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:
@@ -240,36 +191,3 @@ def input_files(settings: RunSettings) -> list[Path]:
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in _INPUT_FILES)
     videos = (file for video in settings.videos for file in files_of(video))
     return [*videos, *(Path(name) for name in named if name is not None)]
-
-
-def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
-    """A note on images without times for which the user gave no frame rate."""
-    has_times = all(getattr(video, "has_times", True) for video in recording.videos)
-    if has_times or settings.folder_fps != RunSettings.model_fields["folder_fps"].default:
-        return ()
-    rate = f"their times follow from {settings.folder_fps:g} frames per second"
-    return (
-        f"The images have no times: {rate}, on which all speeds depend. Give the rate with "
-        "--folder-fps.",
-    )
-
-
-def unused_options(settings: RunSettings) -> tuple[str, ...]:
-    """Notes on options that were given but have no effect on the run."""
-    notes = []
-    if settings.mono is not None and settings.align not in ("auto", "off"):
-        notes.append("--align is not used with one camera.")
-    if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
-        notes.append(
-            "--realtime has no effect on cameras and streams, which are read in real time already."
-        )
-    optional = (
-        name for name, field in DetectionOptions.model_fields.items() if field.default is None
-    )
-    of_detector = [name for name in optional if name not in ("detector", "detections", "ignore")]
-    given = [RunSettings.flag(name) for name in of_detector if getattr(settings, name) is not None]
-    if settings.detections is not None and given:
-        notes.append(
-            f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} not used with --detections."
-        )
-    return tuple(notes)

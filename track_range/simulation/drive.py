@@ -21,7 +21,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,9 @@ from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 # for rendering, and frames rendered ahead; images do not depend on it
 N_THREADS = min(4, os.cpu_count() or 1)
+
+_Rendered = tuple[Future[tuple[Any, ...]] | None, Future[Image] | None]
+"""Left image with depth and labels, and right image; None = dropped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,23 +137,21 @@ def write_drive(
     save_rig(rig_in_file(rig, options), drive.rig)
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     truth = _DriveTruth(folder, renderer, pinholes, options)
-    layout = options.stereo_layout
-    packed = None if layout is None else drive_files.PackedWriter(drive.left, rig.left, fps, layout)
     with (
-        closing(packed or drive_files.image_writer(drive.left, rig.left, fps)) as left,
-        closing(packed or drive_files.image_writer(drive.right, rig.left, fps)) as right,
+        _open_videos(drive, rig, fps, options) as videos,
         ThreadPoolExecutor(N_THREADS) as pool,
     ):
-        for number, left_image, right_image in _rendering(pool, renderer, times_s, options):
-            if left_image is not None:
-                image, inverse_depth, *part_labels = left_image.result()
-                left.write(image, times_s[number])
-                truth.add(number, times_s[number], image, inverse_depth, part_labels)
-            if right_image is not None:
-                image = right_image.result()
-                right.write(image, times_s[number])  # without a delay of the right camera
-                if options.disparity:
-                    _write_kitti_2015(folder / "image_3", number, image)
+        frames = _rendering(pool, renderer, times_s, options)
+        for number, (left, right) in enumerate(frames):
+            time_s = times_s[number]
+            if left is not None:
+                image, inverse_depth, *part_labels = left.result()
+                videos[0].write(image, time_s)
+                truth.add(number, time_s, image, inverse_depth, part_labels)
+            if right is not None:
+                image = right.result()
+                videos[1].write(image, time_s)  # without a delay of the right camera
+                truth.add_right(number, image)
             if progress is not None:
                 progress(number + 1, n_frames)
     labels = joined(truth.labels)
@@ -169,6 +170,23 @@ def _scene_of(options: DriveOptions, scene: Scene) -> Scene:
     if options.car_size != 1.0:
         scene = scene.with_car_sizes(options.car_size)
     return replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
+
+
+@contextmanager
+def _open_videos(
+    drive: Drive, rig: StereoRig, fps: float, options: DriveOptions
+) -> Iterator[tuple[drive_files.FrameWriter, drive_files.FrameWriter]]:
+    """The writers of the left and the right images, which are one for a packed video."""
+    layout = options.stereo_layout
+    if layout is not None:
+        with closing(drive_files.PackedWriter(drive.left, rig.left, fps, layout)) as packed:
+            yield packed, packed
+        return
+    with (
+        closing(drive_files.image_writer(drive.left, rig.left, fps)) as left,
+        closing(drive_files.image_writer(drive.right, rig.left, fps)) as right,
+    ):
+        yield left, right
 
 
 class _DriveTruth:
@@ -208,27 +226,30 @@ class _DriveTruth:
             _write_kitti_2015(self._folder / "disp_occ_0", number, disparity)
             _write_kitti_2015(self._folder / "obj_map", number, objects)
 
+    def add_right(self, number: int, image: Image) -> None:
+        """Add the right image of a frame of the drive."""
+        if self._options.disparity:
+            _write_kitti_2015(self._folder / "image_3", number, image)
+
 
 def _rendering(
     pool: ThreadPoolExecutor, renderer: Renderer, times_s: list[float], options: DriveOptions
-) -> Iterator[tuple[int, Future[tuple[Any, ...]] | None, Future[Image] | None]]:
-    """Number of each frame with its left image, depth and labels, and its right image; None =
-    dropped.
-    """
+) -> Iterator[_Rendered]:
+    """The images of each frame, in order, some of which are rendered ahead."""
     seed = renderer.scene.seed
     kept_left, kept_right = (
         set(kept_frames(options, len(times_s), seed, is_right=is_right))
         for is_right in (False, True)
     )
     render_left = renderer.render_with_labels if options.masks else renderer.render_with_depth
-    waiting: deque[tuple[int, Future[tuple[Any, ...]] | None, Future[Image] | None]] = deque()
+    waiting: deque[_Rendered] = deque()
     for number, time_s in enumerate(times_s):
         left = pool.submit(render_left, time_s) if number in kept_left else None
         right_s = time_s + options.late_s
         right = (
             pool.submit(renderer.render, right_s, side="right") if number in kept_right else None
         )
-        waiting.append((number, left, right))
+        waiting.append((left, right))
         if len(waiting) > N_THREADS:
             yield waiting.popleft()
     yield from waiting

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from track_range.results.approaches import closest_approaches, track_extremes
+from track_range.results.approaches import closest_approaches, row_of_smallest, track_extremes
 
 NAN = np.nan
 
@@ -72,3 +72,9 @@ def test_fused_distance_without_a_filter():
 
 def test_no_rows():
     assert closest_approaches({name: values[:0] for name, values in COLUMNS.items()}) == []
+
+
+def test_row_of_the_smallest_known_value():
+    values = np.array([1.0, np.nan, 3.0, 2.0, 2.0])
+    assert row_of_smallest(values, np.array([1, 2, 3, 4])) == 3
+    assert row_of_smallest(values, np.array([1])) is None

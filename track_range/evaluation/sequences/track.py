@@ -6,7 +6,7 @@ from 0.
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,14 +91,7 @@ def track(
     ]
     if settings.reid is not None and None in all_images:
         raise UsageError("--reid needs the images of every sequence; give --images.")
-    for sequence in sequences:
-        for folder in (find.MOT_FOLDER, find.KITTI_FOLDER):
-            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(
-                sequence.path
-            ):
-                raise OutputError(
-                    f"{sequence.path}: the result would overwrite this input; choose another --out."
-                )
+    _check_overwritten(sequences, settings.out)
     tracker_options = replace(open_tracker_options(settings.reid), is_smoothed=True)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*find.ignored_files_note(settings.detections, sequences), *reid_notes):
@@ -123,6 +116,17 @@ def track(
                 for sentence in notes:
                     note(f"{sequence.name}: {sentence}")
     return TrackedFiles(tuple(done), failed)
+
+
+def _check_overwritten(sequences: Iterable[find.SequenceFile], out: Path) -> None:
+    """OutputError if the result of a sequence would overwrite its detections."""
+    for sequence in sequences:
+        folders = (find.MOT_FOLDER, find.KITTI_FOLDER)
+        results = [real_path(out / folder / f"{sequence.name}.txt") for folder in folders]
+        if real_path(sequence.path) in results:
+            raise OutputError(
+                f"{sequence.path}: the result would overwrite this input; choose another --out."
+            )
 
 
 def _read(

@@ -90,10 +90,9 @@ def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
         return with_rows
     # the numbers of the frames of a live run start at the number of the first processed one
     first = min(with_rows, default=0) if is_live or run.settings.get("start_s") else 0
-    n_frames = max(max(with_rows, default=-1) + 1, first + (n_frames - 1) * every + 1)
-    return range(
-        first, n_frames, 1 if any((frame - first) % every for frame in with_rows) else every
-    )
+    end = max(max(with_rows, default=-1) + 1, first + (n_frames - 1) * every + 1)
+    has_others = any((frame - first) % every for frame in with_rows)
+    return range(first, end, 1 if has_others else every)
 
 
 def _video_of(settings: Mapping[str, Any]) -> str:
@@ -128,15 +127,7 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
                 f"{path}: expected frame numbers from {first_frame} (--first-frame), found "
                 f"{table.frame[0]}."
             )
-        n_frames = table.video.n_frames
-        shifted = replace(
-            table.video,
-            n_frames=n_frames
-            if n_frames is None or facts.n_frames is not None
-            else max(n_frames - first_frame, 1),
-            first_frame=max(table.video.first_frame - first_frame, 0),
-        )
-        table = replace(table, frame=table.frame - first_frame, video=shifted)
+        table = _shifted(table, first_frame, has_video_length=facts.n_frames is not None)
     last = int(table.frame.max(initial=-1))
     if facts.n_frames is not None and last >= facts.n_frames:
         note = (
@@ -145,6 +136,18 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
         )
         table = replace(table, notes=(*table.notes, note))
     return table
+
+
+def _shifted(table: BoxTable, first_frame: int, *, has_video_length: bool) -> BoxTable:
+    """The boxes with frames from `first_frame`, which becomes 0; a length that is not the video's
+    counts frames of the file.
+    """
+    n_frames = table.video.n_frames
+    if n_frames is not None and not has_video_length:
+        n_frames = max(n_frames - first_frame, 1)
+    start = max(table.video.first_frame - first_frame, 0)
+    video = replace(table.video, n_frames=n_frames, first_frame=start)
+    return replace(table, frame=table.frame - first_frame, video=video)
 
 
 def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:

@@ -94,6 +94,9 @@ class PackedWriter:
         self._writer.close()
 
 
+FrameWriter = VideoWriter | PngFolder | PackedWriter  # writes the images of a camera
+
+
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
     """Write one image atomically; `OutputError` if it cannot be written."""
     _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])

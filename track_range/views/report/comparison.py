@@ -120,19 +120,22 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     methods = [run.section("methods") for run in runs]
     for title, key, pattern, scale, cost in _METHOD_GRIDS:
         columns = []
-        for method in _keys(methods):
-            values = [figure(rows.get(method) or {}, key) for rows in methods]
-            columns.append(Column(method, values, pattern, scale, cost))
+        for name in _keys(methods):
+            values = [figure(rows.get(name) or {}, key) for rows in methods]
+            columns.append(Column(name, values, pattern, scale, cost))
         grids.append(grid_of(title, "run", names, columns))
-    stages = [run.section("stages_ms") for run in runs]
-    columns = [
-        Column(stage, [figure(times, stage) or None for times in stages], cost=abs)
-        for stage in _keys(stages)
-    ]
-    grids.append(
-        grid_of("Run time by stage in ms per frame (stages overlap)", "run", names, columns)
-    )
+    grids.append(_stage_grid(runs, names))
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
+
+
+def _stage_grid(runs: Sequence[ComparedRun], names: Sequence[str]) -> Grid:
+    stages = [run.section("stages_ms") for run in runs]
+    columns = []
+    for stage in _keys(stages):
+        values = [figure(times, stage) or None for times in stages]
+        columns.append(Column(stage, values, cost=abs))
+    title = "Run time by stage in ms per frame (stages overlap)"
+    return grid_of(title, "run", names, columns)
 
 
 def _keys(sections: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -198,52 +201,67 @@ def compared_tracks(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     return [_compared_pair(runs[0], run) for run in runs[1:] if run.video == runs[0].video]
 
 
+_PAIR_HEADINGS = (
+    "road user",
+    f"largest difference {tables.SIGMA}",
+    "distances",
+    "time",
+    "median %",
+    "closing m/s",
+    "frames",
+)
+
+
 def _compared_pair(first: ComparedRun, second: ComparedRun) -> dict[str, Any]:
     differences, matched = track_differences(first.rows, second.rows)
-    pair, rows, pictures = (first, second), [], list[dict[str, Any]]()
-    for one in differences:
-        name, words, time = (
-            " / ".join(dict.fromkeys(one["names"])),
-            f" {_ARROW} ".join(one["words"]),
-            one["time_s"],
-        )
-        link = f"{address(first.link)}#t={time:.3f}" if first.link else ""
-        closing = tables.NOTHING if math.isnan(one["closing_mps"]) else f"{one['closing_mps']:+.1f}"
-        texts = (f"{one['difference_pct']:+.1f}", closing, str(one["frames"]))
-        cells = (
-            Cell(name),
-            Cell(f"{one['sigmas']:.1f}"),
-            Cell(words),
-            Cell(time_words(time), link=link),
-        )
-        rows.append((*cells, *map(Cell, texts)))
-        if len(pictures) < _MOST_PICTURES and one["sigmas"] >= _CHANGED_SIGMA:
-            places = zip(pair, one["words"], one["boxes"], strict=True)
-            starts_s = [figure(run.summary, "starts_s") or 0.0 for run in pair]
-            images = [
-                (run.name, distance, picture(run.overlay, time - start_s, box))
-                for start_s, (run, distance, box) in zip(starts_s, places, strict=True)
-            ]
-            text = (
-                f"{name} at {time_words(time)}: {words}, {one['sigmas']:.1f} {tables.SIGMA} apart"
-            )
-            pictures.append({"text": text, "images": images})
+    large = [one for one in differences if one["sigmas"] >= _CHANGED_SIGMA]
     sentences = [f"{counted(len(differences), 'road user')} in both runs."]
-    for run, ids in zip(pair, matched, strict=True):
+    for run, ids in zip((first, second), matched, strict=True):
         only = [*unmatched_names(run.rows, ids)]
         more = f" and {len(only) - _MOST_NAMED} more" if len(only) > _MOST_NAMED else ""
-        sentences += [f"Only in {run.name}: {', '.join(only[:_MOST_NAMED])}{more}."] if only else []
+        if only:
+            sentences.append(f"Only in {run.name}: {', '.join(only[:_MOST_NAMED])}{more}.")
     title = f"Road users, the largest disagreement first: {first.name} and {second.name}"
-    columns = (
-        "road user",
-        f"largest difference {tables.SIGMA}",
-        "distances",
-        "time",
-        "median %",
-        "closing m/s",
-        "frames",
+    rows = tuple(_difference_row(one, first.link) for one in differences)
+    return {
+        "grid": Grid(title, _PAIR_HEADINGS, rows),
+        "sentences": sentences,
+        "pictures": [_pictured(one, (first, second)) for one in large[:_MOST_PICTURES]],
+    }
+
+
+def _difference_words(difference: Mapping[str, Any]) -> tuple[str, str]:
+    """The names of a road user, and its two distances."""
+    names = " / ".join(dict.fromkeys(difference["names"]))
+    return names, f" {_ARROW} ".join(difference["words"])
+
+
+def _difference_row(difference: Mapping[str, Any], link: str | None) -> tuple[Cell, ...]:
+    """Cells for `_PAIR_HEADINGS`; the time leads to the first run's report with this link."""
+    name, distances = _difference_words(difference)
+    time_s, closing_mps = difference["time_s"], difference["closing_mps"]
+    at = f"{address(link)}#t={time_s:.3f}" if link else ""
+    return (
+        Cell(name),
+        Cell(f"{difference['sigmas']:.1f}"),
+        Cell(distances),
+        Cell(time_words(time_s), link=at),
+        Cell(f"{difference['difference_pct']:+.1f}"),
+        Cell(tables.NOTHING if math.isnan(closing_mps) else f"{closing_mps:+.1f}"),
+        Cell(str(difference["frames"])),
     )
-    return {"grid": Grid(title, columns, tuple(rows)), "sentences": sentences, "pictures": pictures}
+
+
+def _pictured(difference: Mapping[str, Any], runs: Sequence[ComparedRun]) -> dict[str, Any]:
+    """Text and pictures of a difference: name of the run, distance and data URI of each run."""
+    name, distances = _difference_words(difference)
+    time_s = difference["time_s"]
+    images = []
+    for run, words, box in zip(runs, difference["words"], difference["boxes"], strict=True):
+        start_s = figure(run.summary, "starts_s") or 0.0
+        images.append((run.name, words, picture(run.overlay, time_s - start_s, box)))
+    apart = f"{difference['sigmas']:.1f} {tables.SIGMA} apart"
+    return {"text": f"{name} at {time_words(time_s)}: {distances}, {apart}", "images": images}
 
 
 # -- events
