@@ -16,9 +16,9 @@ from track_range.ranging.fitting.camera.focal_evidence import (
     focal_posterior,
 )
 from track_range.ranging.fitting.camera.measurements import (
+    CameraMeasurements,
     FocalGuess,
     KnownObject,
-    Measurements,
     SceneBoxes,
     unhidden,
 )
@@ -86,7 +86,9 @@ def test_simulated_drives():
                 SIZE_PX,
                 guess,
                 SIZES,
-                Measurements(objects=known[:n], scene=scene, scene_noise=posterior.relative_noise),
+                CameraMeasurements(
+                    objects=known[:n], scene=scene, scene_noise=posterior.relative_noise
+                ),
             )
             for n in (1, 3)
         ]

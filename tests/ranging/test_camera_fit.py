@@ -14,11 +14,11 @@ from track_range.ranging.fitting.camera.focal_evidence import (
     focal_posterior,
 )
 from track_range.ranging.fitting.camera.measurements import (
+    CameraMeasurements,
     FocalGuess,
     HorizonRow,
     KnownLane,
     KnownObject,
-    Measurements,
     SceneBoxes,
     unhidden,
 )
@@ -45,7 +45,7 @@ def test_known_height_and_distance_give_the_focal_length():
     # 90 px for 1.5 m at 12 m: f = 90 * 12 / 1.5
     box = (600.0, 330.0, 702.0, 420.0)
     known = KnownObject(name="car", xyxy_px=box, size_class=CAR, distance_m=12.0, height_m=1.5)
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(objects=[known]))
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=[known]))
     assert fit.camera.fx_px == pytest.approx(720.0, rel=0.02)
     assert 0.01 < fit.focal_sigma < 0.05
 
@@ -54,7 +54,7 @@ def test_lane_width_and_horizon_give_the_height():
     # 350 px for 3.5 m, 140 px below the horizon: H = 3.5 * 140 / 350
     lane = KnownLane(name="lane", x1_px=460.0, x2_px=810.0, y_px=480.0, width_m=3.5)
     horizon = HorizonRow(340.0, 1.0, "lane lines")
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(lanes=[lane], horizon=[horizon]))
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(lanes=[lane], horizon=[horizon]))
     assert fit.height_m == pytest.approx(1.40, abs=0.04)
     assert fit.height_sigma_m < 0.1
     assert fit.gain("focal length") > 0.95  # a lane says nothing about it
@@ -69,7 +69,7 @@ def test_contradicting_distances_widen_all_sigmas():
             KnownObject(name=f"{d:g} m", xyxy_px=box, size_class=CAR, distance_m=d)
             for box, d in zip(boxes, distances_m, strict=True)
         ]
-        return fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(objects=known))
+        return fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known))
 
     agreeing, contradicting = fit(10.0, 20.0), fit(10.0, 60.0)
     assert agreeing.contradiction == 1.0
@@ -95,7 +95,7 @@ def test_one_wrong_distance_among_five(factor, is_contradiction):
         )
         for d in (6.0, 9.0, 14.0, 22.0, 35.0)
     ]
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(objects=known))
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known))
     largest = max(abs(residual.value / residual.sigma) for residual in fit.residuals)
     assert (fit.contradiction > 2.0, largest > 3.5) == (is_contradiction, is_contradiction)
     if is_contradiction:
@@ -112,7 +112,7 @@ def test_wrong_horizon_is_an_outlier():
         for d, box in zip((6.0, 10.0, 20.0, 35.0), boxes, strict=True)
     ]
     rows = [HorizonRow(359.5, 5.0, "direction of travel"), HorizonRow(300.0, 5.0, "lane lines")]
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(objects=known, horizon=rows))
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known, horizon=rows))
     assert abs(fit.pitch_rad) < 0.008
     assert fit.residuals[-1].value < -50
 
@@ -124,7 +124,7 @@ def test_two_distances_and_the_height_give_focal_length_and_pitch(focal_px):
         KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
         for d, box in zip((8.0, 30.0), boxes, strict=True)
     ]
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, Measurements(objects=known), height=(1.4, 0.03))
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known), height=(1.4, 0.03))
     assert fit.camera.fx_px == pytest.approx(focal_px, rel=0.05)
     assert fit.pitch_rad == pytest.approx(math.atan(25 / focal_px), abs=0.006)
     assert fit.focal_sigma < 0.06
@@ -136,7 +136,7 @@ def test_focal_length_and_height_are_not_separated_by_contact_points_alone():
         KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
         for d, box in zip((8.0, 12.0, 30.0), boxes, strict=True)
     ]
-    fit = fit_camera(SIZE_PX, VAGUE, _NoSizes(), Measurements(objects=known))
+    fit = fit_camera(SIZE_PX, VAGUE, _NoSizes(), CameraMeasurements(objects=known))
     assert fit.correlation("focal length", "camera height") < -0.8
     assert fit.product_sigma < 0.1 < fit.focal_sigma
 

@@ -55,8 +55,8 @@ from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings, still_boxes_note
-from track_range.run.option_notes import assumed_rate, unused_options
 from track_range.run.options.opened import DetectorOptions
+from track_range.run.options.option_notes import assumed_rate, unused_options
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model

@@ -24,9 +24,9 @@ from track_range.ranging.fitting.camera.focal_evidence import (
     focal_posterior,
 )
 from track_range.ranging.fitting.camera.measurements import (
+    CameraMeasurements,
     FocalGuess,
     KnownObject,
-    Measurements,
     SceneBoxes,
     unhidden,
 )
@@ -197,7 +197,7 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
                 drive.size_px,
                 prior,
                 sizes,
-                Measurements(
+                CameraMeasurements(
                     objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise
                 ),
             )

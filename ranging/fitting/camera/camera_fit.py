@@ -32,10 +32,10 @@ from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.camera.measurements import (
+    CameraMeasurements,
     FocalGuess,
     KnownLane,
     KnownObject,
-    Measurements,
 )
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
@@ -185,7 +185,7 @@ def fit_camera(
     size_px: tuple[int, int],
     focal: FocalGuess,
     sizes: SizeModel,
-    measured: Measurements,
+    measured: CameraMeasurements,
     *,
     height: tuple[float, float] = (HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M),
 ) -> CameraFit:
@@ -234,7 +234,7 @@ class _Terms:
         size_px: tuple[int, int],
         focal: FocalGuess,
         sizes: SizeModel,
-        measured: Measurements,
+        measured: CameraMeasurements,
         height: tuple[float, float],
     ) -> None:
         self._size_px, self._centre_px = size_px, ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2)

@@ -117,7 +117,7 @@ class HorizonRow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measurements:
+class CameraMeasurements:
     """Everything that is measured in images of one camera."""
 
     objects: Sequence[KnownObject] = ()

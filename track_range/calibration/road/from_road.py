@@ -35,9 +35,9 @@ from track_range.ranging.fitting.camera.camera_fit import (
 )
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.fitting.camera.measurements import (
+    CameraMeasurements,
     FocalGuess,
     KnownObject,
-    Measurements,
     SceneBoxes,
 )
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
@@ -169,7 +169,7 @@ def calibrate_on_road(
     sizes = load_curves(settings.curves, "europe")
     cuboids = sizes if isinstance(sizes, CuboidSizes) else None
     by_shape = focal_posterior(drive.guesses, view.scene, drive.size_px, cuboids)
-    measured = Measurements(
+    measured = CameraMeasurements(
         objects=known_objects,
         lanes=lanes,
         horizon=view.horizon,
@@ -245,7 +245,7 @@ def _fitted(
     size_px: tuple[int, int],
     focal: FocalGuess,
     sizes: SizeModel,
-    measured: Measurements,
+    measured: CameraMeasurements,
     camera_height_m: float | None,
 ) -> CameraFit:
     """The camera by all measurements; UsageError if its height is impossible."""
