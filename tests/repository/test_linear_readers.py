@@ -5,6 +5,7 @@ The readers are those of the product's tables, so that a new format is tested wi
 """
 
 import re
+import string
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -49,7 +50,8 @@ from track_range.stereo.rig_formats.reading import RIG_FORMATS, read_calibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 LIMIT_S = 20.0  # of one file; readers need less than 1 s
-CHARACTERS = [*map(chr, range(32, 127)), *"\n\t\r\0é"]
+# all characters but letters and digits, of which some stand for the others
+CHARACTERS = [*string.punctuation, *" \n\t\r\0é", *"aeEN019"]
 NESTED = ('{"a":', "[{", "<a>", "- - ", "{a: ", "[ ", "a: [\n", "<a b='", "(", "a.", "0,", "0 ")
 
 Read = Callable[[Path], object]
@@ -152,24 +154,30 @@ def of_data_yaml(path: Path) -> object:
     return read_data_yaml(path)
 
 
-READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder of its expressions
+def own_module(function: Callable[..., object]) -> str:
+    """Module of a reader in the product; "" = it is a lambda of a table."""
+    name = getattr(function, "__module__", "").removeprefix("track_range.")
+    return "" if getattr(function, "__name__", "") == "<lambda>" else name
+
+
+READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module of its expressions
     **{
-        f"rig {form.name}": (partial(of_rig, form), ".txt", "stereo.rig_formats")
+        f"rig {form.name}": (partial(of_rig, form), ".txt", own_module(form.read))
         for form in RIG_FORMATS
     },
     **{
-        f"labels {form.name}": (partial(of_labels, form), ".txt", "detection.formats")
+        f"labels {form.name}": (partial(of_labels, form), ".txt", own_module(form.read))
         for form in LABEL_FORMATS.values()
     },
     **{
         f"sidecar {number} {sidecar.suffixes[0]}": (
-            partial(of_sidecar, sidecar), sidecar.suffixes[0], "recording.telemetry.sidecars",
+            partial(of_sidecar, sidecar), sidecar.suffixes[0], own_module(sidecar.read),
         )
         for number, sidecar in enumerate(SIDECARS)
     },
     **{
         f"container {read.__name__}": (
-            partial(of_container, read), ".bin", "recording.telemetry.containers",
+            partial(of_container, read), ".bin", own_module(read),
         )
         for read in READERS
     },
@@ -206,7 +214,7 @@ def starts_in(folder: str) -> tuple[str, ...]:
     """The starts of all expressions in a folder of the product."""
     starts: dict[str, None] = {}
     for name, file in product_modules():
-        if f"{name}.".startswith(f"track_range.{folder}."):
+        if folder and f"{name}.".startswith(f"track_range.{folder}."):
             for expression in expressions_of(name, file):
                 starts |= dict.fromkeys(expression.starts())
     return tuple(starts)
