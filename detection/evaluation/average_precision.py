@@ -139,7 +139,9 @@ def accuracy(matches: ClassMatches, working_score: float) -> dict[str, Any]:
         for p, r in zip(precision, recall, strict=True)
     ]
     n_used = int(np.count_nonzero(matches.score >= working_score))
-    has_detections = n_used > 0
+    used_precision, used_recall = np.nan, 0.0
+    if n_used:
+        used_precision, used_recall = float(precision[0, n_used - 1]), float(recall[0, n_used - 1])
     reached = [recall[0][precision[0] >= least] for least in PRECISIONS]
     return {
         "recall_at": tuple(
@@ -147,10 +149,8 @@ def accuracy(matches: ClassMatches, working_score: float) -> dict[str, Any]:
         ),
         "ap50": float(average[0]),
         "ap50_95": float(np.mean(average)),
-        "precision": float(precision[0, n_used - 1]) if has_detections else np.nan,
-        "recall": (float(recall[0, n_used - 1]) if has_detections else 0.0)
-        if matches.n_boxes
-        else np.nan,
+        "precision": used_precision,
+        "recall": used_recall if matches.n_boxes else np.nan,
         "best_score": float(matches.score[f1.argmax()]) if len(f1) and matches.n_boxes else np.nan,
     }
 

@@ -97,11 +97,9 @@ def fit_scores(samples: ScoreSamples) -> ScoreFit | None:
         return None
     has_own = n_positives >= MIN_POSITIVES
     used = has_own[samples.class_id] | ~has_own.any()
-    class_id, x, is_match = (
-        samples.class_id[used],
-        _logit(samples.score[used]),
-        samples.is_match[used],
-    )
+    class_id = samples.class_id[used]
+    x = _logit(samples.score[used])
+    is_match = samples.is_match[used]
     n_true, n_false = (
         np.bincount(class_id[mask], minlength=n_classes)[class_id] for mask in (is_match, ~is_match)
     )

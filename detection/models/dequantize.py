@@ -21,9 +21,9 @@ def float_network(path: Path) -> bytes | None:
     tensors = {tensor.name: tensor for tensor in graph.initializer}
     kept = [node for node in graph.node if node.op_type not in _ROUNDING]
     rounding = [node for node in graph.node if node.op_type in _ROUNDING]
-    if not rounding or any(_is_integer_operator(node) for node in kept):
-        return None
-    if not all(_is_known(node, tensors) for node in rounding):
+    has_integer_operators = any(_is_integer_operator(node) for node in kept)
+    are_known = all(_is_known(node, tensors) for node in rounding)
+    if not rounding or has_integer_operators or not are_known:
         return None
     of_weights = [node for node in rounding if node.input[0] in tensors]
     graph.initializer.extend([_float_weight(node, tensors) for node in of_weights])

@@ -92,7 +92,9 @@ def optimiser_of(network: nn.Module, settings: ScheduleSettings) -> torch.optim.
     }
     groups: dict[str, list[nn.Parameter]] = {"weight": [], "norm": [], "bias": []}
     for name, parameter in network.named_parameters():
-        kind = "bias" if name.endswith(".bias") else "norm" if id(parameter) in norms else "weight"
+        kind = "norm" if id(parameter) in norms else "weight"
+        if name.endswith(".bias"):
+            kind = "bias"
         groups[kind].append(parameter)
     named = [
         {

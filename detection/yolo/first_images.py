@@ -76,14 +76,9 @@ class FirstImages:
 
         ModelError: after the last image, two readings are equally plausible.
         """
-        self.n_compared += 1
-        for reading, values in zip(readings, outputs, strict=True):
-            tally = self._tallies.setdefault(reading.name, _Tally())
-            tally.is_possible &= reading.accepts is None or reading.accepts(values)
-            quality = _quality(_candidates(reading, values), input_hw)
-            tally.n += len(quality)
-            tally.quality += float(quality.sum())
+        self._count(readings, outputs, input_hw)
         possible = [reading for reading in readings if self._tallies[reading.name].is_possible]
+        usual = (possible or readings)[0]
         ranked = sorted(possible or readings, key=lambda reading: -self._tallies[reading.name].mean)
         best = self._tallies[ranked[0].name]
         second = max((self._tallies[reading.name].mean for reading in ranked[1:]), default=0.0)
@@ -95,21 +90,42 @@ class FirstImages:
                 f"only its boxes on the first images are plausible ({best.mean:.2f}, next "
                 f"{second:.2f})"
             )
-        elif is_last and best.n >= _MIN_GARBAGE and best.mean > _MIN_QUALITY:
-            names = " or ".join(
-                r.name for r in ranked if best.mean - self._tallies[r.name].mean < _MIN_LEAD
-            )
-            raise ModelError(
-                f"{self.path}: its outputs may be read as {names}, and each reading gives "
-                "plausible boxes on the first images; choose one with --layout (Python: layout)."
-            )
         elif is_last:
-            self.chosen = (possible or readings)[0].name
+            if best.n >= _MIN_GARBAGE and best.mean > _MIN_QUALITY:
+                raise self._undecided(ranked)
+            self.chosen = usual.name
             self.why = (
                 "usual for these shapes; the first images have too few boxes for a comparison of "
                 "layouts"
             )
-        return ranked[0] if is_clear else (possible or readings)[0]
+        return ranked[0] if is_clear else usual
+
+    def _count(
+        self,
+        readings: Sequence[YoloModel],
+        outputs: Sequence[Sequence[FloatArray32]],
+        input_hw: tuple[int, int],
+    ) -> None:
+        """Add the boxes of one more image."""
+        self.n_compared += 1
+        for reading, values in zip(readings, outputs, strict=True):
+            tally = self._tallies.setdefault(reading.name, _Tally())
+            tally.is_possible &= reading.accepts is None or reading.accepts(values)
+            quality = _quality(_candidates(reading, values), input_hw)
+            tally.n += len(quality)
+            tally.quality += float(quality.sum())
+
+    def _undecided(self, ranked: Sequence[YoloModel]) -> ModelError:
+        """The error for readings that are about as plausible as the best one, which is the
+        first.
+        """
+        means = {reading.name: self._tallies[reading.name].mean for reading in ranked}
+        best = means[ranked[0].name]
+        names = " or ".join(name for name, mean in means.items() if best - mean < _MIN_LEAD)
+        return ModelError(
+            f"{self.path}: its outputs may be read as {names}, and each reading gives "
+            "plausible boxes on the first images; choose one with --layout (Python: layout)."
+        )
 
     def check(
         self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]

@@ -84,10 +84,8 @@ class Letterbox:
         coordinates.
         """
         pad_y, pad_x = self.pad_yx
-        scale_y, scale_x = (
-            self.resized_hw[0] / self.image_hw[0],
-            self.resized_hw[1] / self.image_hw[1],
-        )
+        scale_y = self.resized_hw[0] / self.image_hw[0]
+        scale_x = self.resized_hw[1] / self.image_hw[1]
         pad = np.array([pad_x, pad_y, pad_x, pad_y], np.float64)
         scale: FloatArray = np.array([scale_x, scale_y, scale_x, scale_y])
         return (xyxy_net - pad) / scale - 0.5

@@ -416,12 +416,8 @@ class PatchMatcher:
 
         Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
         """
-        settings, tiles, surfaces, choice = (
-            self._settings,
-            search.tiles,
-            search.surfaces,
-            search.choice,
-        )
+        settings = self._settings
+        tiles, surfaces, choice = search.tiles, search.surfaces, search.choice
         is_inlier = np.isfinite(surface.residual)
         n_inliers = np.maximum(is_inlier.sum(axis=1), 1)
         total = np.maximum(surface.weight.sum(axis=1), 1e-6)

@@ -200,16 +200,12 @@ class _Equations(NamedTuple):
             np.multiply(r, factor, out=product)
         sum_l, sum_g, sum_h, sum_ll, sum_gg, sum_hh, sum_gl, sum_gh, sum_hl = self.sums
         sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(values, self.tiles)
-        ll, gg, rr = (
-            sum_ll - sum_l * sum_l / n,
-            sum_gg - sum_g * sum_g / n,
-            sum_rr - sum_r * sum_r / n,
-        )
-        gl, gr, rl = (
-            sum_gl - sum_g * sum_l / n,
-            sum_gr - sum_g * sum_r / n,
-            sum_rl - sum_r * sum_l / n,
-        )
+        ll = sum_ll - sum_l * sum_l / n
+        gg = sum_gg - sum_g * sum_g / n
+        rr = sum_rr - sum_r * sum_r / n
+        gl = sum_gl - sum_g * sum_l / n
+        gr = sum_gr - sum_g * sum_r / n
+        rl = sum_rl - sum_r * sum_l / n
         determinant = gg * rr - gr**2 + 1e-3
         s = (gl * rr - rl * gr) / determinant
         a = (rl * gg - gl * gr) / determinant
@@ -218,8 +214,10 @@ class _Equations(NamedTuple):
         noise = _NOISE_CORRELATION * (residual + _MIN_NOISE_GREY2)
         vertical = None
         if is_last:
-            hh, gh = sum_hh - sum_h * sum_h / n, sum_gh - sum_g * sum_h / n
-            hl, hr = sum_hl - sum_h * sum_l / n, sum_hr[0] - sum_h * sum_r / n
+            hh = sum_hh - sum_h * sum_h / n
+            gh = sum_gh - sum_g * sum_h / n
+            hl = sum_hl - sum_h * sum_l / n
+            hr = sum_hr[0] - sum_h * sum_r / n
             fraction = gh / np.maximum(gg, 1e-3)
             vertical = _Vertical(
                 fraction, (hl - s * gh - a * hr) / noise, (hh - fraction * gh) / noise

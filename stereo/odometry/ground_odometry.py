@@ -164,21 +164,18 @@ class GroundOdometry:
         self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
     ) -> EgoMotion:
         """The filtered speed; moves the horizon on to this frame."""
-        dt_s, is_moving = motion.dt_s, motion.is_known and not motion.is_still
-        side, row = (
-            (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px,
-            (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px,
-        )
+        dt_s = motion.dt_s
+        is_moving = motion.is_known and not motion.is_still
+        # direction of travel: slopes to the right and down
+        side = (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px
+        row = (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px
+        if is_moving and math.isfinite(side):
+            self._follow_side(side, dt_s)
         shift_m = 0.0 if motion.is_still else math.nan
-        if is_moving:
-            if math.isfinite(side):
-                fraction = 1.0 if math.isnan(self._side) else min(1.0, dt_s / _TRAVEL_TIME_S)
-                self._side = (
-                    side if fraction == 1.0 else self._side + fraction * (side - self._side)
-                )
-            if math.isfinite(self._side):
-                shift_m = self._shift_m(motion, before, now, boxes)
-        independent_mps, common_mps = _SHIFT_SIGMA_M / dt_s, _SCALE_SIGMA * abs(shift_m / dt_s)
+        if is_moving and math.isfinite(self._side):
+            shift_m = self._shift_m(motion, before, now, boxes)
+        independent_mps = _SHIFT_SIGMA_M / dt_s
+        common_mps = _SCALE_SIGMA * abs(shift_m / dt_s)
         speed = self._filter.update(
             motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps
         )
@@ -189,15 +186,30 @@ class GroundOdometry:
             dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s
         )
         if is_moving:
-            if math.isfinite(row):
-                self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
-                self.has_horizon = True
-            view = self._horizon.view
-            if view.horizon_variance < _SURE_RAD**2:
-                self._image_motion.expect_travel(
-                    view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2
-                )
+            self._measure_horizon(row)
         return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
+
+    def _follow_side(self, side: float, dt_s: float) -> None:
+        """Low-pass filter of the direction of travel to the right, with the time constant
+        `_TRAVEL_TIME_S`.
+        """
+        if math.isnan(self._side) or dt_s >= _TRAVEL_TIME_S:
+            self._side = side
+        else:
+            self._side += dt_s / _TRAVEL_TIME_S * (side - self._side)
+
+    def _measure_horizon(self, row: float) -> None:
+        """Correct the horizon by the direction of travel down, if it is known; a sure horizon is
+        then the expected direction.
+        """
+        if math.isfinite(row):
+            self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
+            self.has_horizon = True
+        view = self._horizon.view
+        if view.horizon_variance < _SURE_RAD**2:
+            self._image_motion.expect_travel(
+                view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2
+            )
 
     def _shift_m(
         self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
@@ -223,10 +235,8 @@ class GroundOdometry:
             [np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))],
             axis=1,
         )
-        before_px, now_px = (
-            camera.project(road @ level.T),
-            camera.project(road @ (motion.rotation @ level).T),
-        )
+        before_px = camera.project(road @ level.T)
+        now_px = camera.project(road @ (motion.rotation @ level).T)
         hw = len(Z), len(X)
         masked_fraction = (
             np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1]))

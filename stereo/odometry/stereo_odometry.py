@@ -199,10 +199,8 @@ class StereoOdometry:
         corners, disparity_px = corners[is_matched], disparity_px[is_matched]
         # the alignment counts in full pixels
         factor = 1 << self._n_halved
-        x_px, sigma_px = (
-            factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2,
-            np.zeros(len(corners)),
-        )
+        x_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2
+        sigma_px = np.zeros(len(corners))
         full_px, _ = alignment.corrected(
             disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left
         )

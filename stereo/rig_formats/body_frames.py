@@ -67,10 +67,8 @@ def _read_euroc(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
 
 
 def _euroc_block(content: dict[str, Any]) -> dict[str, Any]:
-    distortion, coefficients = (
-        content.get("distortion_model"),
-        content.get("distortion_coefficients", []),
-    )
+    distortion = content.get("distortion_model")
+    coefficients = content.get("distortion_coefficients", [])
     if isinstance(coefficients, list) and coefficients[4:] == [0]:  # k3 = 0
         coefficients = coefficients[:4]
     return {
@@ -84,11 +82,9 @@ def _euroc_block(content: dict[str, Any]) -> dict[str, Any]:
 def _rows(value: Any) -> Any:
     """The rows of a 4 x 4 matrix in {rows, cols, data}; other values as they are."""
     data = value.get("data") if isinstance(value, dict) else None
-    return (
-        [data[i : i + 4] for i in range(0, 16, 4)]
-        if isinstance(data, list) and len(data) == 16
-        else value
-    )
+    if not isinstance(data, list) or len(data) != 16:
+        return value
+    return [data[i : i + 4] for i in range(0, 16, 4)]
 
 
 def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
@@ -100,21 +96,14 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     if "model_type" in content and settings is None:
         note = f"{path}: {_VINS_TITLE}, one camera."
         return calibration_of_blocks({"cam0": _vins_block(content, path)}, path, [note])
-    files: dict[int, Path] = {}
+    files: tuple[Path, ...] = ()
     if settings is not None:
-        given, (path, content) = path, settings
-        # of another model than the settings'
-        if given.name not in content.values() and (partner := partner_of(given)):
-            files = dict(enumerate((partner, given) if is_second(given) else (given, partner)))
+        files = _files_of_pair(path, settings[1])
+        path, content = settings
     blocks = {}
     for number in (0, 1) if "cam1_calib" in content else (0,):
-        name = content.get(f"cam{number}_calib")
-        if not isinstance(name, str) or not 0 < len(name) < _MAX_NAME or not name.isprintable():
-            raise RigError(
-                f"{path}: expected the name of the camera's file in cam{number}_calib, found "
-                f"{quoted(name)}; give the settings with the camera files beside them."
-            )
-        file = files.get(number, path.parent / name)
+        named = _camera_file(path, content, number)
+        file = files[number] if files else named
         pose = {"T_imu_cam": _rows(content.get(f"body_T_cam{number}"))}
         blocks[f"cam{number}"] = _vins_block(_content(file), file) | pose
     note = f"{path}: {_VINS_TITLE}; lengths in metres."
@@ -126,17 +115,36 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     return calibration_of_blocks(blocks, path, [note])
 
 
+def _files_of_pair(path: Path, settings: dict[str, Any]) -> tuple[Path, ...]:
+    """The files of both cameras beside settings that name files of another model; () = those of the
+    settings.
+    """
+    partner = partner_of(path)
+    if path.name in settings.values() or partner is None:
+        return ()
+    return (partner, path) if is_second(path) else (path, partner)
+
+
+def _camera_file(path: Path, settings: dict[str, Any], number: int) -> Path:
+    """The file of a camera that settings with this path name."""
+    name = settings.get(f"cam{number}_calib")
+    if not isinstance(name, str) or not 0 < len(name) < _MAX_NAME or not name.isprintable():
+        raise RigError(
+            f"{path}: expected the name of the camera's file in cam{number}_calib, found "
+            f"{quoted(name)}; give the settings with the camera files beside them."
+        )
+    return path.parent / name
+
+
 def _settings_of(path: Path) -> tuple[Path, dict[str, Any]] | None:
     """(path, content) of a pair's settings in a camera file's folder; None unless they name it or
     it has a partner.
     """
     for file in files_of(path.absolute().parent):
         with contextlib.suppress(RigError):  # of files of other kinds
-            text = (
-                read_text(file, RigError, "settings of VINS")
-                if file.suffix in (".yaml", ".yml")
-                else ""
-            )
+            text = ""
+            if file.suffix in (".yaml", ".yml"):
+                text = read_text(file, RigError, "settings of VINS")
             if re.search(r"^cam1_calib\s*:", text, re.MULTILINE) and (
                 path.name in text or partner_of(path)
             ):

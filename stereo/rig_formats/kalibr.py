@@ -139,7 +139,8 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
             f"{name}: expected {model.n_intrinsics + 4} intrinsics of {model.camera}, found "
             f"{len(block.intrinsics)}; {_HINT}."
         )
-    of_lens, matrix = block.intrinsics[: model.n_intrinsics], block.intrinsics[model.n_intrinsics :]
+    of_lens = block.intrinsics[: model.n_intrinsics]
+    matrix = block.intrinsics[model.n_intrinsics :]
     if not min(matrix[:2]) > 0:
         raise RigError(
             f"{name}: expected positive focal lengths in intrinsics, found "

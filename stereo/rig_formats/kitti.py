@@ -191,18 +191,7 @@ def _unrectified(
     """The cameras of the images before rectification; None if the file lacks values of the left
     camera.
     """
-    values: dict[str, FloatArray] = {}
-    sizes: dict[str, tuple[int, int]] = {}
-    for name, line in _RAW_LINE.findall(text):
-        if name[0] == "S":
-            sizes[name] = _size(line, f"{source}: {name}")
-        else:
-            values[name] = _numbers(line, _RAW_COUNTS[name[0]], f"{source}: {name}")
-            if not np.abs(values[name]).max() <= _MAX_VALUE:  # also NaN
-                raise RigError(
-                    f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found other values; "
-                    "correct the line."
-                )
+    values, sizes = _raw_lines(text, source)
     cameras, motions = [], []
     for number in pair:
         names = [f"{kind}_{number:02d}" for kind in _RAW_COUNTS]
@@ -224,6 +213,25 @@ def _unrectified(
         return RigCalibration(cameras[0], None, None, notes=(*notes, note))
     right_from_left = motions[1] @ inverse_motion(motions[0])
     return RigCalibration(cameras[0], cameras[1], right_from_left, notes=(*notes, note))
+
+
+def _raw_lines(
+    text: str, source: object
+) -> tuple[dict[str, FloatArray], dict[str, tuple[int, int]]]:
+    """The numbers of the lines before rectification by name, such as K_02, and the sizes S_02."""
+    values: dict[str, FloatArray] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    for name, line in _RAW_LINE.findall(text):
+        if name[0] == "S":
+            sizes[name] = _size(line, f"{source}: {name}")
+            continue
+        values[name] = _numbers(line, _RAW_COUNTS[name[0]], f"{source}: {name}")
+        if not np.abs(values[name]).max() <= _MAX_VALUE:  # also NaN
+            raise RigError(
+                f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found other values; "
+                "correct the line."
+            )
+    return values, sizes
 
 
 def _missing(text: str, _path: object, is_grey: bool) -> str:

@@ -100,10 +100,8 @@ def save_rig(
     """
     check_rig(rig, path)
     accuracy = accuracy or rig.accuracy
-    rotation, translation_m = (
-        rig.right_from_left[:3, :3].tolist(),
-        rig.right_from_left[:3, 3].tolist(),
-    )
+    rotation = rig.right_from_left[:3, :3].tolist()
+    translation_m = rig.right_from_left[:3, 3].tolist()
     content = {
         "left": _camera_content(rig.left),
         "right": _camera_content(rig.right),

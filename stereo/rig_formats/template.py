@@ -42,10 +42,9 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
         reason, cameras, motion = str(error), [{}, {}], None
         with contextlib.suppress(RigError):
             given = read_quantities(path)
-            cameras, motion = (
-                [camera_values(given, number) for number in (0, 1)],
-                partial_motion(given, path),
-            )
+            partial_cameras = [camera_values(given, number) for number in (0, 1)]
+            motion = partial_motion(given, path)
+            cameras = partial_cameras  # both or none: a motion with wrong numbers is an error
     advice = (
         "fill in the blanks, in pixels and metres, and remove what a single camera does not have"
     )
@@ -56,13 +55,7 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
     ]
     for name, values in zip(("left", "right"), cameras, strict=True):
         lines.append(f"{name}:")
-        for key in (*_KEYS, "distortion"):
-            value = values.get(key)
-            lines.append(
-                f"  {key}: {value}"
-                if value is not None
-                else f"  {key}:  # {_HINTS.get(key, 'missing')}"
-            )
+        lines += [_line(key, values.get(key)) for key in (*_KEYS, "distortion")]
     lines.append("right_from_left:  # x_right = rotation x_left + translation_m")
     if motion is None:
         lines += ["  rotation:  # [[1, 0, 0], [0, 1, 0], [0, 0, 1]] of parallel cameras"]
@@ -73,6 +66,13 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
             f"  translation_m: {motion[:3, 3].tolist()}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _line(key: str, value: object) -> str:
+    """A key with its value, or with its meaning."""
+    if value is None:
+        return f"  {key}:  # {_HINTS.get(key, 'missing')}"
+    return f"  {key}: {value}"
 
 
 def _values(camera: PinholeCamera) -> dict[str, object]:

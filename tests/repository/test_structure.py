@@ -10,9 +10,9 @@ from tests.repository.structure import functions, large_functions, listed, n_sta
 # a sentence of reason beside it. All limits were raised once, by 4 % together, when 80 large
 # functions became steps with names; the rooms that grew further say why.
 MOST_STATEMENTS = {
-    "detection": 7_910,
+    "detection": 7_930,  # packed assignments became a line for each value (20)
     "tracking": 1_560,
-    "stereo": 7_100,
+    "stereo": 7_150,  # packed assignments became a line for each value (50)
     "ranging": 6_290,  # the filters' packed lines became named states and steps (260)
     "api": 80,
     "calibration": 1_065,

@@ -141,12 +141,11 @@ class AlignedLoss:
         entropy = cross_entropy(outputs[..., : logits.shape[-1]], target, reduction="none")
         class_score = (entropy * _class_weight(batch, centre_px, target)).sum()
 
-        cells, weight = cells.select(cells.has_box), weight[cells.has_box]
-        truth, centre_px, stride_px = (
-            labels.cxcywh[cells.object_index],
-            centre_px[cells.cell],
-            stride_px[cells.cell],
-        )
+        weight = weight[cells.has_box]
+        cells = cells.select(cells.has_box)
+        truth = labels.cxcywh[cells.object_index]
+        centre_px = centre_px[cells.cell]
+        stride_px = stride_px[cells.cell]
         predicted = outputs[cells.image, cells.cell]
         overlap = self._overlap(boxes_of(split_outputs(predicted)[1], centre_px, stride_px), truth)
         box = ((1 - overlap) * weight).sum()

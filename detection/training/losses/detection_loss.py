@@ -185,11 +185,9 @@ def _corrected(
     is_false = (
         ~is_labelled & ~is_ignored & complete.at(cells.image, teacher.cxcywh[:, :2], class_index)
     )
-    objectness, boxes, scores = (
-        teacher.objectness.clone(),
-        teacher.cxcywh.clone(),
-        teacher.class_score.clone(),
-    )
+    objectness = teacher.objectness.clone()
+    boxes = teacher.cxcywh.clone()
+    scores = teacher.class_score.clone()
     objectness[cells.select(is_false).where] = 0.0
     label = label[is_labelled]
     boxes[is_labelled] = objects.cxcywh[label]

@@ -126,7 +126,8 @@ def boxes_of(distances: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
     The sides are left, top, right, bottom; `centre_px` (..., 2) and `stride_px` (...) belong to the
     cells.
     """
-    low, high = distances[..., :2] * stride_px[..., None], distances[..., 2:] * stride_px[..., None]
+    low = distances[..., :2] * stride_px[..., None]
+    high = distances[..., 2:] * stride_px[..., None]
     return torch.cat([centre_px + (high - low) / 2, low + high], -1)
 
 

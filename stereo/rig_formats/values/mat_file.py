@@ -87,10 +87,8 @@ class MatFile:
                 if type_ == _MATRIX
             ]
             return elements[1][1].decode("latin1"), inner[0] if inner else None
-        shape, name = (
-            np.frombuffer(elements[1][1], self._order + "i4"),
-            elements[2][1].decode("latin1"),
-        )
+        shape = np.frombuffer(elements[1][1], self._order + "i4")
+        name = elements[2][1].decode("latin1")
         rest = elements[3:]
         if kind == _CELL:
             return name, [self._matrix(element, depth + 1)[1] for _, element in rest]
@@ -98,12 +96,12 @@ class MatFile:
             return name, self._struct(rest[1:] if kind == _OBJECT else rest, depth)
         if kind == _SPARSE or not rest or rest[0][0] not in _TYPES:
             return name, None
-        numbers = np.frombuffer(rest[0][1], self._order + _TYPES[rest[0][0]])
+        number_type, stored = rest[0]
+        numbers = np.frombuffer(stored, self._order + _TYPES[number_type])
         if kind == _TEXT:
             return name, "".join(map(chr, numbers[:200].tolist()))
-        return name, numbers.reshape(shape[::-1]).T if numbers.size == math.prod(
-            shape.tolist()
-        ) else numbers
+        is_complete = numbers.size == math.prod(shape.tolist())
+        return name, numbers.reshape(shape[::-1]).T if is_complete else numbers
 
     def _struct(self, elements: list[tuple[int, bytes]], depth: int) -> Any:
         """The fields of a struct by name; a list of such mappings for an array of structs."""
@@ -121,17 +119,14 @@ class MatFile:
 
     def _find_structs(self, value: object) -> None:
         """Collect the structs with numbers of cameras and pairs."""
-        parts = (
-            list(value.values())
-            if isinstance(value, dict)
-            else value
-            if isinstance(value, list)
-            else []
-        )
-        if isinstance(value, dict) and (
-            "RadialDistortion" in value or "RotationOfCamera2" in value
-        ):
-            self.objects.append(value)
+        if isinstance(value, list):
+            parts = value
+        elif isinstance(value, dict):
+            if "RadialDistortion" in value or "RotationOfCamera2" in value:
+                self.objects.append(value)
+                return
+            parts = list(value.values())
+        else:
             return
         for part in parts:
             self._find_structs(part)

@@ -80,20 +80,23 @@ def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
     for candidate in (path.with_name(stem + suffix) for suffix in (path.suffix, *_SUFFIXES)):
         if candidate != path and candidate.is_file():
             return candidate
-    names = [file for file in files_of(path.absolute().parent) if file.name != path.name]
-    if is_intrinsic:
-        fitting = [
-            file
-            for file in names
-            if _EXTRINSIC.search(file.stem) and not list(other_sides(file.name))
-        ]
-    else:
-        fitting = [
-            file
-            for file in names
-            if list(other_sides(file.name)) and partner_of(file) and not is_second(file)
-        ]
-    return path.with_name(fitting[0].name) if len(fitting) == 1 else None
+    is_fitting = _is_extrinsic if is_intrinsic else _is_first_camera
+    files = files_of(path.absolute().parent)
+    fitting = [file.name for file in files if file.name != path.name and is_fitting(file)]
+    return path.with_name(fitting[0]) if len(fitting) == 1 else None
+
+
+def _is_extrinsic(file: Path) -> bool:
+    """Whether a file has the name of R and T, and of no single camera."""
+    return bool(_EXTRINSIC.search(file.stem)) and not list(other_sides(file.name))
+
+
+def _is_first_camera(file: Path) -> bool:
+    """Whether a file has the name of a left camera, or of one with the smaller number, and a
+    partner.
+    """
+    is_of_one_side = bool(list(other_sides(file.name)))
+    return is_of_one_side and partner_of(file) is not None and not is_second(file)
 
 
 def files_of(folder: Path) -> list[Path]:

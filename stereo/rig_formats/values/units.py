@@ -42,7 +42,7 @@ def unit_of(given: Quantities, length: float, usual: Unit | None = None) -> Unit
 
 
 def _by_name(given: Quantities, length: float) -> Unit | None:
-    """The unit in which `length` is as long as a length whose key ends in its unit: T_mm."""
+    """The unit in which `length` is as long as a length whose key ends in its unit."""
     baseline = given.of(None, "baseline")
     lengths = {"T": length, "baseline": length if baseline is None else abs(float(baseline[0]))}
     for quantity, value in lengths.items():
