@@ -39,7 +39,10 @@ _HANDLERS = (b"sbtl", b"text", b"subt", b"clcp", b"data", b"meta", b"camm", b"hi
 _FORMATS = (b"tx3g", b"text", b"sbtt", b"mett", b"camm", b"gpmd", b"ssmd")
 _NO_COORDINATE = 4294967295.0  # coordinate of 32- and 40-byte records without a fix
 
-_DJI = re.compile(rb"GPS ?\(([-+.\d]+), ?([-+.\d]+)[^)]*\).*?H\.S ([-+.\d]+)m/s", re.DOTALL)
+# a sample has some 150 characters between position and speed
+_DJI = re.compile(
+    rb"GPS ?\(([-+.\d]++), ?([-+.\d]++)[^)]*+\).{0,1000}?H\.S ([-+.\d]++)m/s", re.DOTALL
+)
 
 
 def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
