@@ -19,7 +19,7 @@ def program_texts():
         for room in ROOMS
         for path in (PROJECT / room).rglob("*.py")
     )
-    return plain(re.sub(r"\{[^{}]*\}", "\0", re.sub(r'"\s+f?"', "", code)))
+    return plain(re.sub(r"\{[^{}\n]*\}", "\0", re.sub(r'"\s+f?"', "", code)))
 
 
 def test_quoted_messages_exist():
