@@ -56,22 +56,10 @@ row-aligned stereo pair, calibrated or not; dense_disparity: dense stereo is ena
 lane detection is enabled; camera_height: the height of the camera above the road is given.
 """
 
-RESERVED_NAMES = (
-    *(
-        "read",
-        "lanes",
-        "detect",
-        "track",
-        "ego",
-        "doubt",
-        "fuse",
-        "filter",
-        "world",
-        "alarm",
-        "write",
-    ),
-    *("fused", "x", "y", "truth", "scored_truth"),
-)
+# names of the stages of a run before and after the methods, which are stages, too
+FIRST_STAGES = ("read", "lanes", "detect", "track", "ego")
+LAST_STAGES = ("doubt", "fuse", "filter", "world", "alarm", "write")
+RESERVED_NAMES = (*FIRST_STAGES, *LAST_STAGES, "fused", "x", "y", "truth", "scored_truth")
 """Names of result columns and pipeline stages, which a method cannot have."""
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 
+from track_range.ranging.method import FIRST_STAGES, LAST_STAGES
 from track_range.ranging.registry import methods
 
 _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured in wall-clock time
@@ -12,20 +13,7 @@ _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured 
 
 def stage_names() -> tuple[str, ...]:
     """Names of the stages of a run in their order; each ranging method is a stage."""
-    return (
-        "read",
-        "lanes",
-        "detect",
-        "track",
-        "ego",
-        *(method.name for method in methods()),
-        "doubt",
-        "fuse",
-        "filter",
-        "world",
-        "alarm",
-        "write",
-    )
+    return (*FIRST_STAGES, *(method.name for method in methods()), *LAST_STAGES)
 
 
 class StageClock:

@@ -62,8 +62,9 @@ class FramePipeline:
         with stage("track"):
             tracks = tracked(self.tracker, detections, frame)
         with stage("ego"):
-            trusts_given = self.doubt.trusts_speed
-            ego = self.ego.update(frame, detections.xyxy_px, known_ego, trusts_given=trusts_given)
+            ego = self.ego.update(
+                frame, detections.xyxy_px, known_ego, trusts_given=self.doubt.trusts_speed
+            )
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
         with stage("doubt"):
             doubt, scale = self.doubting.update(tracks, measured, ego, lanes, self.scale, time_s)

@@ -143,7 +143,7 @@ def test_automatic_alignment_is_unknown_first_and_then_that_of_a_run(long_drive:
     assert known[12:] == [True] * len(known[12:])
     # alignments that differ by hundredths of a pixel may decide between two surfaces of a box
     is_other_surface = np.array(errors) >= 0.03
-    assert is_other_surface.mean() < 0.01
+    assert is_other_surface.sum() <= 1 < 0.01 * len(errors)
     assert n_before == [0] * 6
     assert pipeline.alignment is not None
     assert pipeline.alignment.measured.is_measured
