@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import Finished, run_command
-from tests.drive_cache import DriveCache
+from tests.support.command_line import Finished, run_command
+from tests.support.drive_cache import DriveCache
 from track_range.ranging import registry
 from track_range.simulation.drive import Drive
 

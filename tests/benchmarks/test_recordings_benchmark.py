@@ -14,8 +14,8 @@ from benchmarks.accuracy.ranging.recordings import (
     _read as read,
     recordings,
 )
-from tests.stereo.calibration_files import PARALLEL, Calibration, foundation_stereo
-from tests.track_range.recording.recording_files import RECORDINGS, Pair, Recording, folders
+from tests.support.recordings.calibration_files import PARALLEL, Calibration, foundation_stereo
+from tests.support.recordings.recording_files import RECORDINGS, Pair, Recording, folders
 from track_range.simulation.drive import Drive
 from track_range.stereo.geometry.rig import StereoRig
 

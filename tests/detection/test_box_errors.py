@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.box_errors import UNKNOWN_DETECTOR, BoxError, box_errors_of
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES
 from track_range.detection.detections import Detections

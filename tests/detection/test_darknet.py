@@ -6,8 +6,8 @@ import numpy as np
 import onnx
 import pytest
 
-from tests.detection import darknet_networks
-from tests.detection.darknet_networks import section, write_weights
+from tests.support.networks import darknet_networks
+from tests.support.networks.darknet_networks import section, write_weights
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.darknet.network import read_network

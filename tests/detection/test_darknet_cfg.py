@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.detection import darknet_networks
-from tests.detection.darknet_networks import section
+from tests.support.networks import darknet_networks
+from tests.support.networks.darknet_networks import section
 from track_range.detection.darknet.network import Convolution, read_layers, read_network
 from track_range.detection.models.onnx_session import ModelError
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.detection import darknet_networks
-from tests.detection.darknet_networks import write_weights
+from tests.support.networks import darknet_networks
+from tests.support.networks.darknet_networks import write_weights
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import OnnxSession, Runtime

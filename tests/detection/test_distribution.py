@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_outputs
+from tests.support.networks.onnx_models import write_outputs
 from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
+from tests.support.images.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
 from track_range.detection.lanes.ego_lane import EgoLane, own_pair
 from track_range.detection.lanes.markings import Markings, Proposals, proposals, run_middles
 from track_range.detection.lanes.model import LaneState

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_dfine, write_outputs
+from tests.support.networks.onnx_models import write_dfine, write_outputs
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, ROAD_CLASSES
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.detection.lane_roads import HW, picture, road_x_px, width_px
-from tests.detection.onnx_models import write_model
+from tests.support.images.lane_roads import HW, picture, road_x_px, width_px
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.nets import CLASSICAL, ROW_ANCHORS, NetLaneFinder, open_lane_finder
 from track_range.detection.models.onnx_session import ModelError, Runtime

@@ -10,7 +10,7 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto, helper
 
-from tests.detection.onnx_models import write_dfine, write_model, write_rectangle_finder
+from tests.support.networks.onnx_models import write_dfine, write_model, write_rectangle_finder
 from track_range.detection.models import devices, providers
 from track_range.detection.models.dequantize import float_network
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime

@@ -9,7 +9,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from scipy.special import expit, logit
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.evaluation.calibrated_copy import write_calibrated, write_calibrated_copy
 from track_range.detection.evaluation.score_fit import ScoreSamples, fit_scores
 from track_range.detection.models.onnx_session import ModelError, OnnxSession

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_model, write_rectangle_finder
+from tests.support.networks.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.metadata import ModelOptions

@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from tests.detection.onnx_models import write_rectangle_finder
+from tests.support.networks.onnx_models import write_rectangle_finder
 from track_range.detection.boxes import nms
 from track_range.detection.classes import SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.models.onnx_session import Runtime

@@ -4,7 +4,7 @@ options."""
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError

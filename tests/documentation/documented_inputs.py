@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 import track_range as tr
-from tests.detection.onnx_models import write_model
-from tests.stereo.board_scenes import drawn, rig, varied_poses
+from tests.support.images.board_scenes import drawn, rig, varied_poses
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.recording.open_video import open_video
 from track_range.simulation.drive import Drive

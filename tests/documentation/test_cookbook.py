@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from docs.notebooks import executed
-from tests.command_line import run_command
 from tests.documentation.documented_commands import PAGES, PROJECT, is_command, without_comment
 from tests.documentation.documented_inputs import copy_inputs, write_inputs
+from tests.support.command_line import run_command
 
 pytestmark = pytest.mark.slow
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.command_line import run_command
 from tests.documentation.documented_commands import PAGES, commands
-from tests.stereo import calibration_files as files
-from tests.track_range.recording.recording_files import (
+from tests.support.command_line import run_command
+from tests.support.recordings import calibration_files as files
+from tests.support.recordings.recording_files import (
     Pair,
     Written,
     folders,

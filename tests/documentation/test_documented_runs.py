@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import run_command
 from tests.documentation.documented_commands import PAGES, README, commands, python_blocks
 from tests.documentation.documented_inputs import copy_inputs, write_inputs
+from tests.support.command_line import run_command
 
 pytestmark = pytest.mark.slow
 

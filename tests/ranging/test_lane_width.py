@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.detection.lane_roads import (
+from tests.support.images.lane_roads import (
     CENTRE_PX,
     FOCAL_PX,
     HORIZON_PX,

@@ -9,7 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import CAMERA, CHESS, drawn, exact_view, pose, rig, varied_poses
+from tests.support.images.board_scenes import (
+    CAMERA,
+    CHESS,
+    drawn,
+    exact_view,
+    pose,
+    rig,
+    varied_poses,
+)
 from track_range.stereo.calibration.board_views import (
     BoardFinder,
     BoardView,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.stereo.kitti_folder import write_set
+from tests.support.recordings.kitti_folder import write_set
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, open_matcher
 

@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import CAMERA, drawn, exact_view, exact_views, pose, varied_poses
+from tests.support.images.board_scenes import (
+    CAMERA,
+    drawn,
+    exact_view,
+    exact_views,
+    pose,
+    varied_poses,
+)
 from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.calibration.board_views import BoardFinder, BoardView
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard

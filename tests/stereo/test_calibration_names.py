@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from tests.stereo.calibration_files import NAMES, storage
+from tests.support.recordings.calibration_files import NAMES, storage
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import CAMERA, exact_view, pose, varied_poses
+from tests.support.images.board_scenes import CAMERA, exact_view, pose, varied_poses
 from track_range.stereo.calibration.coverage import (
     coverage_of,
     is_static,

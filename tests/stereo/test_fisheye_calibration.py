@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.stereo.board_scenes import exact_view, pose
+from tests.support.images.board_scenes import exact_view, pose
 from track_range.calibration.from_boards import wide_lens_warnings
 from track_range.stereo.calibration.board_views import BoardFinder, BoardView, common_corners
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard

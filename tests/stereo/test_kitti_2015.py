@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.kitti_folder import BASELINE_M, CALIBRATION, CARS, FOCAL_PX, write_pair, write_set
+from tests.support.recordings.kitti_folder import (
+    BASELINE_M,
+    CALIBRATION,
+    CARS,
+    FOCAL_PX,
+    write_pair,
+    write_set,
+)
 from track_range.stereo.evaluation.kitti_2015 import (
     PairFileError,
     is_kitti_2015,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import exact_pairs, exact_view, pose, rig
+from tests.support.images.board_scenes import exact_pairs, exact_view, pose, rig
 from track_range.stereo.calibration.board_views import BoardFinder, common_corners
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
 from track_range.stereo.calibration.two_cameras import calibrate_pair, row_error_px

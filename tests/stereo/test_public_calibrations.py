@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.stereo.calibration_files import CALIBRATIONS, Calibration, differences
+from tests.support.recordings.calibration_files import CALIBRATIONS, Calibration, differences
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 
 

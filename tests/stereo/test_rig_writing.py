@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import CAMERA, rig
+from tests.support.images.board_scenes import CAMERA, rig
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.opencv import save_opencv
 from track_range.stereo.rig_formats.reading import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.stereo.kitti_folder import noise
+from tests.support.recordings.kitti_folder import noise
 from track_range.stereo.evaluation.dense_confidence import (
     MEASURES,
     confidence_measures,

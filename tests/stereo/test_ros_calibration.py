@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.stereo.calibration_files import calibration_yaml as calibration
+from tests.support.recordings.calibration_files import calibration_yaml as calibration
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig

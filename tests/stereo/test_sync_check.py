@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.approach import approach
+from tests.support.images.approach import approach
 from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.sync_check import measured_lag
 

@@ -9,7 +9,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.tracking.appearance.reid import ReidModel

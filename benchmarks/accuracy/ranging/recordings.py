@@ -27,8 +27,8 @@ import numpy as np
 import track_range as tr
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import CACHE_OPTION, decoded
-from tests.stereo.calibration_files import CALIBRATIONS, Calibration, differences
-from tests.track_range.recording.recording_files import RECORDINGS, Pair, Recording, live
+from tests.support.recordings.calibration_files import CALIBRATIONS, Calibration, differences
+from tests.support.recordings.recording_files import RECORDINGS, Pair, Recording, live
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.simulation.drive import write_drive

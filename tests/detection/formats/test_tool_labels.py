@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from tests.damaged_text import MAX_MESSAGE, check_damaged, damaged
 from tests.detection.formats.test_reference_labels import CAR, CAR_LATER, PERSON, SIZE
+from tests.support.damaged_text import MAX_MESSAGE, check_damaged, damaged
 from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels

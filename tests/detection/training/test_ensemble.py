@@ -9,8 +9,8 @@ import pytest
 import yaml
 from scipy.special import expit, logit
 
-from tests.detection.onnx_models import write_rectangle_finder
 from tests.detection.training.road_scenes import write_data_set
+from tests.support.networks.onnx_models import write_rectangle_finder
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.errors import LabelFileError

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.detections import Detections
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.networks.network import AnchorNetwork

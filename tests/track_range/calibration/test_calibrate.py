@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
+from tests.support.images.board_scenes import CAMERA, drawn, pose, rig, varied_poses
 from track_range.stereo.calibration.boards import CharucoBoard
 from track_range.stereo.rig_formats.reading import (
     load_calibration,

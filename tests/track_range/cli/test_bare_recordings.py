@@ -45,7 +45,7 @@ def test_other_words_are_no_recordings(cli):
 
 
 def test_names_of_detectors_are_whole_at_80_columns():
-    from tests.command_line import run_command
+    from tests.support.command_line import run_command
 
     shown = run_command("models", "list", width=80).stdout
     assert "Megvii-BaseDetection/YOLOX" in shown

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 import track_range as tr
-from tests.detection import darknet_networks
-from tests.detection.onnx_models import write_model
+from tests.support.networks import darknet_networks
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.classes import ROAD_CLASSES, ClassNameError
 from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import ModelError

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.detection.onnx_models import write_model
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation.box_error_fit import BoxErrorSamples

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.damaged_text import MAX_MESSAGE
-from tests.detection.onnx_models import write_model
 from tests.detection.training.road_scenes import write_data_set
+from tests.support.damaged_text import MAX_MESSAGE
+from tests.support.networks.onnx_models import write_model
 from track_range.detection.training.data.data_yaml import read_data_yaml
 
 N_LABELLED, N_UNLABELLED = 40, 2

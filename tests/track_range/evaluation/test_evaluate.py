@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_model, write_rectangle_finder
+from tests.support.networks.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.evaluation.sequences.detector_evaluation import (
     Candidate,

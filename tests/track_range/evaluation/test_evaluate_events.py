@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import track_range as tr
-from tests.command_line import run_command
-from tests.track_range.results.events.event_builder import event
+from tests.support.command_line import run_command
+from tests.support.results.events import event
 from track_range.evaluation.events.scores import (
     Contact,
     contact_scores,

@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.stereo.kitti_folder import write_pair, write_set
+from tests.support.recordings.kitti_folder import write_pair, write_set
 from track_range.calibration.reference_pairs import read_drive
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.command_line import run_command
+from tests.support.command_line import run_command
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from tests.documentation.documented_commands import PAGES, PROJECT, python_blocks
+from tests.support.results.events import event
 from tests.track_range.fleet.fleet_results import (
     done_record,
     rows_table,
@@ -19,7 +20,6 @@ from tests.track_range.fleet.fleet_results import (
     write_clip,
     write_fleet,
 )
-from tests.track_range.results.events.event_builder import event
 from track_range.fleet.inputs.clip import CLIP_SETTINGS
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import ClipTable

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.track_range.views.overlay_results import result
+from tests.support.results.overlay_results import result
 from track_range.pipeline.throughput import FrameMeter, PacedFrames, latency_ms
 from track_range.stereo.geometry.frames import Frame
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.track_range.pipeline.frame_results import frame_result
+from tests.support.results.frame_results import frame_result
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

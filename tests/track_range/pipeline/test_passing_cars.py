@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.track_range.pipeline.frame_results import frame_pipeline
+from tests.support.results.frame_results import frame_pipeline
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.pipeline.detecting import DetectionStage

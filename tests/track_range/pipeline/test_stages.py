@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.track_range.pipeline.frame_results import frame_result
+from tests.support.results.frame_results import frame_result
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.track_range.recording.live_servers import (
+from tests.support.recordings.live_servers import (
     N_LEVELS,
     RATE_HZ,
     cameras,
@@ -19,7 +19,7 @@ from tests.track_range.recording.live_servers import (
     served,
     sound,
 )
-from tests.track_range.views.overlay_results import result
+from tests.support.results.overlay_results import result
 from track_range.recording.frame import VideoError
 from track_range.recording.live import live_video
 from track_range.recording.live.address import LiveAddress

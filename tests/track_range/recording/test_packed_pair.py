@@ -12,10 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.track_range.recording import recording_files
-from tests.track_range.recording.bag_writers import write_foxglove
-from tests.track_range.recording.live_servers import cameras
-from tests.track_range.recording.recording_files import (
+from tests.support.recordings import recording_files
+from tests.support.recordings.live_servers import cameras
+from tests.support.recordings.recording_files import (
     PACKED,
     Pair,
     box,
@@ -23,6 +22,7 @@ from tests.track_range.recording.recording_files import (
     write_folder,
     write_video,
 )
+from tests.track_range.recording.bag_writers import write_foxglove
 from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
 from track_range.recording.names import Half, VideoTrack

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.track_range.recording.recording_files import RECORDINGS, Pair, Recording
+from tests.support.recordings.recording_files import RECORDINGS, Pair, Recording
 from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.simulation.drive import Drive

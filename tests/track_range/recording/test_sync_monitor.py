@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.approach import SIZE_PX, approach
+from tests.support.images.approach import SIZE_PX, approach
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.recording import open_recording
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.track_range.results.events.event_builder import SeenFinder
+from tests.support.results.events import SeenFinder
 from tests.track_range.results.test_results import result
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.table import RunRows, RunTable

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from tests.damaged_text import MAX_MESSAGE, damaged
-from tests.track_range.results.events.event_builder import event
+from tests.support.damaged_text import MAX_MESSAGE, damaged
+from tests.support.results.events import event
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.recording.files.image_folder import ImageFolder

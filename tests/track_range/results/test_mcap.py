@@ -25,7 +25,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from pyarrow import parquet
 
-from tests.track_range.pipeline.frame_results import changed
+from tests.support.results.frame_results import changed
 from tests.track_range.results.test_results import result
 from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.foundation.errors import UserError

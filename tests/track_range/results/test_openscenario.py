@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.track_range.pipeline.frame_results import changed
+from tests.support.results.frame_results import changed
 from tests.track_range.results.test_mcap import frame
 from tests.track_range.results.test_results import result, writing
 from tests.track_range.results.test_writers import INFO

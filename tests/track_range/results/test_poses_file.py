@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from tests.track_range.pipeline.frame_results import changed
+from tests.support.results.frame_results import changed
 from tests.track_range.results.test_results import result, writing
 from track_range.ranging.world.ego_path import EgoPose
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from tests.support.results.frame_results import changed, frame_result
 from tests.toys.registrations import registered_method
-from tests.track_range.pipeline.frame_results import changed, frame_result
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.method import ErrorSource, RangingMethod

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.command_line import Finished
+from tests.support.command_line import Finished
 from track_range.detection.formats.label_formats import label_format_of, read_labels
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.drive import Drive

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import BOX, result
+from tests.support.results.overlay_results import BOX, result
 from track_range.detection.detections import Detections
 from track_range.run.findings import Findings
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.track_range.recording.live_servers import cameras
+from tests.support.recordings.live_servers import cameras
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig

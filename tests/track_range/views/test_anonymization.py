@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 import track_range as tr
-from tests.track_range.pipeline.frame_results import frame_result
+from tests.support.results.frame_results import frame_result
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import BOX, grey, painted, result
+from tests.support.results.overlay_results import BOX, grey, painted, result
 from track_range.pipeline.colours import RED
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.overlay.birds_eye import BirdsEye, Scale

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import track_range as tr
-from tests.track_range.results.events.event_builder import SeenFinder, event
+from tests.support.results.events import SeenFinder, event
 from tests.track_range.results.test_run_folder import write_run
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError

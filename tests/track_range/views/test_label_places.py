@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH
+from tests.support.results.overlay_results import BOX, HEIGHT, WIDTH
 from track_range.foundation.arrays import FloatArray
 from track_range.views.overlay.labels import (
     PLACES,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import result
+from tests.support.results.overlay_results import result
 from track_range.views.live_view.view import LiveView
 
 LEVEL_JS = """() => {

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import grey, result
+from tests.support.results.overlay_results import grey, result
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.pipeline.frame_result import FrameResult

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
+from tests.support.results.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.colours import LANE_COLOUR, PALETTE, RED, track_colour

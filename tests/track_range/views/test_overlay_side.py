@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH, result
+from tests.support.results.overlay_results import BOX, HEIGHT, WIDTH, result
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.views.overlay.annotator import SCALE_M, DisparityPicture, Overlay, StackedPicture

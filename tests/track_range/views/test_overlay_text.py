@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.track_range.views.overlay_results import BOX, grey, painted, result
+from tests.support.results.overlay_results import BOX, grey, painted, result
 from track_range.pipeline.colours import AMBER, CALM, RED, alarm_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.views.overlay.labels import (

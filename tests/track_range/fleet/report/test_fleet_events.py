@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from tests.support.results.events import event
 from tests.track_range.fleet.fleet_results import (
     DAWN,
     DAWN_S,
@@ -16,7 +17,6 @@ from tests.track_range.fleet.fleet_results import (
     track_rows,
     write_clip,
 )
-from tests.track_range.results.events.event_builder import event
 from track_range.fleet.output.data_set import (
     ClipTable,
     events_location,

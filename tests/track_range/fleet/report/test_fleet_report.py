@@ -11,7 +11,8 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from tests.command_line import run_command
+from tests.support.command_line import run_command
+from tests.support.results.events import event
 from tests.track_range.fleet.fleet_results import (
     BROKEN,
     DAWN,
@@ -22,7 +23,6 @@ from tests.track_range.fleet.fleet_results import (
     write_clip,
     write_fleet,
 )
-from tests.track_range.results.events.event_builder import event
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
 from track_range.fleet.report.clip_figures import (

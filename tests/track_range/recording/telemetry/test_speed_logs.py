@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from tests.damaged_text import check_damaged, damaged
+from tests.support.damaged_text import check_damaged, damaged
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
 from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError
 from track_range.recording.telemetry.checks import usable

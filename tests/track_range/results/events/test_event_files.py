@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.track_range.results.events.event_builder import event
+from tests.support.results.events import event
 from track_range.results.events import files
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event
 from track_range.results.events.files import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from tests.track_range.pipeline.frame_results import changed, frame_result
+from tests.support.results.frame_results import changed, frame_result
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings

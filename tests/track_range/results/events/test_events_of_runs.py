@@ -6,7 +6,7 @@ import math
 import pytest
 
 import track_range as tr
-from tests.track_range.results.events.event_builder import SeenFinder, event
+from tests.support.results.events import SeenFinder, event
 from tests.track_range.results.test_run_folder import N_FRAMES, write_run
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.events import finder

@@ -2,7 +2,7 @@
 
 import math
 
-from tests.track_range.results.events.event_builder import event
+from tests.support.results.events import event
 from tests.track_range.results.test_approaches import COLUMNS
 from track_range.results.approaches import closest_approaches
 from track_range.views.report.outcome import (

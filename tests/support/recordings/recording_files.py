@@ -23,8 +23,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tests.support.recordings.live_servers import Camera
 from tests.track_range.recording.bag_writers import write_foxglove, write_ros1, write_ros2
-from tests.track_range.recording.live_servers import Camera
 
 Image = npt.NDArray[Any]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.track_range.pipeline.frame_results import frame_result
+from tests.support.results.frame_results import frame_result
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges

@@ -17,7 +17,7 @@ from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.settings import DriveOptions
 
-PROJECT = Path(__file__).resolve().parents[1]
+PROJECT = Path(__file__).resolve().parents[2]
 
 SOURCES = (
     *(
