@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.ranging.evaluation.reference_distance import ReferenceName
 from track_range.ranging.size_models.region import Region
 

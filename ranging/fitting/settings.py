@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 
 
 class FitSettings(Options):

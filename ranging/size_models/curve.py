@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.structured_text import read_json
-from track_range.foundation.validation import Integer, validated
+from track_range.foundation.schemas.validation import Integer, validated
 from track_range.ranging.size_models import cuboid_sizes, log_linear, plain_curves
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.region import Region

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.validation import Integer, Number
+from track_range.foundation.schemas.validation import Integer, Number
 from track_range.ranging.size_models import size_model
 
 KIND = "log-linear"  # value of "kind" in curve files of this model

@@ -24,7 +24,7 @@ from numpy.polynomial import Polynomial
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.validation import Integer, Number
+from track_range.foundation.schemas.validation import Integer, Number
 from track_range.ranging.size_models import size_model
 
 # (N, 2) width and height / f -> (N,) box measure s, a curve's argument

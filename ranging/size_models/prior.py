@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.validation import Integer, Number
+from track_range.foundation.schemas.validation import Integer, Number
 from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, Sigma, SizeM
 

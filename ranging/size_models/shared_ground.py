@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.foundation.validation import Number
+from track_range.foundation.schemas.validation import Number
 from track_range.ranging.size_models.size_model import DriveState, GroundTerms, Sigma
 
 _N_ITERATIONS = 3  # iterations of reweighted least squares

@@ -31,8 +31,8 @@ from track_range.detection.box_errors import NO_ERRORS, UNKNOWN_DETECTOR, BoxErr
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.schemas.validation import Number
 from track_range.foundation.track_state import TrackState
-from track_range.foundation.validation import Number
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _MEMORY_S = 60.0  # time in s over which the contribution of an object that has left decays to 1/e

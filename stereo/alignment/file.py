@@ -23,7 +23,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.validation import Number, Version1, validated
+from track_range.foundation.schemas.validation import Number, Version1, validated
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.rig_format import write_rig_text

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
-from track_range.foundation.validation import Integer
+from track_range.foundation.schemas.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
 from track_range.stereo.geometry.lenses import LENSES

@@ -28,7 +28,7 @@ from pydantic import BaseModel, Field
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_json
-from track_range.foundation.validation import Integer, Number, validated
+from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion

@@ -26,7 +26,7 @@ from pydantic import BaseModel, Field
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_yaml
-from track_range.foundation.validation import Number, validated
+from track_range.foundation.schemas.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration

@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
-from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
+from track_range.foundation.schemas.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import (

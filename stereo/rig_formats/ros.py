@@ -18,7 +18,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.structured_text import parse_yaml
-from track_range.foundation.validation import Integer, Number, validated
+from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, is_undistorted, rig_of

@@ -8,10 +8,12 @@ of imports between rooms.
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,20 @@ def _rooms() -> dict[str, Room]:
 ROOMS: Mapping[str, Room] = _rooms()
 """All rooms; each imports only rooms before it."""
 
+KNOTS_LEFT = (
+    "cli",
+    "detection",
+    "fleet",
+    "ranging",
+    "recording",
+    "results",
+    "run",
+    "simulation",
+    "stereo",
+    "views",
+)
+"""Rooms in which folders still import each other in a circle."""
+
 FRONT_DOOR = {"track_range", "track_range.__main__"}
 """Modules in no room: the lazy names of `import track_range`, and `python -m track_range`."""
 
@@ -125,10 +141,11 @@ def imported(text: str, modules: Mapping[str, object], *, has_strings: bool = Tr
     TYPE_CHECKING`.
 
     With `has_strings`, also those named by a string with a dot, with or without "track_range." and
-    ":ATTRIBUTE".
+    ":ATTRIBUTE", and those that a command line runs with `-m`.
     """
     found = set()
     for node in ast.walk(ast.parse(text)):
+        found |= _run_as_program(node)
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name in modules}
         elif isinstance(node, ast.ImportFrom):
@@ -144,6 +161,45 @@ def imported(text: str, modules: Mapping[str, object], *, has_strings: bool = Tr
             name = node.value.partition(":")[0]
             found |= {name, f"track_range.{name}"}
     return found & modules.keys()
+
+
+def _run_as_program(node: ast.AST) -> set[str]:
+    """Modules of the package that a node runs as a program: `[..., "-m", "track_range.x"]`, also as
+    arguments of a call, or "-m track_range.x" in one text."""
+    values = getattr(node, "elts", getattr(node, "args", ()))
+    texts = [
+        value.value
+        for value in (values if isinstance(values, list) else ())
+        if isinstance(value, ast.Constant) and isinstance(value.value, str)
+    ]
+    names = [name for option, name in pairwise(texts) if option == "-m"]
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        names += re.findall(r"-m\s+(track_range[\w.]*)", node.value)
+    return {f"{name}.__main__" if name == "track_range" else name for name in names}
+
+
+def computed_names(text: str) -> list[str]:
+    """Names of modules in a file that are put together from parts, so that neither this test nor a
+    tool can follow them: "track_range." before a computed part, ".module:attribute" after one."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.JoinedStr):
+            first, last = node.values[0], node.values[-1]
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Mod):
+            first, last = node.left, node.right
+        else:
+            continue
+        begins = re.match(r"track_range\.([a-z_]\w*\.)*(%|$)", _text(first))
+        ends = re.fullmatch(r"(\.[a-z_]\w*)+:[A-Za-z_][\w.]*", _text(last))
+        if begins or ends:
+            found.append(ast.unparse(node))
+    return found
+
+
+def _text(node: ast.AST) -> str:
+    """A node's text, "" if it is no text."""
+    is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return str(node.value) if is_text else ""
 
 
 @cache
@@ -175,6 +231,13 @@ def forbidden(graph: Mapping[str, frozenset[str]]) -> Iterator[str]:
 def cycles(graph: Mapping[str, frozenset[str]]) -> list[list[str]]:
     """Modules of more than one folder that import each other in a circle: strongly connected
     components."""
+    return [
+        group for group in _strong(graph) if len({name.rpartition(".")[0] for name in group}) > 1
+    ]
+
+
+def _strong(graph: Mapping[str, Collection[str]]) -> list[list[str]]:
+    """Strongly connected components of a graph, each in order of the names."""
     names = sorted(graph)
     number = {name: index for index, name in enumerate(names)}
     pairs = [
@@ -186,9 +249,26 @@ def cycles(graph: Mapping[str, frozenset[str]]) -> list[list[str]]:
     groups: dict[int, list[str]] = defaultdict(list)
     for name, group in zip(names, component.tolist(), strict=True):
         groups[group].append(name)
-    return [
-        group for group in groups.values() if len({name.rpartition(".")[0] for name in group}) > 1
-    ]
+    return list(groups.values())
+
+
+def knots(
+    graph: Mapping[str, frozenset[str]], files: Mapping[str, Path] | None = None
+) -> list[list[str]]:
+    """Folders that import each other in a circle, of one room or of several; a folder and its own
+    sub-folder are two.
+
+    `files`: of each module; None = those of the product.
+    """
+    files = sources() if files is None else files
+    folder = {
+        name: name if path.stem == "__init__" else name.rpartition(".")[0]
+        for name, path in files.items()
+    }
+    folders: dict[str, set[str]] = defaultdict(set)
+    for name, others in graph.items():
+        folders[folder[name]] |= {folder[other] for other in others}
+    return [sorted(group) for group in _strong(folders) if len(group) > 1]
 
 
 def counts(graph: Mapping[str, frozenset[str]]) -> Mapping[str, Counter[str]]:

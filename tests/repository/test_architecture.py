@@ -83,6 +83,71 @@ def test_no_cycle_between_modules_of_different_folders():
     assert rooms.cycles(rooms.imports(has_strings=False)) == []
 
 
+def test_folders_inside_rooms_are_layers():
+    knots = [
+        knot
+        for knot in rooms.knots(rooms.imports())
+        if not {rooms.room_of(folder) for folder in knot} <= set(rooms.KNOTS_LEFT)
+    ]
+    assert knots == []
+
+
+def test_names_of_modules_are_written_out():
+    computed = {
+        module: names
+        for module, path in rooms.sources().items()
+        if (names := rooms.computed_names(path.read_text(encoding="utf-8")))
+    }
+    # the lazy front door, whose table holds the names of its modules
+    assert computed == {"track_range": ["f'track_range.{module}'"]}
+
+
+def test_computed_names_and_programs_are_seen():
+    text = """
+A = f"track_range.{room}.app"
+B = "track_range." + room
+C = f"{folder}.size_regression:MONO"
+D = "track_range.%s" % room
+E = f"{number:.1f} s; check it: yes"
+"""
+    assert rooms.computed_names(text) == [
+        "f'track_range.{room}.app'",
+        "'track_range.' + room",
+        "f'{folder}.size_regression:MONO'",
+        "'track_range.%s' % room",
+    ]
+    text = """
+subprocess.run([sys.executable, "-m", "track_range.fleet", "run"])
+execute(sys.executable, "-m", "track_range", *arguments)
+os.system("python -m track_range.cli.app run")
+"""
+    names = ("fleet", "__main__", "cli.app")
+    modules = {f"track_range.{name}": None for name in names}
+    assert rooms.imported(text, modules, has_strings=False) == set(modules)
+
+
+def test_knots_of_folders_are_seen():
+    files = {
+        "track_range.stereo": Path("stereo/__init__.py"),
+        "track_range.stereo.pair": Path("stereo/pair.py"),
+        "track_range.stereo.matching": Path("stereo/matching/__init__.py"),
+        "track_range.stereo.matching.cost": Path("stereo/matching/cost.py"),
+        "track_range.stereo.geometry.rig": Path("stereo/geometry/rig.py"),
+    }
+    graph = {
+        "track_range.stereo": frozenset(),
+        "track_range.stereo.pair": frozenset({"track_range.stereo.matching.cost"}),
+        "track_range.stereo.matching": frozenset({"track_range.stereo.geometry.rig"}),
+        "track_range.stereo.matching.cost": frozenset({"track_range.stereo.matching"}),
+        "track_range.stereo.geometry.rig": frozenset(),
+    }
+    assert rooms.knots(graph, files) == []
+    graph["track_range.stereo.geometry.rig"] = frozenset({"track_range.stereo.pair"})
+    assert rooms.knots(graph, files) == [
+        ["track_range.stereo", "track_range.stereo.geometry", "track_range.stereo.matching"]
+    ]
+
+
 def test_lazy_and_typing_imports_and_names_of_modules_are_seen():
     names = ("cli.app", "ranging.ranges", "results", "views.video_writer", "run.run")
     modules = {f"track_range.{name}": None for name in names}

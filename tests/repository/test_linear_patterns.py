@@ -20,7 +20,7 @@ LIMIT_S = 2.0  # of one text; linear expressions need less than 0.05 s, quadrati
 SHORT = {  # modules whose expressions only see short texts
     "track_range.fleet.storage.errors": "texts are cut to 4000 characters",
     "track_range.calibration.board_images": "patterns of the command line",
-    "track_range.foundation.keywords": "messages of the program",
+    "track_range.foundation.schemas.keywords": "messages of the program",
     "track_range.cli.commands.doctor": "requirements of installed packages",
     "track_range.recording.live.address": "addresses of the command line",
     "track_range.views.live_view.server": "the program's own page",

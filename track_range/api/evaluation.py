@@ -13,7 +13,7 @@ from track_range.evaluation.motion.settings import MotionEvaluationSettings
 from track_range.evaluation.sequences.evaluation import evaluate_tracks as _evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
-from track_range.foundation.keywords import KeywordsInErrors
+from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 

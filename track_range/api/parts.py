@@ -19,7 +19,7 @@ from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloSettings
 from track_range.foundation.arrays import Image
-from track_range.foundation.keywords import KeywordsInErrors
+from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.recording import recording
 from track_range.run.options.opened import DetectorOptions, open_detector, open_tracker_options
 from track_range.run.ready_model import ready_model

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.recording.names import LayoutOption
 
 _ROAD = "Without a board"  # heading of the options of the calibration from a drive

@@ -15,8 +15,8 @@ import typer
 
 from track_range.cli.lazy import Lazy, lazy_app
 from track_range.foundation.errors import UserError
-from track_range.foundation.keywords import flags_in_errors
 from track_range.foundation.processes import owned_process
+from track_range.foundation.schemas.keywords import flags_in_errors
 
 PROGRAM = "track-range"
 

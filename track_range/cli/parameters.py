@@ -14,7 +14,13 @@ from pydantic.fields import FieldInfo
 
 from track_range.cli.bare_recordings import refuse_expanded
 from track_range.cli.lazy import HelpCommand
-from track_range.foundation.options import Options, choices_of, is_list, option_of, value_type
+from track_range.foundation.schemas.options import (
+    Options,
+    choices_of,
+    is_list,
+    option_of,
+    value_type,
+)
 
 _O = TypeVar("_O", bound=Options)
 

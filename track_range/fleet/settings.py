@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import field_validator
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 
 _input, _output, _workers = (
     partial(option, panel=heading) for heading in ("Recordings", "Results", "Workers")

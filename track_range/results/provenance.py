@@ -1,7 +1,7 @@
 """Provenance: software, model, calibration and settings that results were made with; stored in the
 result files.
 
-`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run:
+`foundation.schemas.schema_version.SCHEMA_VERSION` is the version of all result files of a run:
 docs/reference/schema.md lists what it promises.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Self
 
-from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSION
+from track_range.foundation.schemas.schema_version import METADATA_PREFIX, SCHEMA_VERSION
 
 _NOT_HASHED = frozenset(  # settings of the output files, which do not affect the rows
     (

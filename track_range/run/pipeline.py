@@ -26,7 +26,7 @@ from rich.console import Console
 from track_range.detection.detector import ObjectDetector
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UsageError, UserError
-from track_range.foundation.keywords import KeywordsInErrors
+from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import latency_ms

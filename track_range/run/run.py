@@ -25,7 +25,7 @@ from rich.console import Console
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import counted, real_path
-from track_range.foundation.keywords import KeywordsInErrors
+from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
 from track_range.run.box_source import class_name

@@ -23,7 +23,7 @@ from track_range.foundation.errors import RunStoppedError, UserError
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.progress import StepProgress
-from track_range.foundation.schema_version import SCHEMA_VERSION
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter, PacedFrames

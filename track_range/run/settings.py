@@ -14,8 +14,8 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from track_range.foundation.files.input_files import quoted
-from track_range.foundation.options import Options, option
-from track_range.foundation.validation import chosen_numbers
+from track_range.foundation.schemas.options import Options, option
+from track_range.foundation.schemas.validation import chosen_numbers
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.recording.names import stem_of

@@ -18,9 +18,9 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.options import is_file, option_of, value_type
-from track_range.foundation.schema_version import SCHEMA_VERSION
-from track_range.foundation.validation import first_problem
+from track_range.foundation.schemas.options import is_file, option_of, value_type
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
+from track_range.foundation.schemas.validation import first_problem
 from track_range.recording.live.address import live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash

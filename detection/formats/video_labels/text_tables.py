@@ -21,7 +21,7 @@ from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
-from track_range.foundation.schema_version import check_schema_version
+from track_range.foundation.schemas.schema_version import check_schema_version
 
 _UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")

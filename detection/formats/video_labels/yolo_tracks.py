@@ -48,7 +48,7 @@ from track_range.foundation.files.input_files import (
 )
 from track_range.foundation.files.numeric_text import numbers
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.validation import PositiveNumber, validated
+from track_range.foundation.schemas.validation import PositiveNumber, validated
 
 DATA_YAML = "data.yaml"
 # first line of a data.yaml that may be replaced with its folder

@@ -57,7 +57,7 @@ from track_range.foundation.files.input_files import (
     shortened,
 )
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.foundation.validation import validated
+from track_range.foundation.schemas.validation import validated
 
 _MAX_PATH, _MAX_SHOWN = 1000, 200  # characters of a path in a data.yaml, and in a message
 

@@ -21,7 +21,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
-from track_range.foundation.validation import Integer, Number, validated
+from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.values.containers import (
     MAX_NUMBERS,

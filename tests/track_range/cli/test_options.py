@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from track_range.cli.parameters import command, parameters
 from track_range.fleet.inputs.clip import CLIP_SETTINGS, is_file_setting
 from track_range.foundation.errors import UsageError
-from track_range.foundation.options import Options, option, option_of
+from track_range.foundation.schemas.options import Options, option, option_of
 from track_range.results.provenance import _NOT_HASHED
 from track_range.results.writers import WRITERS, create_writer
 from track_range.run.settings import RunSettings

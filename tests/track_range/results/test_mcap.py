@@ -30,7 +30,7 @@ from tests.track_range.results.test_results import result
 from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import OutputError
-from track_range.foundation.schema_version import SCHEMA_VERSION
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.results.formats.mcap import LAYOUT
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
 from track_range.results.replay import frames_of_rows

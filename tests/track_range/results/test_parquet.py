@@ -24,7 +24,7 @@ from track_range.evaluation.sequences.evaluation import evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.foundation.schema_version import SCHEMA_VERSION
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.results.columns import column_names, result_columns, rounded
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.csv_file import read_tracks_csv

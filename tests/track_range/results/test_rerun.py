@@ -24,7 +24,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import locked_folder
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES
-from track_range.foundation.schema_version import SCHEMA_VERSION
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.results.formats.scene import track_objects
 from track_range.results.writers import OpenWriters, create_writers
 

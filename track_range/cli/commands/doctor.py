@@ -28,8 +28,8 @@ from track_range.detection.models.devices import Device
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
 from track_range.foundation.installed import conflicts, installed_versions
-from track_range.foundation.options import Options, option
 from track_range.foundation.processes import n_usable_cores
+from track_range.foundation.schemas.options import Options, option
 
 if TYPE_CHECKING:  # the simulation takes long to import
     from track_range.simulation.drive import Drive

@@ -32,7 +32,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.options import option
+from track_range.foundation.schemas.options import option
 from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_sizes
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes

@@ -11,7 +11,7 @@ from track_range.cli.lazy import Lazy, lazy_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig

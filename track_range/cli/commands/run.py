@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from track_range.cli.parameters import PairCommand, command_of, given_values, parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
-from track_range.foundation.options import Options, option
 from track_range.foundation.processes import tuned_process
+from track_range.foundation.schemas.options import Options, option
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import settings_from
 

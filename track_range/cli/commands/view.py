@@ -11,7 +11,7 @@ from track_range.cli.parameters import command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.results.formats.rerun_file import RERUN_FILE, RerunWriter
 from track_range.run.export.export import ExportSettings, export
 from track_range.run.export.source import is_run

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 
 # shortest time from a warning to the contact for a hit, s: a reaction time of a driver
 MIN_LEAD_S = 0.8

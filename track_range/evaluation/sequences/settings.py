@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
 from track_range.detection.formats.label_formats import LABEL_FORMATS
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import (
     AnchorsField,
     DeviceField,

@@ -30,8 +30,8 @@ from track_range.fleet.storage.fetch import fetched
 from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
-from track_range.foundation.keywords import flags_in_errors
 from track_range.foundation.processes import tuned_process
+from track_range.foundation.schemas.keywords import flags_in_errors
 from track_range.results.events.event import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.options.opened import OpenedDetectors

@@ -23,7 +23,7 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
-from track_range.foundation.options import is_file, option_of
+from track_range.foundation.schemas.options import is_file, option_of
 from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.telemetry.speed_source import AUTO, OFF

@@ -10,7 +10,7 @@ from pathlib import Path
 from track_range.fleet.storage.location import FileStat, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
-from track_range.foundation.options import is_file, option_of, value_type
+from track_range.foundation.schemas.options import is_file, option_of, value_type
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
 from track_range.run.settings import RunSettings
 

@@ -29,7 +29,7 @@ from track_range.foundation.files.input_files import (
     shortened,
 )
 from track_range.foundation.files.numeric_text import number
-from track_range.foundation.options import option_of, value_type
+from track_range.foundation.schemas.options import option_of, value_type
 from track_range.recording.utc import parsed_utc
 from track_range.run.settings import RunSettings
 

@@ -1,6 +1,6 @@
 """The reader of all YAML and JSON files: limited in size and depth, without aliases; errors are one sentence.
 
-    regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`foundation.validation`)
+    regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`schemas.validation`)
 
 Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
 """

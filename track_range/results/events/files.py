@@ -25,7 +25,7 @@ from track_range.foundation.files.input_files import (
 )
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.output_files import OutputError, write_text
-from track_range.foundation.schema_version import check_schema_version
+from track_range.foundation.schemas.schema_version import check_schema_version
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event, EventKind
 from track_range.results.formats.row_file import RowFile, csv_text
 

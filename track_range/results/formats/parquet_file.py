@@ -19,7 +19,7 @@ import numpy as np
 from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.foundation.files.output_files import OutputError
-from track_range.foundation.schema_version import check_schema_version
+from track_range.foundation.schemas.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import (
     MAX_CLASS,

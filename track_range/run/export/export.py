@@ -24,7 +24,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.atomic_files import atomic_path, writable, write_bytes
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
 from track_range.results.formats.poses_file import read_poses

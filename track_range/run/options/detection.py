@@ -13,7 +13,7 @@ from pydantic import model_validator
 from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.models.devices import Device
 from track_range.foundation.errors import UsageError
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 
 _shared_option = partial(option, is_shared=True)
 

@@ -14,7 +14,7 @@ from pydantic import field_serializer, field_validator
 
 from track_range.detection.formats.titles import GENERAL_TITLES
 from track_range.foundation.errors import ConfigError
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.recording.names import Bayer, LayoutOption, Segments, VideoName, video_name
 from track_range.recording.utc import parsed_utc
 

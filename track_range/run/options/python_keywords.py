@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.foundation.options import Options
+from track_range.foundation.schemas.options import Options
 from track_range.run.settings import PipelineOptions
 
 _OBJECTS = {  # options that may be objects: the member of these, and what is expected

@@ -17,7 +17,7 @@ from track_range.evaluation.sequences.detector_evaluation import evaluate_source
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
 from track_range.foundation.files.output_files import write_json
-from track_range.foundation.options import option
+from track_range.foundation.schemas.options import option
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from track_range.cli.console import console, print_line
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
-from track_range.foundation.options import option
+from track_range.foundation.schemas.options import option
 from track_range.views.report import tables
 
 JsonField = Annotated[

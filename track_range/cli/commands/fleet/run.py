@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from track_range.cli.parameters import command_of, given_values, parameters
 from track_range.fleet.settings import FleetSettings
-from track_range.foundation.options import option_of
+from track_range.foundation.schemas.options import option_of
 from track_range.run.settings import RunSettings
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from track_range.evaluation.sequences.settings import (
 )
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_json
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import ThreadsField
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress

@@ -21,7 +21,7 @@ from track_range.detection.yolo.first_images import N_IMAGES
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.files.atomic_files import describe, write_bytes
 from track_range.foundation.files.images import read_image
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.pipeline.colours import track_colour
 from track_range.run.options.detection import AnchorsField, LayoutField, LetterboxField, NamesField
 from track_range.run.options.opened import DetectorOptions, open_detector

@@ -35,7 +35,7 @@ from track_range.evaluation.sequences.settings import (
 )
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_json
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.run.options import detection as fields
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress

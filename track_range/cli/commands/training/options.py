@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import DeviceField, SizeField, ThreadsField
 
 _DATA, _TRAINING, _OUTPUT, _VARIANTS = "Data and network", "Training", "Output", "Network variants"

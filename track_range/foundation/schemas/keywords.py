@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from track_range.foundation.errors import UserError
 
 if TYPE_CHECKING:
-    from track_range.foundation.options import Options
+    from track_range.foundation.schemas.options import Options
 
 _is_command_line = ContextVar("is_command_line", default=False)
 
@@ -64,7 +64,11 @@ def with_keywords(sentence: str, model: type[Options]) -> str:
     """A sentence with keywords for the flags of a model: `focal_px: ...` at its beginning,
     `focal_px=` elsewhere.
     """
-    from track_range.foundation.options import choices_of, option_of, value_type  # imports pydantic
+    from track_range.foundation.schemas.options import (  # imports pydantic
+        choices_of,
+        option_of,
+        value_type,
+    )
 
     fields = {model.flag(name): name for name in model.model_fields}
 

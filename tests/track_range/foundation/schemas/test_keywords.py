@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import pytest
 
 from track_range.foundation.errors import ConfigError
-from track_range.foundation.keywords import KeywordsInErrors, flags_in_errors, with_keywords
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.keywords import KeywordsInErrors, flags_in_errors, with_keywords
+from track_range.foundation.schemas.options import Options, option
 
 
 class Recipe(Options):

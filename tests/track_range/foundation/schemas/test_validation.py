@@ -8,7 +8,13 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.validation import Integer, Number, PositiveNumber, Version1, validated
+from track_range.foundation.schemas.validation import (
+    Integer,
+    Number,
+    PositiveNumber,
+    Version1,
+    validated,
+)
 
 
 class Inner(BaseModel):

@@ -26,7 +26,7 @@ from pydantic.fields import FieldInfo
 
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted, shortened
-from track_range.foundation.validation import first_problem
+from track_range.foundation.schemas.validation import first_problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

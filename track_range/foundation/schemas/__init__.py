@@ -1,0 +1,1 @@
+"""Schemas: options and structured files as pydantic models, their versions and keywords."""
