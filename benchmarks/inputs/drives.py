@@ -25,9 +25,9 @@ from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.simulation.camera.fault_options import NO_FAULTS, Faults
 from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.settings import NO_FAULTS, Faults
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.surroundings import SURROUNDINGS
 from track_range.stereo.geometry.frames import Frame

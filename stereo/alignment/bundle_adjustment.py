@@ -3,7 +3,7 @@ tracked points.
 
     point on frame 0's ray (a, b, 1), inverse depth r:    q = R (a, b, 1) + r t         R, t = frame f from frame 0
     left image   x = f q_x / q_z + cx,  y = f q_y / q_z + cy
-    right image  x - f B r / q_z + offset + curvature u^2 + slope u     u: column, see `stereo.alignment.model`
+    right image  x - f B r / q_z + offset + curvature u^2 + slope u     u: column, see `stereo.geometry.alignment`
 
 Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points
 observed from several positions, the error is the intercept of the disparity as a function of the

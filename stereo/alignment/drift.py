@@ -21,8 +21,9 @@ from track_range.stereo.alignment import from_drive
 from track_range.stereo.alignment.bundle_adjustment import CURVATURE, SLOPE
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, TrackedFrame
 from track_range.stereo.alignment.health import Window
-from track_range.stereo.alignment.model import Alignment, RightView
+from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.alignment.segments import Segment, segment_of
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 

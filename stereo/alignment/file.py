@@ -1,7 +1,7 @@
 """Alignment files: align.yaml, with units in the keys, as written by `track-range align`.
 
     track_range_align: 1
-    offset_px: 0.45                 d_true = d_measured + offset_px + bow_px u^2 ..., see `stereo.alignment.model`
+    offset_px: 0.45                 d_true = d_measured + offset_px + bow_px u^2 ..., see `stereo.geometry.alignment`
     offset_sigma_px: 0.05
     bow_px: 1.57
     bow_sigma_px: 0.12
@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.validation import Number, Version1, validated
-from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 

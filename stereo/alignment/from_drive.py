@@ -31,12 +31,7 @@ from track_range.stereo.alignment.feature_tracks import (
     TrackedFrame,
 )
 from track_range.stereo.alignment.health import Window
-from track_range.stereo.alignment.model import (
-    UNCORRECTED_SIGMA_PX,
-    Alignment,
-    RightView,
-    fit_right_view,
-)
+from track_range.stereo.alignment.right_view import RightView, fit_right_view
 from track_range.stereo.alignment.segments import (
     INCONSISTENT,
     MAX_ERROR_PX,
@@ -45,6 +40,7 @@ from track_range.stereo.alignment.segments import (
     combine,
     segment_of,
 )
+from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.robust_statistics import weighted_median
-from track_range.stereo.alignment.model import Alignment, column_from_axis
+from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 

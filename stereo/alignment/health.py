@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, Alignment, RightView
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.rig import StereoRig
 
 DISTANCES_M = (10.0, 20.0, 30.0, 50.0)  # distances of the reported errors

@@ -25,7 +25,7 @@ from track_range.stereo.alignment.bundle_adjustment import (
     Observations,
     error_columns,
 )
-from track_range.stereo.alignment.model import column_from_axis
+from track_range.stereo.geometry.alignment import column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

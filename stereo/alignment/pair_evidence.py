@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
-from track_range.stereo.alignment.model import RightView, fit_right_view
+from track_range.stereo.alignment.right_view import RightView, fit_right_view
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import grey
 

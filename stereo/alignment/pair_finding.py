@@ -20,8 +20,8 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.from_drive import NOT_MEASURED
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_evidence import Motion, PairFigures
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 
 Fault = Literal["fits", "verged", "swapped", "turned", "unsteady", "refused", "unknown"]

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))  # bands of true distance with separate metrics

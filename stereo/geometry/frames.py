@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 
 
 class ImageView(Protocol):

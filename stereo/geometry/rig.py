@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 

@@ -33,7 +33,7 @@ from track_range.foundation.sparse_flow import (
     small_grey,
     tracked_corners,
 )
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment, column_from_axis
+from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from track_range.stereo.alignment.file import load_alignment, save_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import RigError
 
 

@@ -12,8 +12,8 @@ from hypothesis import given, settings, strategies as st
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.from_reference import fit_reference
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.matching.patch_matcher import PatchMatcher

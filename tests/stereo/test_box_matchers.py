@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.recordings.kitti_folder import write_set
+from track_range.stereo.evaluation.box_matchers import MATCHER_NAMES, measure_pairs, open_matcher
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
-from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, open_matcher
 
 
 def test_all_matchers_on_exact_pairs(tmp_path: Path) -> None:

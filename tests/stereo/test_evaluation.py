@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.stereo.alignment.from_reference import fit_reference
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.box_matchers import measure_pairs
 from track_range.stereo.evaluation.disparity_errors import (
     MatcherColumn,
     Objects,
@@ -22,8 +22,8 @@ from track_range.stereo.evaluation.disparity_errors import (
     matcher_figures,
 )
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.matching.box_matchers import measure_pairs
 
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 NAN = np.nan

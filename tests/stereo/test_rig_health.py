@@ -15,7 +15,8 @@ from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.feature_tracks import PairPoints, TrackedFrame
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth, Window
-from track_range.stereo.alignment.model import Alignment, RightView, fit_right_view
+from track_range.stereo.alignment.right_view import RightView, fit_right_view
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import StereoRig

@@ -21,7 +21,7 @@ from tests.torture.mutations import BYTES, JSON, NPY, ONNX, PNG, TABLE, TEXT, YA
 from tests.torture.processes import succeed
 from track_range.ranging import size_models
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 
 WIDTH_PX, HEIGHT_PX = 320, 96  # small, so that a run takes a fraction of a second
 FOCAL_PX = 186.0  # the angle of view is KITTI's

@@ -22,12 +22,12 @@ from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import CORRECTED, GIVEN
+from track_range.stereo.evaluation.box_matchers import measure_pairs
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.rig_formats.reading import find_rig
 
 _MATCHER = "patch"

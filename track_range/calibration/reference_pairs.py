@@ -39,7 +39,6 @@ from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.recording.names import LayoutOption
 from track_range.recording.recording import Recording, open_recording
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import WITHOUT_STEREO
 from track_range.stereo.evaluation.kitti_2015 import (
     PairFileError,
@@ -47,6 +46,7 @@ from track_range.stereo.evaluation.kitti_2015 import (
     is_kitti_2015,
     read_pairs,
 )
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 LEFT, RIGHT = "left.mp4", "right.mp4"

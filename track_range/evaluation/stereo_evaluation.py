@@ -14,7 +14,7 @@ from track_range.ranging.methods.triangulation import disparities_by_size
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 from track_range.stereo.evaluation.dense_confidence import (
     BEST_MEASURE,
     DENSE_MATCHER,
@@ -35,8 +35,8 @@ from track_range.stereo.evaluation.kitti_2015 import (
     pair_names,
     read_pairs,
 )
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.tracking.tracks import Tracks
 

@@ -52,8 +52,8 @@ from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import PairFinding
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig

@@ -46,7 +46,7 @@ from track_range.run.options.python_keywords import options_and_objects, pipelin
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.stereo.alignment.file import load_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera

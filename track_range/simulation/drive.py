@@ -34,16 +34,16 @@ from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.camera.playback import play_back
-from track_range.simulation.camera.tables import (
+from track_range.simulation.camera.wide_lens import WideLens
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.settings import DriveOptions
+from track_range.simulation.tables import (
     TRUTH_HEADER,
     contacts_text,
     ego_speed_text,
     kitti_text,
     truth_rows,
 )
-from track_range.simulation.camera.wide_lens import WideLens
-from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import Scene

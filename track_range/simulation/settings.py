@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.names import PackedLayout
+from track_range.simulation.camera.fault_options import Faults, fault_option
 
 SCENARIO_NAMES = (
     *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
@@ -14,77 +15,7 @@ SCENARIO_NAMES = (
     *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion"),
 )
 
-_DRIVE, _OUTPUT, _FAULTS = "Drive", "Output", "Camera faults"
-
-
-def _fault(description: str, flag: str, metavar: str, low: float, high: float) -> Any:
-    return option(description, flag=flag, metavar=metavar, panel=_FAULTS, ge=low, le=high)
-
-
-class Faults(Options):
-    """Faults of a drive's cameras; no faults by default."""
-
-    gain: Annotated[
-        float,
-        _fault(
-            "Brightness of the right camera relative to the left one, as a factor.",
-            "--gain",
-            "FACTOR",
-            0.1,
-            4,
-        ),
-    ] = 1.0
-    blur_px: Annotated[
-        float,
-        _fault("Standard deviation in pixels of the blur of both cameras.", "--blur", "PX", 0, 20),
-    ] = 0.0
-    rain: Annotated[float, _fault("Density of rain, from 0 to 1.", "--rain", "0..1", 0, 1)] = 0.0
-    row_offset_px: Annotated[
-        float,
-        _fault(
-            "Vertical offset of the right image in pixels, positive downwards.",
-            "--row-offset",
-            "PX",
-            -20,
-            20,
-        ),
-    ] = 0.0
-    disparity_offset_px: Annotated[
-        float,
-        _fault("Constant error of all disparities in pixels.", "--disparity-offset", "PX", -20, 20),
-    ] = 0.0
-    drop_fraction: Annotated[
-        float,
-        _fault(
-            "Fraction of frames dropped by each camera, from 0 to 0.9.",
-            "--drop-frames",
-            "FRACTION",
-            0,
-            0.9,
-        ),
-    ] = 0.0
-    late_s: Annotated[
-        float,
-        _fault(
-            "Delay of the right camera in seconds, which its timestamps do not show.",
-            "--late",
-            "S",
-            -1,
-            1,
-        ),
-    ] = 0.0
-    wrong_rig: Annotated[
-        Literal["baseline", "focal", "principal"] | None,
-        option(
-            "Error in rig.yaml: baseline (5 % too long), focal (focal length 4 % too long) or "
-            "principal (principal point 15 px off).",
-            metavar="NAME",
-            panel=_FAULTS,
-        ),
-    ] = None
-
-
-NO_FAULTS = Faults()
+_DRIVE, _OUTPUT = "Drive", "Output"
 
 
 class _Recording(Options):
@@ -138,7 +69,7 @@ class _Recording(Options):
     ] = False
     noise_grey: Annotated[
         float,
-        _fault(
+        fault_option(
             "Standard deviation of the sensor noise in grey levels of 255.",
             "--noise",
             "LEVELS",

@@ -22,6 +22,7 @@ from benchmarks.inputs.occlusion_pairs import (
 )
 from track_range.evaluation.stereo_evaluation import expected_disparities
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.stereo.evaluation.box_matchers import MATCHER_NAMES, measure_pairs
 from track_range.stereo.evaluation.disparity_errors import (
     FAILURE,
     MatcherColumn,
@@ -29,7 +30,6 @@ from track_range.stereo.evaluation.disparity_errors import (
     figures_with_intervals,
 )
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
-from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs
 from track_range.stereo.matching.patch_matcher import (
     KnownBoxes,
     PatchMatcher,

@@ -28,7 +28,7 @@ from track_range.ranging.world.ego_speed import open_ego_speed
 from track_range.simulation.settings import SCENARIO_NAMES
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.alignment.file import load_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig

@@ -26,12 +26,13 @@ from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.pairs.auto_alignment import PairAlignment
+from track_range.simulation.camera.fault_options import Faults
 from track_range.simulation.render.renderer import kitti_like_rig
-from track_range.simulation.settings import Faults
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, PairPoints, TrackedFrame
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import COLUMNS_U, MATTERS, REFERENCE_M, RigHealth
-from track_range.stereo.alignment.model import Alignment, RightView
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import StereoRig

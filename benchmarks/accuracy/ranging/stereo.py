@@ -27,11 +27,11 @@ from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
+from track_range.stereo.evaluation.box_matchers import measure_pairs
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, figures
 from track_range.stereo.evaluation.kitti_2015 import TRUTH, StereoPair, pair_names, read_pair
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, inner_halves
 

@@ -16,7 +16,7 @@ import pytest
 
 import track_range as tr
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 PROJECT = Path(__file__).resolve().parents[3]

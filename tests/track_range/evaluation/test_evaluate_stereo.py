@@ -12,9 +12,9 @@ import pytest
 from tests.support.recordings.kitti_folder import write_pair, write_set
 from track_range.calibration.reference_pairs import read_drive
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.dense_confidence import MEASURES
 from track_range.stereo.evaluation.disparity_errors import BANDS_M
+from track_range.stereo.geometry.alignment import Alignment
 
 KEYS = {
     "coverage", "failures_pct", "n", "median_relative_error_pct", "mean_relative_error_pct", "p95_relative_error_pct",

@@ -20,7 +20,7 @@ from track_range.recording.pairs.aligner import (
 )
 from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 GIVEN = PairAlignment(measured=Alignment(offset_px=6.3, residual_px=0.1), is_applied=True, rig=RIG)

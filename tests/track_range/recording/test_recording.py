@@ -13,7 +13,7 @@ from track_range.recording.frame import VideoError
 from track_range.recording.pairs import recorded_pair
 from track_range.recording.recording import open_recording
 from track_range.recording.threads import FRAMES_AHEAD
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig

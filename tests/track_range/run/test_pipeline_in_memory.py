@@ -430,7 +430,7 @@ def test_alignment_files_and_objects(drive: Drive, tmp_path: Path) -> None:
 
 def _saved(file: Path) -> Path:
     from track_range.stereo.alignment.file import save_alignment
-    from track_range.stereo.alignment.model import Alignment
+    from track_range.stereo.geometry.alignment import Alignment
 
     save_alignment(
         Alignment(offset_px=0.4, residual_px=0.1, offset_sigma_px=0.05, source="a test"), file

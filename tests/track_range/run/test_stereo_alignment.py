@@ -11,7 +11,7 @@ from track_range.recording.pairs.auto_alignment import PairAlignment, given_alig
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError
 
 RIG = kitti_like_rig(width_px=620, height_px=188)

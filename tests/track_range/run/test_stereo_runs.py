@@ -10,7 +10,7 @@ import yaml
 
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.rig_formats.reading import load_rig
 
 

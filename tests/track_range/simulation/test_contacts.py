@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from track_range.simulation.camera.tables import contacts_text
+from track_range.simulation.tables import contacts_text
 from track_range.simulation.world.contacts import (
     CAMERA_TO_FRONT_M,
     EGO_HWL_M,

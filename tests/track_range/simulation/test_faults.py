@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from track_range.recording.open_video import open_video
+from track_range.simulation.camera.fault_options import Faults
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig, noise_steps
-from track_range.simulation.settings import DriveOptions, Faults
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.rig import StereoRig
 

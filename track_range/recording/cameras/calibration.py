@@ -22,8 +22,9 @@ from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
-from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
+from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry import image_size
+from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.stereo.geometry.camera import (
     PinholeCamera,
     pixel_aspect_of,

@@ -40,8 +40,8 @@ from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.threads import FRAMES_AHEAD
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, NOT_MEASURED, DriveAlignment
-from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import LATER, PairFinding
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 
 # length, in s, of the part of a drive from which the alignment is estimated

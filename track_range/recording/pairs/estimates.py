@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.stereo.alignment.from_drive import MIN_FRAMES, NOT_MEASURED, DriveAlignment
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 

@@ -4,9 +4,9 @@ import math
 from dataclasses import replace
 
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
-from track_range.stereo.alignment.model import RightView
 from track_range.stereo.alignment.pair_evidence import PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
+from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
 

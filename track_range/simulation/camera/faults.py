@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.simulation.settings import Faults
+from track_range.simulation.camera.fault_options import Faults
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

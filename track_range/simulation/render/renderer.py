@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.simulation.camera.fault_options import NO_FAULTS, Faults
 from track_range.simulation.camera.faults import right_camera, with_blur_and_gain, with_rain
 from track_range.simulation.camera.wide_lens import SideView, WideLens
 from track_range.simulation.render.canvas import Canvas
@@ -28,7 +29,6 @@ from track_range.simulation.render.face_table import FaceTable, TextureStore
 from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
-from track_range.simulation.settings import NO_FAULTS, Faults
 from track_range.simulation.world.bodies.faces import Face
 from track_range.simulation.world.bodies.obstacles import body_of_obstacle
 from track_range.simulation.world.bodies.road_users import body_of

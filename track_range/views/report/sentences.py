@@ -18,7 +18,7 @@ import numpy as np
 from track_range.foundation.files.input_files import counted
 from track_range.results.columns import Columns
 from track_range.results.events.event import Event
-from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
+from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.views.report import tables
 from track_range.views.report.content.events import (
     kind_counts,
