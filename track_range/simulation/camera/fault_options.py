@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.schemas.options import Options, option
 
 
 def fault_option(description: str, flag: str, metavar: str, low: float, high: float) -> Any:
