@@ -71,8 +71,8 @@ if TYPE_CHECKING:
     from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
     from track_range.ranging.warning.settings import WarningSettings as WarningSettings
     from track_range.ranging.warning.warnings import Warnings as Warnings
-    from track_range.recording.frame import VideoError as VideoError
     from track_range.recording.recording import open_recording as open_recording
+    from track_range.recording.video.frame import VideoError as VideoError
     from track_range.results.events.event import Event as Event
     from track_range.results.events.files import (
         EventFileError as EventFileError,
@@ -147,7 +147,7 @@ _NAMES = {
     "tracking.registry": "register_tracker TrackerError",
     "results.writers": "register_writer WriterError",
     "foundation.errors": "UserError ConfigError UsageError",
-    "recording.frame": "VideoError",
+    "recording.video.frame": "VideoError",
     "detection.detector": "DetectorError",
     "detection.models.download": "DownloadError",
     "detection.models.onnx_session": "ModelError",

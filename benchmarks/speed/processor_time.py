@@ -22,8 +22,8 @@ from track_range.run.run import Run
 from track_range.run.settings_files import settings_from
 
 STEPS: dict[str, tuple[str, ...]] = {
-    "decoding": ("recording.files.video_file:_Reading._next_decoded",),
-    "colour conversion, read": ("recording.frame:DecodedImage.to_bgr",),
+    "decoding": ("recording.sources.files.video_file:_Reading._next_decoded",),
+    "colour conversion, read": ("recording.video.frame:DecodedImage.to_bgr",),
     "rectification": ("stereo.geometry.rectification:Rectifier.rectify Undistorter.undistort",),
     "checks of the pair": (
         "recording.pairs.pair_monitor:PairMonitor.add",

@@ -14,7 +14,7 @@ import track_range as tr
 from tests.support.images.board_scenes import drawn, rig, varied_poses
 from tests.support.networks.onnx_models import write_model
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.simulation.drive import Drive
 from track_range.stereo.calibration.boards import ChessBoard
 

@@ -24,7 +24,7 @@ from tests.support.recordings.recording_files import (
     timed_folders,
     videos,
 )
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.simulation.drive import Drive
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig

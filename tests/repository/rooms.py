@@ -101,7 +101,6 @@ KNOTS_LEFT = (
     "detection",
     "fleet",
     "ranging",
-    "recording",
     "results",
     "run",
     "simulation",

@@ -37,7 +37,7 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.world.ego_speed import open_ego_speed
-from track_range.recording.files.image_names import named_images
+from track_range.recording.sources.files.image_names import named_images
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.recording.telemetry.exiftool import track_of_records
 from track_range.recording.telemetry.found import READERS, embedded
@@ -188,7 +188,7 @@ READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module
     "transport stream": (of_transport_stream, ".ts", "recording.telemetry.containers"),
     "bare GPMF": (of_bare_gpmf, ".mp4", "recording.telemetry.containers"),
     "exiftool": (of_exiftool, ".txt", "recording.telemetry.exiftool"),
-    "times of images": (of_times, ".csv", "recording.files"),
+    "times of images": (of_times, ".csv", "recording.sources.files"),
     "YAML": (lambda path: read_yaml(path, UserError, "a file"), ".yaml", "foundation"),
     "JSON": (lambda path: read_json(path, UserError, "a file"), ".json", "foundation"),
     "CSV": (lambda path: read_csv_table(path, UserError, "a table"), ".csv", "foundation"),

@@ -23,13 +23,13 @@ from track_range.detection.formats.image_labels.labelled_images import (
 )
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.recording.frame import TIME_EPSILON_S, VideoFrame
-from track_range.recording.names import LayoutOption, StereoLayout, natural_key
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import find_layout, matching_halves
-from track_range.recording.pairs.video_half import image_half
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.sources.video_half import image_half
+from track_range.recording.video.frame import TIME_EPSILON_S, VideoFrame
+from track_range.recording.video.names import LayoutOption, StereoLayout, natural_key
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards

@@ -37,8 +37,8 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
-from track_range.recording.names import LayoutOption
 from track_range.recording.recording import Recording, open_recording
+from track_range.recording.video.names import LayoutOption
 from track_range.stereo.alignment.pair_finding import WITHOUT_STEREO
 from track_range.stereo.evaluation.kitti_2015 import (
     PairFileError,

@@ -14,18 +14,32 @@ from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.measurements import FocalGuess
-from track_range.recording.bags.bag import is_bag
+from track_range.recording.cameras.auto_alignment import given_alignment
 from track_range.recording.cameras.calibration import (
     LensView,
     RecordingCalibration,
     Video,
     find_calibration,
 )
-from track_range.recording.files.image_names import stereo_images
-from track_range.recording.frame import VideoError
-from track_range.recording.live.address import LiveAddress
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import (
+from track_range.recording.pairs.aligner import (
+    ESTIMATION_SPAN_S,
+    LIVE,
+    RECORDED,
+    PairAligner,
+)
+from track_range.recording.pairs.live_pair import LivePair
+from track_range.recording.pairs.packed_pair import PackedPair, pair_in
+from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.stereo_layout import find_layout, mono_notes
+from track_range.recording.pairs.sync_monitor import SyncMonitor
+from track_range.recording.pairs.video_pair import VideoPair
+from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.files.image_names import stereo_images
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.address import LiveAddress
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import (
     BagTopic,
     Bayer,
     Half,
@@ -36,22 +50,8 @@ from track_range.recording.names import (
     VideoTrack,
     video_name,
 )
-from track_range.recording.open_video import open_video
-from track_range.recording.pairs.aligner import (
-    ESTIMATION_SPAN_S,
-    LIVE,
-    RECORDED,
-    PairAligner,
-)
-from track_range.recording.pairs.auto_alignment import given_alignment
-from track_range.recording.pairs.live_pair import LivePair
-from track_range.recording.pairs.packed_pair import PackedPair, pair_in
-from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.pairs.stereo_layout import find_layout, mono_notes
-from track_range.recording.pairs.sync_monitor import SyncMonitor
-from track_range.recording.pairs.video_pair import VideoPair
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.utc import UtcStart, parsed_utc
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -20,7 +20,7 @@ from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files import output_files
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.pipeline.frame_result import FrameResult
-from track_range.recording.telemetry.track import TELEMETRY_FILE, write_positions
+from track_range.recording.telemetry.tracks.track import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles

@@ -32,10 +32,10 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
+from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
-from track_range.recording.frame import RecordedFrame
 from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
-from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
+from track_range.recording.video.frame import RecordedFrame
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows

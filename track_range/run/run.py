@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from track_range.detection.detector import ObjectDetector
-    from track_range.recording.pairs.auto_alignment import PairAlignment
+    from track_range.recording.cameras.auto_alignment import PairAlignment
     from track_range.results.events.event import Event
     from track_range.run.option_types import RunKeywords
     from track_range.run.options.opened import OpenedDetectors

@@ -32,10 +32,10 @@ from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
-from track_range.recording.live.address import LiveAddress
-from track_range.recording.telemetry.positions import has_position
-from track_range.recording.telemetry.speed_source import AUTO, open_speed
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.speed_source import AUTO, open_speed
+from track_range.recording.telemetry.tracks.positions import has_position
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
+from track_range.recording.video.address import LiveAddress
 from track_range.results.approaches import closest_approaches
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.finder import EventFinder

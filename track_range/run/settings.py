@@ -18,7 +18,7 @@ from track_range.foundation.schemas.options import Options, option
 from track_range.foundation.schemas.validation import chosen_numbers
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.settings import WarningSettings
-from track_range.recording.names import stem_of
+from track_range.recording.video.names import stem_of
 from track_range.results.events.event import EventSettings
 from track_range.results.formats.mcap import PROFILES
 from track_range.results.writers import DEFAULT_WRITERS, FILES_OF_WRITERS, WRITERS

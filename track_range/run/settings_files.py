@@ -21,8 +21,8 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.options import is_file, option_of, value_type
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.foundation.schemas.validation import first_problem
-from track_range.recording.live.address import live_address
-from track_range.recording.names import VideoName, files_of
+from track_range.recording.video.address import live_address
+from track_range.recording.video.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.input import plain_name

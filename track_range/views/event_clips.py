@@ -28,7 +28,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.atomic_files import atomic_folder, describe
 from track_range.foundation.files.input_files import check_regular
 from track_range.foundation.files.output_files import OutputError, make_folder
-from track_range.recording.frame import VideoError, bgr_image
+from track_range.recording.video.frame import VideoError, bgr_image
 from track_range.results.events.event import Event, clip_name, is_clip_name
 from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.video_writer import VideoWriter

@@ -23,7 +23,7 @@ from av.video.frame import PictureType
 from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image, check_shape
-from track_range.recording.frame import VideoError
+from track_range.recording.video.frame import VideoError
 
 _ENCODER = "libx264"
 # MPEG's clock rate; the frame interval of every common rate is a whole number of its ticks

@@ -25,7 +25,7 @@ from scipy.stats import binomtest
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.pairs.auto_alignment import PairAlignment
+from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.simulation.camera.fault_options import Faults
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, PairPoints, TrackedFrame

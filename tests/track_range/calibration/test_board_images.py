@@ -11,7 +11,7 @@ import pytest
 
 from track_range.calibration.board_images import board_images
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError
-from track_range.recording.frame import VideoError
+from track_range.recording.video.frame import VideoError
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 
 from tests.stereo.test_pair_finding import RIG as SLOW_RIG, of_drive, shifted, turned
 from tests.track_range.recording.test_pair_monitor import RIG, road
+from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import RecordingCalibration, calibration_of
-from track_range.recording.frame import RecordedFrame
 from track_range.recording.pairs.aligner import (
     LIVE,
     ONE_BY_ONE,
@@ -18,8 +18,8 @@ from track_range.recording.pairs.aligner import (
     AlignedFrame,
     PairAligner,
 )
-from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS
+from track_range.recording.video.frame import RecordedFrame
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import RigError, StereoRig
 

@@ -24,13 +24,13 @@ from tests.track_range.recording.bag_writers import (
 )
 from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
-from track_range.recording.bags.bag import is_bag
-from track_range.recording.bags.bag_video import BagVideo
-from track_range.recording.bags.decoding import message_reader
-from track_range.recording.frame import VideoError
-from track_range.recording.names import BagTopic, Segments
-from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.bags.bag_video import BagVideo
+from track_range.recording.sources.bags.decoding import message_reader
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import BagTopic, Segments
 from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.settings_files import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -90,7 +90,7 @@ def test_pair_in_a_bag(
 def test_later_start_in_a_bag(
     tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("track_range.recording.bags.bag_video._MAX_LATENCY_S", 0.05)
+    monkeypatch.setattr("track_range.recording.sources.bags.bag_video._MAX_LATENCY_S", 0.05)
     bag = write(tmp_path / "drive.bag", kind, BOTH, images)
     reader = open_video(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
     assert [frame.index for frame in reader] == [7, 8, 9]
@@ -349,7 +349,7 @@ def test_missing_package_is_named(
 ) -> None:
     bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
     message_reader.cache_clear()
-    monkeypatch.delitem(sys.modules, "track_range.recording.bags.mcap_file", raising=False)
+    monkeypatch.delitem(sys.modules, "track_range.recording.sources.bags.mcap_file", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):
         open_video(bag)

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
 from track_range.run.run import Run
 
 Film = Callable[..., Path]

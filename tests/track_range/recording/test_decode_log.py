@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from hypothesis import given, settings, strategies as st
 
-from track_range.recording.files.decode_log import DecodeLog
+from track_range.recording.sources.files.decode_log import DecodeLog
 
 
 @given(stamps=st.lists(st.integers(-1000, 1000), min_size=1, unique=True), first=st.integers(0, 30))

@@ -3,9 +3,9 @@ vehicle."""
 
 import pytest
 
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.aligner import ONE_BY_ONE
 from track_range.recording.pairs.estimates import AlignmentEstimates
+from track_range.recording.sources.open_video import open_video
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.rig_formats.reading import load_rig

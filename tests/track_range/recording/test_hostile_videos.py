@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.frame import VideoError
-from track_range.recording.live.address import live_address
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.address import live_address
+from track_range.recording.video.frame import VideoError
 
 Film = Callable[..., Path]
 

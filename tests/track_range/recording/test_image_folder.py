@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
 
 Level = Callable[..., np.ndarray]
 NumberIn = Callable[[np.ndarray], int]

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.files.image_names import named_images, stereo_images
-from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.files.image_names import named_images, stereo_images
+from track_range.recording.sources.open_video import open_video
 
 Level = Callable[..., np.ndarray]
 NumberIn = Callable[[np.ndarray], int]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.recording.live.live_video import StreamClock
+from track_range.recording.sources.live.live_video import StreamClock
 
 
 def test_timestamps_of_this_machines_clock() -> None:

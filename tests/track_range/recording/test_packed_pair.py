@@ -24,12 +24,12 @@ from tests.support.recordings.recording_files import (
 )
 from tests.track_range.recording.bag_writers import write_foxglove
 from track_range.foundation.errors import UsageError
-from track_range.recording.frame import VideoError
-from track_range.recording.names import Half, VideoTrack
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.packed_pair import PackedPair
 from track_range.recording.pairs.stereo_layout import has_second_view, matching_halves
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import Half, VideoTrack
 from track_range.run.settings_files import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, whole_image

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.recordings.recording_files import RECORDINGS, Pair, Recording
-from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.open_video import open_video
 from track_range.simulation.drive import Drive
 from track_range.stereo.geometry.frames import whole_image
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.recorded_video import RecordedVideo
 
 Level = Callable[..., np.ndarray]
 

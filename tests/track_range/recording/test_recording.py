@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from track_range.api.parts import load_rig
-from track_range.recording.frame import VideoError
 from track_range.recording.pairs import recorded_pair
 from track_range.recording.recording import open_recording
-from track_range.recording.threads import FRAMES_AHEAD
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.threads import FRAMES_AHEAD
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image

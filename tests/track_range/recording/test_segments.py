@@ -13,17 +13,17 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.foundation.errors import UsageError
-from track_range.recording.frame import VideoError
-from track_range.recording.names import Segments, natural_key
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.segments.segment_times import (
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.sources.segments.segment_times import (
     SegmentFacts,
     SegmentPlan,
     arranged,
     paired_starts_s,
 )
-from track_range.recording.utc import Stamp, stamp_in_name
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import Segments, natural_key
+from track_range.recording.video.utc import Stamp, stamp_in_name
 from track_range.run.settings_files import save_settings, settings_from
 
 Film = Callable[..., Path]

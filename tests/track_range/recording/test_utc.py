@@ -10,9 +10,15 @@ import cv2
 import pytest
 
 from track_range.foundation.errors import UsageError
-from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
-from track_range.recording.utc import Stamp, parsed_utc, stamp_in_header, stamp_in_name, start_of
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.utc import (
+    Stamp,
+    parsed_utc,
+    stamp_in_header,
+    stamp_in_name,
+    start_of,
+)
 from track_range.run.settings_files import settings_from
 
 

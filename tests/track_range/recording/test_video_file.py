@@ -11,9 +11,9 @@ import pytest
 
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.recorded_video import RecordedVideo
 
 Film = Callable[..., Path]
 NumberIn = Callable[[np.ndarray], int]

@@ -16,8 +16,8 @@ import yaml
 
 import track_range as tr
 from tests.track_range.run.test_process_state import assert_unchanged_by, process_state
-from track_range.recording.frame import VideoFrame
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoFrame
 from track_range.simulation.drive import Drive
 
 OPTIONS: dict[str, Any] = {"sgbm": False}

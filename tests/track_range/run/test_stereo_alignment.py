@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import calibration_of
-from track_range.recording.frame import RecordedFrame
 from track_range.recording.pairs.aligner import RECORDED, PairAligner
-from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
+from track_range.recording.video.frame import RecordedFrame
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.file import save_alignment

@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.simulation.drive import write_drive
 from track_range.stereo.geometry.camera import PinholeCamera

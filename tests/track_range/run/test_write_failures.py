@@ -21,8 +21,8 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import FolderLockError, locked_folder
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.clock import StageClock
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_parquet
 from track_range.results.formats.row_file import RowFile

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.simulation.camera.fault_options import Faults
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.drive import write_drive

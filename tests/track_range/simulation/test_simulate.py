@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig

@@ -11,7 +11,7 @@ from tests.support.results.events import SeenFinder, event
 from tests.track_range.results.test_run_folder import write_run
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
-from track_range.recording.frame import VideoError
+from track_range.recording.video.frame import VideoError
 from track_range.results.events.event import clip_name
 from track_range.results.events.files import write_event_files
 from track_range.views.event_clips import clip_interval_s, cut_clip, frame_at, write_clips

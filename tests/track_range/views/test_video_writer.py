@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import track_range.views.video_writer as video_writer
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
 from track_range.views.video_writer import VideoWriter
 
 UNEVEN_S = [0.0, 0.1, 0.21, 0.3, 0.75, 0.8, 1.4, 1.5, 2.9, 3.0]

@@ -44,10 +44,10 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.live.address import LiveAddress
-from track_range.recording.names import VideoName, files_of, video_name
-from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.address import LiveAddress
+from track_range.recording.video.names import VideoName, files_of, video_name
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting

@@ -21,7 +21,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
 )
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
-from track_range.recording.open_video import open_video
+from track_range.recording.sources.open_video import open_video
 from track_range.run.options.opened import class_names
 
 

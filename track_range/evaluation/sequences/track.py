@@ -31,9 +31,9 @@ from track_range.foundation.files.output_files import (
     write_text,
 )
 from track_range.foundation.progress import FrameProgress, no_frame_progress
-from track_range.recording.frame import VideoError
-from track_range.recording.open_video import open_video
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.run.export.source import facts_of_video
 from track_range.run.options.detection import check_tracker
 from track_range.run.options.opened import open_tracker_options

@@ -26,7 +26,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import is_file, option_of
 from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
-from track_range.recording.telemetry.speed_source import AUTO, OFF
+from track_range.recording.speed_source import AUTO, OFF
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings

@@ -12,13 +12,13 @@ from typing import Any, cast
 from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, file_title
 from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
-from track_range.recording.bags.bag import is_bag
-from track_range.recording.bags.bag_video import BagVideo
-from track_range.recording.files.video_file import VideoHeader
-from track_range.recording.names import BagTopic, LayoutOption
-from track_range.recording.open_video import open_video
 from track_range.recording.pairs.stereo_layout import find_layout
-from track_range.recording.pairs.video_half import half_size_px
+from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.bags.bag_video import BagVideo
+from track_range.recording.sources.files.video_file import VideoHeader
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.sources.video_half import half_size_px
+from track_range.recording.video.names import BagTopic, LayoutOption
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
 _BATCH = 256  # number of clips that are handed to the threads at a time

@@ -13,15 +13,15 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.fitting.camera.focal_evidence import best_guess, default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
-from track_range.recording.bags.bag_video import BagVideo
+from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.frame import RecordedFrame, VideoError, VideoFrame
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import VideoName, files_of
-from track_range.recording.pairs.auto_alignment import PairAlignment
-from track_range.recording.pairs.video_half import VideoHalf
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.utc import UtcStart
+from track_range.recording.sources.bags.bag_video import BagVideo
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.video_half import VideoHalf
+from track_range.recording.video.frame import RecordedFrame, VideoError, VideoFrame
+from track_range.recording.video.names import VideoName, files_of
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.utc import UtcStart
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry import image_size
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX

@@ -20,7 +20,7 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.camera.focal_evidence import default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.video.recorded_video import RecordedVideo
 
 # relative standard deviation of a focal length from the field of view of a wide lens
 _WIDE_SIGMA = 0.15

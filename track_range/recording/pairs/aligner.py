@@ -31,13 +31,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.calibration import RecordingCalibration, assumed_rig
-from track_range.recording.frame import RecordedFrame
-from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.recording.pairs.estimates import AlignmentEstimates, PairEstimate
 from track_range.recording.pairs.pair_monitor import MAX_FRAMES, PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
-from track_range.recording.threads import FRAMES_AHEAD
+from track_range.recording.video.frame import RecordedFrame
+from track_range.recording.video.threads import FRAMES_AHEAD
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.pair_finding import LATER, PairFinding

@@ -7,7 +7,7 @@ in motion  -> MIN_FRAMES frames: first estimate -> one at each of `after_s` -> t
 import math
 from typing import NamedTuple
 
-from track_range.recording.pairs.auto_alignment import PairAlignment
+from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.stereo.alignment.from_drive import MIN_FRAMES, NOT_MEASURED, DriveAlignment
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame

@@ -10,9 +10,9 @@ from collections.abc import Generator
 import numpy as np
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.frame import VideoError
-from track_range.recording.live.live_video import SILENCE_S, LiveVideo
 from track_range.recording.pairs.video_pair import Pair, VideoPair
+from track_range.recording.sources.live.live_video import SILENCE_S, LiveVideo
+from track_range.recording.video.frame import VideoError
 
 # largest time difference within a pair, in frame intervals, if both use one clock
 _SHARED_CLOCK_INTERVALS = 0.25

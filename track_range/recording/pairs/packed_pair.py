@@ -9,9 +9,13 @@ from contextlib import closing
 from pathlib import Path
 
 from track_range.foundation.prefetch import prefetch
-from track_range.recording.frame import VideoFrame
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import (
+from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.stereo_layout import stereo_tracks
+from track_range.recording.pairs.video_pair import Pair, VideoPair
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.video_half import VideoHalf
+from track_range.recording.video.frame import VideoFrame
+from track_range.recording.video.names import (
     Half,
     PackedLayout,
     Segments,
@@ -19,12 +23,8 @@ from track_range.recording.names import (
     VideoTrack,
     WholeName,
 )
-from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.pairs.stereo_layout import stereo_tracks
-from track_range.recording.pairs.video_half import VideoHalf
-from track_range.recording.pairs.video_pair import Pair, VideoPair
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
 
 
 def pair_in(

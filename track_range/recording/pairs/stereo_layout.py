@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.recording.frame import VideoError
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import LayoutOption, StereoLayout, files_of
-from track_range.recording.pairs.video_half import image_half
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.video_half import image_half
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import LayoutOption, StereoLayout, files_of
+from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.stereo.alignment.pair_evidence import PairEvidence, PairFigures
 from track_range.stereo.alignment.pair_finding import Fault, find_fault
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -10,9 +10,9 @@ from collections.abc import Callable, Generator
 from contextlib import closing
 from typing import Generic, TypeVar
 
-from track_range.recording.frame import VideoFrame
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.video.frame import VideoFrame
+from track_range.recording.video.recorded_video import RecordedVideo
 
 V = TypeVar("V", bound=RecordedVideo | LiveVideo)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.recording.telemetry.positions import (
+from track_range.recording.telemetry.tracks.positions import (
     MOVING_MPS,
     MPS_PER_UNIT,
     has_position,
@@ -17,7 +17,7 @@ from track_range.recording.telemetry.positions import (
     thinned,
     unit_of_ratio,
 )
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.world.ego_speed`
 

@@ -21,9 +21,9 @@ from typing import Any
 
 from track_range.foundation.files.numeric_text import plain_number
 from track_range.foundation.files.structured_text import parse_json
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
-from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryError, TelemetryTrack
 
 # longest time in s that ExifTool may take; it reads files of unknown formats from start to end
 TIMEOUT_S = 20.0

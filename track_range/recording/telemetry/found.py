@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from track_range.foundation.files.input_files import counted, open_regular, readable
-from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.blackvue import read_blackvue
 from track_range.recording.telemetry.containers.camm import read_camm
@@ -39,8 +38,9 @@ from track_range.recording.telemetry.sidecars.reading import (
     read_sidecar,
     sidecar_names,
 )
-from track_range.recording.telemetry.track import COLUMNS, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
+from track_range.recording.video.recorded_video import VideoPart
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
 

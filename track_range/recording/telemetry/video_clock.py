@@ -14,10 +14,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
-from track_range.recording.utc import UtcStart
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
+from track_range.recording.video.recorded_video import VideoPart
+from track_range.recording.video.utc import UtcStart
 
 ZONES_H = (  # differences between local times and UTC in use, hours
     *(float(hours) for hours in range(-12, 15)),

@@ -15,8 +15,8 @@ from pydantic import field_serializer, field_validator
 from track_range.detection.formats.titles import GENERAL_TITLES
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.schemas.options import Options, option
-from track_range.recording.names import Bayer, LayoutOption, Segments, VideoName, video_name
-from track_range.recording.utc import parsed_utc
+from track_range.recording.video.names import Bayer, LayoutOption, Segments, VideoName, video_name
+from track_range.recording.video.utc import parsed_utc
 
 _clip_option = partial(option, is_per_clip=True)
 

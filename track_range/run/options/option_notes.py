@@ -1,7 +1,7 @@
 """Notes on options that a run needs, or does not use."""
 
-from track_range.recording.live.address import LiveAddress
 from track_range.recording.recording import Recording
+from track_range.recording.video.address import LiveAddress
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.settings import RunSettings
 

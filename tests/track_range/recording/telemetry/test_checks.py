@@ -8,8 +8,8 @@ from tests.track_range.recording.telemetry.telemetry_files import (
     START_S,
 )
 from track_range.recording.telemetry.checks import usable
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.positions import speed_from_positions
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 N = 30
 

@@ -31,7 +31,7 @@ from track_range.recording.telemetry.containers.gpmf import gps_rows
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_record, parse_ligo_text
 from track_range.recording.telemetry.containers.tesla import parse_message
 from track_range.recording.telemetry.found import embedded
-from track_range.recording.telemetry.track import TelemetryError
+from track_range.recording.telemetry.tracks.track import TelemetryError
 
 LINE = b"2026/08/03 11:34:53 N:48.1 W:002.1 19.0 km/h A:212.0"
 TRAILER = (

@@ -14,7 +14,7 @@ from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.gpmf import gps_rows
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.recording.telemetry.found import embedded
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 KNOT = 1852 / 3600
 

@@ -31,7 +31,7 @@ from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.free_gps import parse_free_gps
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_record
 from track_range.recording.telemetry.found import embedded
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 KNOT = 1852 / 3600
 

@@ -10,7 +10,7 @@ from tests.track_range.recording.telemetry.telemetry_files import part
 from track_range.recording.telemetry import exiftool
 from track_range.recording.telemetry.exiftool import read_with_exiftool, track_of_records
 from track_range.recording.telemetry.found import candidates, named_telemetry
-from track_range.recording.telemetry.track import TelemetryError
+from track_range.recording.telemetry.tracks.track import TelemetryError
 
 RECORDS = {
     "SourceFile": "clip.avi",

@@ -6,7 +6,7 @@ import pytest
 from tests.track_range.recording.telemetry.telemetry_files import LATITUDE, START_S, gpx_text, rmc
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.sidecars.reading import read_sidecar, sidecar_names
-from track_range.recording.telemetry.track import TelemetryError
+from track_range.recording.telemetry.tracks.track import TelemetryError
 
 
 def read(tmp_path, name, text, *, video="drive.mp4", duration_s=20.0):

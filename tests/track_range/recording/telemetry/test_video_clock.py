@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import on_video_clock
 
 

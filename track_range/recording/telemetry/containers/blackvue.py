@@ -17,9 +17,9 @@ from track_range.recording.telemetry.containers.mp4_boxes import (
     boxes,
     read_at,
 )
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.sidecars.nmea import rmc_samples
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 _SENTENCE = re.compile(rb"\[(\d{10,16})\]\s*(\$[A-Z]{2}RMC,[^\r\n\[]{6,100})")
 # largest variation from fix to stamp at which the receiver's clock gives the intervals

@@ -14,8 +14,8 @@ from typing import BinaryIO
 import numpy as np
 
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_samples
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
-from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.tracks.track import GPS_SPEED_SIGMA_MPS, TelemetryTrack
 
 _POSITION = struct.Struct("<2xHddd")  # type 5: latitude and longitude in degrees, altitude in m
 

@@ -17,8 +17,8 @@ from functools import partial
 from typing import NamedTuple
 
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_record, parse_ligo_text
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, Unit, date_s, degrees, signed
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import Sample, Unit, date_s, degrees, signed
 
 MAX_BLOCK_BYTES = 4096  # bytes of a box that are read; boxes have up to 32 kB, most of them empty
 _PADDED_BYTES = 0x140  # smallest size of the blocks that layouts read: fields beyond the end are 0

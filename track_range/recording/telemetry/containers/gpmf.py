@@ -19,8 +19,8 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_samples
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
-from track_range.recording.telemetry.track import Clock, TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
 
 # size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
 MAX_PAYLOAD_BYTES = 1_000_000

@@ -18,8 +18,8 @@ import numpy as np
 
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import (
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import (
     MAX_SAMPLES,
     Sample,
     Unit,
@@ -28,7 +28,7 @@ from track_range.recording.telemetry.samples import (
     signed,
     track,
 )
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 _MAX_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz
 _SLOT_BYTES = 132  # size of a slot or record: 4 bytes of number, then text or encrypted text

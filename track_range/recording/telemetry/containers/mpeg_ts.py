@@ -19,7 +19,7 @@ from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES,
 from track_range.recording.telemetry.containers.mp4_boxes import read_at
 from track_range.recording.telemetry.containers.novatek import MAX_BLOCKS, track_of_blocks
 from track_range.recording.telemetry.sidecars.nmea import has_rmc
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 _SYNC = 0x47
 _PACKETS_PER_READ = 40_000  # 7.5 MB

@@ -16,16 +16,16 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import (
+from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import (
     Sample,
     Unit,
     degrees,
     has_plausible_positions,
     track,
 )
-from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 MAX_BLOCKS = 50_000  # largest number of boxes read: 14 hours at 1 Hz
 _MAX_PROBED = 400  # number of gaps between samples in which the first box must be found

@@ -12,12 +12,12 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
-from track_range.recording.bags.bag import is_bag, open_bag
-from track_range.recording.bags.container import Bag, DamagedError, Topic
-from track_range.recording.bags.decoding import is_readable, message_reader, stamp_s
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.samples import MAX_SAMPLES, plain_track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.sources.bags.bag import is_bag, open_bag
+from track_range.recording.sources.bags.container import Bag, DamagedError, Topic
+from track_range.recording.sources.bags.decoding import is_readable, message_reader, stamp_s
+from track_range.recording.telemetry.tracks.positions import speed_from_positions
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, plain_track
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 
 def _linear(twist: Any) -> tuple[float, ...]:

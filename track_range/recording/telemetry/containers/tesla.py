@@ -15,8 +15,8 @@ from typing import BinaryIO
 import numpy as np
 
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 # standard deviation, assumed: wheel speeds change with the wear of the tyres
 _SPEED_SIGMA_MPS = 0.1

@@ -17,8 +17,9 @@ from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.free_gps import parse_free_gps
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_text
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import (
+from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import (
     MAX_SAMPLES,
     Sample,
     Unit,
@@ -28,8 +29,7 @@ from track_range.recording.telemetry.samples import (
     signed,
     track,
 )
-from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 MAX_TEXT_BYTES = 4096  # bytes of a sample that are read
 # number of samples at the start of a track in which the first record must be found

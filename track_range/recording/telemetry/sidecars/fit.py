@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.files.numeric_text import plain_number
-from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
+from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.tracks.track import (
+    TelemetryError,
+    TelemetryTrack,
+    optional_package,
+)
 
 _DEGREES = 180 / 2**31  # per semicircle, the unit of positions
 

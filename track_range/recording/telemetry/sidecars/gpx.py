@@ -13,9 +13,13 @@ import numpy as np
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number, plain_number
 from track_range.foundation.files.xml_events import parse_xml
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.samples import Sample, plain_track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
+from track_range.recording.telemetry.tracks.positions import speed_from_positions
+from track_range.recording.telemetry.tracks.samples import Sample, plain_track
+from track_range.recording.telemetry.tracks.track import (
+    TelemetryError,
+    TelemetryTrack,
+    optional_package,
+)
 
 _MAX_BYTES = 50_000_000  # size limit; a day at 1 Hz with extensions has 35 MB
 # number of declarations; gpxpy searches for them in the text, which is slow with many

@@ -17,10 +17,10 @@ import numpy as np
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import plain_number
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, plain_track, track
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
-from track_range.recording.telemetry.track import (
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import Sample, plain_track, track
+from track_range.recording.telemetry.tracks.track import (
     MAX_SIDECAR_BYTES,
     TelemetryError,
     TelemetryTrack,

@@ -17,7 +17,7 @@ from track_range.recording.telemetry.sidecars.speed_csv import read_csv
 from track_range.recording.telemetry.sidecars.srt import read_srt
 from track_range.recording.telemetry.sidecars.vbo import read_vbo
 from track_range.recording.telemetry.sidecars.xml_tracks import read_xml_track
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 # speeds beside a video that are no telemetry: a table, KITTI's folder
 TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"

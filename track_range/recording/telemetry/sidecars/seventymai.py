@@ -15,8 +15,12 @@ import numpy as np
 
 from track_range.foundation.files.input_files import first_line, read_text
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.samples import plain_track
-from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import plain_track
+from track_range.recording.telemetry.tracks.track import (
+    MAX_SIDECAR_BYTES,
+    TelemetryError,
+    TelemetryTrack,
+)
 
 _N_CELLS = 10
 _MAX_STEP_S = 5.0  # longest time from one video to the next, if the recording did not stop between

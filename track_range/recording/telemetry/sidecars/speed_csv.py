@@ -20,15 +20,15 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.positions import (
+from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
+from track_range.recording.telemetry.tracks.positions import (
     MPS_PER_UNIT,
     speed_from_positions,
     speed_ratio,
     unit_of_ratio,
 )
-from track_range.recording.telemetry.samples import plain_track, unit_in
-from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
-from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import plain_track, unit_in
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryError, TelemetryTrack
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
 _NOT_SPEED = re.compile(

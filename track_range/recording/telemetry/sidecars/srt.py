@@ -11,10 +11,14 @@ import numpy as np
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number
-from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions
-from track_range.recording.telemetry.samples import Sample, plain_track, signed, unit_in
 from track_range.recording.telemetry.sidecars.nmea import fixes_in
-from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT, speed_from_positions
+from track_range.recording.telemetry.tracks.samples import Sample, plain_track, signed, unit_in
+from track_range.recording.telemetry.tracks.track import (
+    MAX_SIDECAR_BYTES,
+    TelemetryError,
+    TelemetryTrack,
+)
 
 _CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 

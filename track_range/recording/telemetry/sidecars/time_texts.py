@@ -9,7 +9,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.telemetry.track import Clock, TelemetryError
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryError
 
 DAY_S = 86_400.0
 _FORMATS = (  # besides ISO 8601; the first with which most texts can be read

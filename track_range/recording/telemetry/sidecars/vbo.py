@@ -12,10 +12,14 @@ import numpy as np
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number
-from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, date_s, plain_track, unit_in
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
-from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.samples import Sample, date_s, plain_track, unit_in
+from track_range.recording.telemetry.tracks.track import (
+    MAX_SIDECAR_BYTES,
+    TelemetryError,
+    TelemetryTrack,
+)
 
 _SECTION = re.compile(r"^\[([^\]\n]{1,40})\]\s*$", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)

@@ -10,8 +10,8 @@ from pathlib import Path
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
-from track_range.recording.telemetry.samples import Sample, track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.samples import Sample, track
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 _EXPECTED = "a TCX or KML file"
 _POINTS = ("Trackpoint", "Placemark")  # elements of a point

@@ -17,17 +17,17 @@ import numpy.typing as npt
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import read_image
 from track_range.foundation.files.input_files import check_regular, counted
-from track_range.recording.files.image_names import is_epoch, named_images
-from track_range.recording.frame import (
+from track_range.recording.sources.files.image_names import is_epoch, named_images
+from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
     VideoFrame,
     is_neutral,
     strictly_later,
 )
-from track_range.recording.names import Bayer
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.utc import ZONE_SPAN_S, UtcStart
+from track_range.recording.video.names import Bayer
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.utc import ZONE_SPAN_S, UtcStart
 
 _DARK = 257  # smaller largest values belong to dark images with 16 bits
 

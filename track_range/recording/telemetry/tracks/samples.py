@@ -14,13 +14,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.telemetry.positions import (
+from track_range.recording.telemetry.tracks.positions import (
     MPS_PER_UNIT,
     speed_from_positions,
     speed_ratio,
     unit_of_ratio,
 )
-from track_range.recording.telemetry.track import Clock, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
 
 # largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
 MAX_SAMPLES = 500_000

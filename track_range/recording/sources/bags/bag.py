@@ -17,7 +17,7 @@ import yaml
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import check_regular, counted, open_regular, shortened
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.recording.bags.container import (
+from track_range.recording.sources.bags.container import (
     DAMAGE,
     EXPECTED,
     ZSTD_MAGIC,
@@ -26,8 +26,8 @@ from track_range.recording.bags.container import (
     missing_library,
     ros2_type,
 )
-from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC, Ros1File
-from track_range.recording.frame import VideoError
+from track_range.recording.sources.bags.ros1_file import MAGIC as ROS1_MAGIC, Ros1File
+from track_range.recording.video.frame import VideoError
 
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 # suffixes of the files in the folder of a ROS 2 bag
@@ -210,7 +210,7 @@ def _open_file(path: Path) -> Bag:
         start = file.read(16)
     if start.startswith(_MCAP_MAGIC):
         try:
-            from track_range.recording.bags.mcap_file import McapFile
+            from track_range.recording.sources.bags.mcap_file import McapFile
         except ImportError as error:
             missing_library(error)
         return McapFile(path)

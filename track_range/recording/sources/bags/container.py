@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from track_range.foundation.files.input_files import shortened
-from track_range.recording.frame import VideoError
+from track_range.recording.video.frame import VideoError
 
 EXPECTED = "an MCAP file or ROS bag"
 

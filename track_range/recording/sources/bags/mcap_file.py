@@ -15,8 +15,8 @@ from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from track_range.foundation.files.input_files import open_regular
-from track_range.recording.bags import container
-from track_range.recording.frame import VideoError
+from track_range.recording.sources.bags import container
+from track_range.recording.video.frame import VideoError
 
 # number of bytes of a file without a summary that are searched for topics
 _SCAN_BYTES = 500_000_000

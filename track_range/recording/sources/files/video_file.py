@@ -29,9 +29,9 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.files.images import MAX_PIXELS, check_size, header_size_px
 from track_range.foundation.files.input_files import counted
-from track_range.recording.files.decode_log import DecodeLog
-from track_range.recording.files.file_state import FileState
-from track_range.recording.frame import (
+from track_range.recording.sources.files.decode_log import DecodeLog
+from track_range.recording.sources.files.file_state import FileState
+from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     UPRIGHT,
     DecodedImage,
@@ -41,10 +41,16 @@ from track_range.recording.frame import (
     stated_pixel_aspect,
     strictly_later,
 )
-from track_range.recording.names import StereoLayout
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.threads import DECODER_THREADS
-from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
+from track_range.recording.video.names import StereoLayout
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.threads import DECODER_THREADS
+from track_range.recording.video.utc import (
+    Stamp,
+    UtcStart,
+    stamp_in_header,
+    stamp_in_name,
+    start_of,
+)
 
 _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
 # frames missing at the end of the header's duration from which a file counts as truncated

@@ -11,21 +11,21 @@ import numpy as np
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import check_size
 from track_range.foundation.files.input_files import counted, shortened
-from track_range.recording.bags import decoding
-from track_range.recording.bags.bag import open_bag, topic_list
-from track_range.recording.bags.container import DamagedError, Topic
-from track_range.recording.files.file_state import FileState
-from track_range.recording.files.video_file import ZED_SENTENCE
-from track_range.recording.frame import (
+from track_range.recording.sources.bags import decoding
+from track_range.recording.sources.bags.bag import open_bag, topic_list
+from track_range.recording.sources.bags.container import DamagedError, Topic
+from track_range.recording.sources.files.file_state import FileState
+from track_range.recording.sources.files.video_file import ZED_SENTENCE
+from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
     VideoFrame,
     is_neutral,
     strictly_later,
 )
-from track_range.recording.names import BagTopic
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.utc import UtcStart
+from track_range.recording.video.names import BagTopic
+from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.utc import UtcStart
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
 _N_FIRST = 30  # messages from which the frame rate is estimated

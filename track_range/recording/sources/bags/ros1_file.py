@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from track_range.foundation.files.input_files import open_regular
-from track_range.recording.bags import container
-from track_range.recording.frame import VideoError
+from track_range.recording.sources.bags import container
+from track_range.recording.video.frame import VideoError
 
 MAGIC = b"#ROSBAG V2.0\n"
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Generator
 
 from track_range.foundation.arrays import Image
-from track_range.recording.frame import VideoFrame
-from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import REVERSED, STACKED, Half, PackedLayout, StereoLayout
-from track_range.recording.recorded_video import RecordedVideo, VideoPart
-from track_range.recording.utc import UtcStart
+from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.video.frame import VideoFrame
+from track_range.recording.video.names import REVERSED, STACKED, Half, PackedLayout, StereoLayout
+from track_range.recording.video.recorded_video import RecordedVideo, VideoPart
+from track_range.recording.video.utc import UtcStart
 
 
 def image_half(layout: StereoLayout, image: Image, *, is_right: bool) -> Image:

@@ -22,7 +22,8 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
-from track_range.recording.frame import (
+from track_range.recording.video.address import LiveAddress
+from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
     VideoFrame,
@@ -30,11 +31,10 @@ from track_range.recording.frame import (
     is_neutral,
     stated_pixel_aspect,
 )
-from track_range.recording.live.address import LiveAddress
-from track_range.recording.names import StereoLayout
-from track_range.recording.recorded_video import VideoPart
-from track_range.recording.threads import LIVE_FRAMES
-from track_range.recording.utc import UtcStart
+from track_range.recording.video.names import StereoLayout
+from track_range.recording.video.recorded_video import VideoPart
+from track_range.recording.video.threads import LIVE_FRAMES
+from track_range.recording.video.utc import UtcStart
 
 _OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its next frame, s
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.foundation.files.input_files import open_regular, readable
-from track_range.recording.frame import VideoError
+from track_range.recording.video.frame import VideoError
 
 # samples by which contents are compared if the time of change differs
 _N_SAMPLES, _SAMPLE_BYTES = 16, 4096

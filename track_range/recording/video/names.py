@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.live.address import LiveAddress, live_address
+from track_range.recording.video.address import LiveAddress, live_address
 
 
 @dataclass(frozen=True, slots=True)

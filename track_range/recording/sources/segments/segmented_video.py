@@ -15,19 +15,23 @@ from pathlib import Path
 
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import counted, readable
-from track_range.recording.bags.bag import is_bag
-from track_range.recording.files.file_state import FileState
-from track_range.recording.files.video_file import (
+from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.files.file_state import FileState
+from track_range.recording.sources.files.video_file import (
     VideoFile,
     VideoHeader,
     compressed_frames,
     count_packets,
 )
-from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
-from track_range.recording.names import Segments, is_pattern, matching_files
-from track_range.recording.recorded_video import RecordedVideo, VideoPart
-from track_range.recording.segments.segment_times import SegmentFacts, arranged, paired_starts_s
-from track_range.recording.utc import UtcStart
+from track_range.recording.sources.segments.segment_times import (
+    SegmentFacts,
+    arranged,
+    paired_starts_s,
+)
+from track_range.recording.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
+from track_range.recording.video.names import Segments, is_pattern, matching_files
+from track_range.recording.video.recorded_video import RecordedVideo, VideoPart
+from track_range.recording.video.utc import UtcStart
 
 VIDEO_SUFFIXES = frozenset(
     ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg "

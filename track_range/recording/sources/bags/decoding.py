@@ -15,7 +15,7 @@ from av.video.codeccontext import VideoCodecContext
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, decode_image
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.bags.container import (
+from track_range.recording.sources.bags.container import (
     DAMAGE,
     ZSTD_MAGIC,
     DamagedError,
@@ -23,7 +23,7 @@ from track_range.recording.bags.container import (
     decompressed,
     library,
 )
-from track_range.recording.frame import bgr_image, stated_pixel_aspect
+from track_range.recording.video.frame import bgr_image, stated_pixel_aspect
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
 COMPRESSED_TYPES = (

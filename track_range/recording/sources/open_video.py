@@ -5,13 +5,15 @@ from pathlib import Path
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.bags.bag import is_bag
-from track_range.recording.bags.bag_video import BagVideo
-from track_range.recording.files.image_folder import ImageFolder
-from track_range.recording.files.video_file import VideoFile
-from track_range.recording.frame import VideoError
-from track_range.recording.live.address import LiveAddress
-from track_range.recording.names import (
+from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.bags.bag_video import BagVideo
+from track_range.recording.sources.files.image_folder import ImageFolder
+from track_range.recording.sources.files.video_file import VideoFile
+from track_range.recording.sources.segments.segmented_video import SegmentedVideo, segment_files
+from track_range.recording.sources.video_half import VideoHalf
+from track_range.recording.video.address import LiveAddress
+from track_range.recording.video.frame import VideoError
+from track_range.recording.video.names import (
     BagTopic,
     Bayer,
     Half,
@@ -20,9 +22,7 @@ from track_range.recording.names import (
     VideoTrack,
     is_pattern,
 )
-from track_range.recording.pairs.video_half import VideoHalf
-from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
+from track_range.recording.video.recorded_video import RecordedVideo
 
 _MIN_SIDE_PX = 8  # smaller videos show no road users, and their headers are usually damaged
 

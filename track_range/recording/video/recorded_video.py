@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.foundation.arrays import Image
-from track_range.recording.frame import VideoError, VideoFrame
-from track_range.recording.names import RecordedName, StereoLayout
-from track_range.recording.threads import DECODER_THREADS
-from track_range.recording.utc import UtcStart
+from track_range.recording.video.frame import VideoError, VideoFrame
+from track_range.recording.video.names import RecordedName, StereoLayout
+from track_range.recording.video.threads import DECODER_THREADS
+from track_range.recording.video.utc import UtcStart
 from track_range.stereo.geometry.camera import pixel_aspect_of, shown_size
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter

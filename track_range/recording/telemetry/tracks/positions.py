@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.recording.telemetry.track import Clock, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the Earth in metres (IUGG)
 # a knot is 1852 m per hour

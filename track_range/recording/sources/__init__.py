@@ -1,0 +1,1 @@
+"""Recordings of one camera: video files, folders of images, bags, several files, and live sources."""

@@ -1,0 +1,1 @@
+"""TelemetryTrack, which all readers of telemetry return, and its construction from samples."""
