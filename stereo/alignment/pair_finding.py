@@ -56,15 +56,15 @@ _YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
 # without it.
 _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05, 0.8, 0.6
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
-CORRECTED = "corrected, but calibrate again."
+# ends of the sentence on a pair
+_CORRECTED = "; corrected, but calibrate again."
+_WITHOUT_STEREO = ". Distances come from the left video alone."
 GIVEN = (
-    "--align auto corrects this error; with the given alignment, distances come from the left "
+    "; --align auto corrects this error; with the given alignment, distances come from the left "
     "video alone."
 )
-# end of the sentence on a refused pair
-WITHOUT_STEREO = " Distances come from the left video alone."
 LATER = (
-    "this error was found only after the vehicle moved, so distances come from the left video "
+    "; this error was found only after the vehicle moved, so distances come from the left video "
     "alone; start the run where it moves (--start), or calibrate again."
 )
 _ARRANGED = {
@@ -76,19 +76,29 @@ _ARRANGED = {
 
 @dataclass(frozen=True, slots=True)
 class PairFinding:
-    """The explanation of a pair."""
+    """The explanation of a pair, and its consequence."""
 
     fault: Fault
-    sentence: str = ""  # for the user: what was found, and what to do; empty = no message
+    explanation: str = ""  # for the user: what was found, without a full stop; empty = no message
+    consequence: str = ""  # what a run does, or the user can do: continues the explanation
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
 
-    def uncorrected(self, why: str = GIVEN) -> PairFinding:
-        """The finding in a run that shifts no images: no stereo if the pair needs a shift; `why`
-        ends the sentence.
-        """
+    @property
+    def sentence(self) -> str:
+        """What was found, and its consequence; empty = no message."""
+        return f"{self.explanation}{self.consequence}"
+
+    def uncorrected(self, consequence: str = GIVEN) -> PairFinding:
+        """The finding in a run that shifts no images: no stereo if the pair needs a shift."""
         if self.fault != "verged":
             return self
-        return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
+        return replace(self, fault="refused", consequence=consequence)
+
+    def corrected(self) -> PairFinding:
+        """The finding where images are shifted: the inverse of `uncorrected`."""
+        if self.fault != "refused" or self.prior == NOT_MEASURED:
+            return self
+        return replace(self, fault="verged", consequence=_CORRECTED)
 
     @property
     def needs_correction(self) -> bool:
@@ -102,8 +112,11 @@ class PairFinding:
         return self.fault not in ("swapped", "refused")
 
 
-def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
-    """The explanation of the figures of pairs that are rectified to `rig`."""
+def find_fault(figures: PairFigures, rig: StereoRig, *, is_packed: bool = False) -> PairFinding:
+    """The explanation of the figures of pairs that are rectified to `rig`.
+
+    `is_packed`: whether both images are in one video, whose layout tells left from right.
+    """
     n_agreeing = len(figures.left_px)
     if figures.is_late:
         return PairFinding("unsteady")
@@ -140,13 +153,12 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
     if figures.arrangement != "equal":
         return _arranged(figures, exchanged)
     if exchanged:
-        return _exchanged(figures, rig, is_upright)
+        return _exchanged(figures, rig, is_upright, is_packed=is_packed)
     return _verged(figures, rig) if exchanged is not None else _contradictory(figures, rig)
 
 
 def _refused(reason: str) -> PairFinding:
-    sentence = f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}"
-    return PairFinding("refused", sentence)
+    return PairFinding("refused", f"The rig does not fit these images: {reason}", _WITHOUT_STEREO)
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:
@@ -248,20 +260,26 @@ def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
     )
 
 
-def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) -> PairFinding:
+def _exchanged(
+    figures: PairFigures, rig: StereoRig, is_upright: bool | None, *, is_packed: bool
+) -> PairFinding:
     evidence = _negative(figures, rig)
     if is_upright is False:
-        where = "and near points are at the top of the images, which are turned back."
         return PairFinding(
-            "turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}"
+            "turned",
+            f"Both videos are upside down (turned by 180 degrees): {evidence}",
+            ", and near points are at the top of the images, which are turned back.",
         )
+    advice = "swap the two videos"
+    if is_packed:
+        advice = "give another --stereo-layout (Python: stereo_layout)"
     other = (
         "if both are mirrored, mirror them instead"
         if is_upright
         else "or turn both, if they are upside down"
     )
     return PairFinding(
-        "swapped", f"left and right are swapped: {evidence}; swap the two videos ({other})."
+        "swapped", f"left and right are swapped: {evidence}", f"; {advice} ({other})."
     )
 
 
@@ -333,7 +351,7 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
         f"{_pct(motion.exchanged_support)} as in swapped videos"
     )
     return PairFinding(
-        "verged", f"The rig does not fit these images: {what} ({support}); {CORRECTED}", prior
+        "verged", f"The rig does not fit these images: {what} ({support})", _CORRECTED, prior
     )
 
 

@@ -12,7 +12,9 @@ from tests.repository.structure import functions, large_functions, listed, n_sta
 MOST_STATEMENTS = {
     "detection": 7_930,  # packed assignments became a line for each value (20)
     "tracking": 1_560,
-    "stereo": 7_160,  # packed assignments became a line for each value (50); the alignment below rigs (10)
+    # packed assignments became a line for each value (50); the alignment below rigs (10); what a
+    # pair shows and its consequence apart (10)
+    "stereo": 7_170,
     "ranging": 6_290,  # the filters' packed lines became named states and steps (260)
     "api": 80,
     "calibration": 1_065,

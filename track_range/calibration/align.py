@@ -22,7 +22,6 @@ from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
-from track_range.stereo.alignment.pair_finding import CORRECTED, GIVEN
 from track_range.stereo.evaluation.box_matchers import measure_pairs
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.alignment import Alignment
@@ -263,7 +262,8 @@ def _prior(
         finding = recording.finding
     if finding is None:
         return NOT_MEASURED, ()
-    return finding.prior, tuple(filter(None, [finding.sentence.replace(GIVEN, CORRECTED)]))
+    sentence = finding.corrected().sentence
+    return finding.prior, (sentence,) if sentence else ()
 
 
 def _from_reference(

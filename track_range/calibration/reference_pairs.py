@@ -39,7 +39,6 @@ from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.recording.recording import Recording, open_recording
 from track_range.recording.video.names import LayoutOption
-from track_range.stereo.alignment.pair_finding import WITHOUT_STEREO
 from track_range.stereo.evaluation.kitti_2015 import (
     PairFileError,
     StereoPair,
@@ -149,7 +148,7 @@ def open_pair(
         finding = recording.finding
         recording.close()
         if finding is not None:
-            raise RigError(f"{left}: {finding.sentence.removesuffix(WITHOUT_STEREO)}")
+            raise RigError(f"{left}: {finding.explanation}.")
         raise RigError(
             f"{left}: no rig.yaml or calib.txt next to it; give the calibration file "
             "with --rig FILE."

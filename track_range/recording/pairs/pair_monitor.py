@@ -21,7 +21,6 @@ _UNMATCHED = (
     "The rig could not be checked: left and right have too few matching points in equal rows in "
     f"the first {MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
-_SWAP = "swap the two videos"  # advice of `find_fault`
 _MIN_ROW_FRACTION = 0.5  # of the matches of an uncalibrated pair that has equal rows
 _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it is not corrected
 
@@ -100,16 +99,12 @@ class PairMonitor:
         return self._finding
 
     def _check_order(self) -> None:
-        if self._finding is None or self._finding.fault != "swapped":
-            return
-        advice = (
-            "give another --stereo-layout (Python: stereo_layout)" if self._is_packed else _SWAP
-        )
-        raise RigError(self._finding.sentence.replace(_SWAP, advice))
+        if self._finding is not None and self._finding.fault == "swapped":
+            raise RigError(self._finding.sentence)
 
     def _explain(self) -> None:
         figures = self._evidence.figures()
-        finding = find_fault(figures, self._rig)
+        finding = find_fault(figures, self._rig, is_packed=self._is_packed)
         if self._finding is None:
             self._finding, self._view = finding, figures.view
             self._row_fraction = figures.row_fraction
