@@ -48,8 +48,8 @@ STEPS: dict[str, tuple[str, ...]] = {
     "ranging": ("pipeline.ranging:RangingStage.measure",),
     "fusion, filters, warnings": ("pipeline.frame_pipeline:FramePipeline.step",),
     "drawing": ("views.overlay.annotator:Overlay.draw",),
-    "colour conversion, written": ("views.video_writer:_i420",),
-    "encoding": ("views.video_writer:VideoWriter.write",),
+    "colour conversion, written": ("views.videos.video_writer:_i420",),
+    "encoding": ("views.videos.video_writer:VideoWriter.write",),
     "tables": (
         "results.writers:OpenWriters.write",
         "results.table:RunTable.append",
@@ -68,7 +68,7 @@ WAITS = {
     "input": ("foundation.prefetch:ClosableQueue.wait_for_item",),
     "room": (
         "foundation.prefetch:ClosableQueue.wait_for_room",
-        "views.overlay.result_video:ResultVideo.wait",
+        "views.videos.result_video:ResultVideo.wait",
     ),
 }
 """Functions in which a thread waits for the thread before it, or for the thread after it."""

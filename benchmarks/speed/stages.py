@@ -32,8 +32,9 @@ from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
-from track_range.results.columns import methods_with_sigma
-from track_range.results.writers import DEFAULT_WRITERS, WRITERS, OpenWriters, RunInfo
+from track_range.results.formats.run_info import RunInfo
+from track_range.results.rows.columns import methods_with_sigma
+from track_range.results.writers import DEFAULT_WRITERS, WRITERS, OpenWriters
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -24,8 +24,8 @@ from tests.documentation.documented_commands import (
 )
 from track_range.cli.app import app
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
-from track_range.results.columns import result_columns
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS
+from track_range.results.rows.columns import result_columns
 from track_range.results.summary_shape import _SUMMARY
 from track_range.results.writers import result_names
 

@@ -149,7 +149,7 @@ def test_knots_of_folders_are_seen():
 
 
 def test_lazy_and_typing_imports_and_names_of_modules_are_seen():
-    names = ("cli.app", "ranging.ranges", "results", "views.video_writer", "run.run")
+    names = ("cli.app", "ranging.ranges", "results", "views.videos.video_writer", "run.run")
     modules = {f"track_range.{name}": None for name in names}
     text = """
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ if TYPE_CHECKING:
 def f():
     from track_range.cli import app
     import track_range.results
-TABLE = {"a": "track_range.views.video_writer:Writer", "b": "run.run"}
+TABLE = {"a": "track_range.views.videos.video_writer:Writer", "b": "run.run"}
 """
     assert rooms.imported(text, modules) == set(modules)
 

@@ -23,7 +23,7 @@ SOURCES = (
     *(
         "track_range/simulation",
         "track_range/foundation",
-        "track_range/views/video_writer.py",
+        "track_range/views/videos/video_writer.py",
         "track_range/foundation/files/output_files.py",
     ),
     *(

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.foundation.files.input_files import printable
-from track_range.views.report.tables import Grid, grids
+from track_range.views.tables import Grid, grids
 
 console = Console()  # console of all commands (standard output)
 _N_FIRST = 20  # notes that `print_first` prints

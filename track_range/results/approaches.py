@@ -10,7 +10,7 @@ import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.columns import Columns, most_frequent, rows_by_track
+from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
 
 # largest standard deviation of a distance or closing speed that counts, relative to it
 _MAX_RELATIVE_SIGMA = 0.5

@@ -25,14 +25,6 @@ from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.schemas.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.approaches import closest_approaches
-from track_range.results.columns import (
-    TEXT_COLUMNS,
-    Columns,
-    boxes_px,
-    column_names,
-    methods_measured,
-    rounded,
-)
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
 from track_range.results.events.finder import events_of
@@ -43,9 +35,17 @@ from track_range.results.formats.parquet_file import (
     read_tracks_arrows,
     read_tracks_parquet,
 )
+from track_range.results.formats.provenance import Provenance, settings_hash
 from track_range.results.progress_note import describe_progress
-from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.replay import frames_of_rows
+from track_range.results.rows.columns import (
+    TEXT_COLUMNS,
+    Columns,
+    boxes_px,
+    column_names,
+    methods_measured,
+    rounded,
+)
 from track_range.results.summary import (
     MatchedTruth,
     events_section,

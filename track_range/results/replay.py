@@ -22,8 +22,8 @@ from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
-from track_range.results.columns import SAFETY_UNITS, Columns, boxes_px, methods_with_sigma
 from track_range.results.formats.poses_file import Poses
+from track_range.results.rows.columns import SAFETY_UNITS, Columns, boxes_px, methods_with_sigma
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks

@@ -24,9 +24,9 @@ from track_range.ranging.evaluation.errors import (
     score_methods,
 )
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns, boxes_px, methods_with_sigma
 from track_range.results.events.event import EVENT_KINDS, Event, severity_key
 from track_range.results.events.files import rounded_values
+from track_range.results.rows.columns import Columns, boxes_px, methods_with_sigma
 from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes

@@ -16,10 +16,10 @@ from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
 from track_range.results.approaches import row_of_smallest
-from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
 from track_range.results.formats.poses_file import Poses, read_poses
+from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet

@@ -20,15 +20,15 @@ import numpy.typing as npt
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import (
+from track_range.results.events.event import Event
+from track_range.results.events.finder import EventFinder
+from track_range.results.rows.columns import (
     FrameValues,
     record_batch,
     result_columns,
     rounded_batch,
     rows_schema,
 )
-from track_range.results.events.event import Event
-from track_range.results.events.finder import EventFinder
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -96,7 +96,7 @@ class RunTable:
         )
 
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.columns.Columns`, as in tracks.csv or in full
+        """Rows so far as `track_range.results.rows.columns.Columns`, as in tracks.csv or in full
         precision.
         """
         table = self.to_arrow(is_rounded=False)

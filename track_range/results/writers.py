@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -17,13 +16,10 @@ from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.registry import Registry, imported
-from track_range.results.provenance import Provenance
+from track_range.results.formats.run_info import RunInfo
 
 if TYPE_CHECKING:
-    from track_range.foundation.arrays import FloatArray, Image
     from track_range.pipeline.frame_result import FrameResult
-    from track_range.stereo.geometry.camera import PinholeCamera
-    from track_range.stereo.geometry.rig import StereoRig
 
 DEFAULT_WRITERS = ("csv", "mot", "parquet", "poses")  # writers of a run without `--write`
 
@@ -54,31 +50,6 @@ _RUN_FILES = (  # besides those of its writers
 
 class WriterError(UserError):
     """There is no such writer, or it cannot be used."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunInfo:
-    """Properties of a run that are known before its first frame.
-
-    `provenance`: software, model, calibration and settings of the results. `shown_image`: returns
-    the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none, as for
-    frames reconstructed from rows; writers take images from nowhere else. `recorded_boxes`: returns
-    boxes (N, 4) in pixels of the left video for boxes in pixels of the left images.
-    """
-
-    camera: PinholeCamera  # left camera, rectified (one camera: undistorted)
-    rig: StereoRig | None  # rectified stereo rig; None = one camera, or an uncalibrated pair
-    fps: float  # nominal frame rate
-    settings: Mapping[str, Any]  # section `run` of settings.yaml
-    start_utc_s: float | None = None  # UTC of time_s = 0, in seconds since 1970; None = unknown
-    provenance: Provenance = field(default_factory=Provenance)
-    notes: tuple[str, ...] = ()  # messages for the user before the first frame
-    # annotated video of the run, finished before `close`; None = not written
-    overlay: Path | None = None
-    shown_image: Callable[[FrameResult], Image | None] = lambda result: (
-        result.frame.left if result.frame.left.size else None
-    )
-    recorded_boxes: Callable[[FloatArray], FloatArray] = lambda boxes: boxes
 
 
 class ResultWriter(Protocol):

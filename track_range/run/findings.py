@@ -13,7 +13,7 @@ from track_range.detection.detections import Detections
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.recording.cameras.calibration import RecordingCalibration
-from track_range.results.columns import Columns, boxes_px
+from track_range.results.rows.columns import Columns, boxes_px
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rig import StereoRig
 

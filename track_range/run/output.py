@@ -21,11 +21,11 @@ from track_range.foundation.files import output_files
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.tracks.track import TELEMETRY_FILE, write_positions
-from track_range.results.columns import Columns
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
+from track_range.results.rows.columns import Columns
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
@@ -33,10 +33,10 @@ from track_range.run.settings import RunSettings
 from track_range.run.settings_files import absolute_settings, input_files, save_settings
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
-from track_range.views.event_clips import remove_clips, write_clips
-from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.page import write_report
-from track_range.views.report.tables import markdown
+from track_range.views.tables import markdown
+from track_range.views.videos.event_clips import remove_clips, write_clips
+from track_range.views.videos.result_video import ResultVideo
 
 _NOTE_INTERVAL_S = 1.0  # minimum time between two notes on the number of frames
 

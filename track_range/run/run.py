@@ -38,8 +38,8 @@ from track_range.run.progress import frame_progress
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import settings_from
-from track_range.views.overlay.result_video import Draw
 from track_range.views.report.outcome import class_grid, html_table, user_grid
+from track_range.views.videos.result_video import Draw
 
 _MOST_SHOWN = 10  # road users in the representation in notebooks, the nearest ones
 

@@ -37,10 +37,11 @@ from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 from track_range.recording.video.address import LiveAddress
 from track_range.results.approaches import closest_approaches
-from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.finder import EventFinder
+from track_range.results.formats.provenance import Provenance, settings_hash
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.progress_note import LOADING
-from track_range.results.provenance import Provenance, settings_hash
+from track_range.results.rows.columns import Columns, boxes_px
 from track_range.results.summary import (
     events_section,
     frame_spans,
@@ -51,7 +52,6 @@ from track_range.results.summary import (
     with_truth,
 )
 from track_range.results.table import RunRows
-from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings, still_boxes_note

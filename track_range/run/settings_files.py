@@ -23,7 +23,7 @@ from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.foundation.schemas.validation import first_problem
 from track_range.recording.video.address import live_address
 from track_range.recording.video.names import VideoName, files_of
-from track_range.results.provenance import settings_hash
+from track_range.results.formats.provenance import settings_hash
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.input import plain_name
 from track_range.run.settings import RunSettings

@@ -29,7 +29,7 @@ from track_range.ranging.evaluation.box_evaluation import distance_risk
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns
+from track_range.results.rows.columns import Columns
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
 

@@ -18,8 +18,8 @@ from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.results.columns import Columns
 from track_range.results.formats.csv_file import read_tracks_csv
+from track_range.results.rows.columns import Columns
 from track_range.results.summary import matched_truth, with_truth
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png

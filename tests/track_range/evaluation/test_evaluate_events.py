@@ -18,9 +18,9 @@ from track_range.evaluation.events.scores import (
     read_contacts,
 )
 from track_range.foundation.errors import UsageError, UserError
-from track_range.results.columns import column_names
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS
 from track_range.results.events.files import EventFileError, events_text, read_events
+from track_range.results.rows.columns import column_names
 
 CAR, CHILD = Contact(3, "car", 10.0), Contact(8, "person", 20.0)
 

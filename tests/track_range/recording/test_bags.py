@@ -31,7 +31,8 @@ from track_range.recording.sources.bags.decoding import message_reader
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
 from track_range.recording.video.names import BagTopic, Segments
-from track_range.results.writers import OpenWriters, RunInfo
+from track_range.results.formats.run_info import RunInfo
+from track_range.results.writers import OpenWriters
 from track_range.run.settings_files import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -18,9 +18,9 @@ from tests.support.results.events import event
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.recording.sources.files.image_folder import ImageFolder
-from track_range.results.columns import column_names
 from track_range.results.events.files import events_text
 from track_range.results.folder import read_run_folder
+from track_range.results.rows.columns import column_names
 
 SUMMARY = {
     "frames": 3,

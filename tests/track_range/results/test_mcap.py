@@ -32,10 +32,11 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.results.formats.mcap import LAYOUT
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
 from track_range.results.replay import frames_of_rows
 from track_range.results.table import RunTable
-from track_range.results.writers import OpenWriters, RunInfo, create_writers
+from track_range.results.writers import OpenWriters, create_writers
 from track_range.run.export.export import ExportSettings, export
 from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera

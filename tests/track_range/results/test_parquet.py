@@ -25,12 +25,12 @@ from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
-from track_range.results.columns import column_names, result_columns, rounded
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_arrows, read_tracks_parquet
-from track_range.results.provenance import settings_hash
+from track_range.results.formats.provenance import settings_hash
 from track_range.results.replay import frames_of_rows
+from track_range.results.rows.columns import column_names, result_columns, rounded
 from track_range.run.export.export import ExportSettings, export
 from track_range.views.report.run_folders import report
 

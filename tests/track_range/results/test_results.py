@@ -18,10 +18,11 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion
-from track_range.results.columns import column_names, distance_names, methods_with_sigma
 from track_range.results.formats.csv_file import read_tracks_csv
+from track_range.results.formats.run_info import RunInfo
+from track_range.results.rows.columns import column_names, distance_names, methods_with_sigma
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
-from track_range.results.writers import OpenWriters, RunInfo
+from track_range.results.writers import OpenWriters
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

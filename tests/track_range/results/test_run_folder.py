@@ -19,9 +19,9 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.sequences.find import find_sequences
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.parquet_file import write_table
+from track_range.results.rows.columns import column_names
 from track_range.results.summary import matched_truth, with_truth
 from track_range.views.report.run_folders import report, short_names
 

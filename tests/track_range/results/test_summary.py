@@ -6,7 +6,7 @@ import pytest
 
 from track_range.foundation.files.output_files import write_json
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import column_names
+from track_range.results.rows.columns import column_names
 from track_range.results.summary import (
     frame_spans,
     matched_truth,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from track_range.results.columns import TEXT_COLUMNS, column_names
+from track_range.results.rows.columns import TEXT_COLUMNS, column_names
 from track_range.results.summary_shape import valid_summary
 from track_range.views.report.page import report_page
 

@@ -11,11 +11,11 @@ from tests.toys.toy_writer import NAME, JsonLinesWriter
 from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.writers import (
     DEFAULT_WRITERS,
     WRITERS,
     OpenWriters,
-    RunInfo,
     WriterError,
     create_writer,
     create_writers,

@@ -21,9 +21,9 @@ import yaml
 
 from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.results.columns import column_names
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.progress_note import describe_progress
+from track_range.results.rows.columns import column_names
 
 TRACK_RANGE = Path(sys.executable).with_name("track-range")
 STAGES = ["read", "detect", "track", "mono", "lane", "stereo", "sgbm", "fuse", "write"]

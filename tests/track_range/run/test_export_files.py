@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from tests.support.command_line import Finished
 from track_range.detection.formats.label_formats import LABEL_FORMATS, read_labels
 from track_range.foundation.files.folder_lock import locked_folder
-from track_range.results.columns import column_names
+from track_range.results.rows.columns import column_names
 
 Cli = Callable[..., Finished]
 VALUES = {

@@ -29,9 +29,9 @@ from track_range.results.formats.row_file import RowFile
 from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters
-from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.run_folders import report
-from track_range.views.video_writer import FragmentFile, VideoWriter
+from track_range.views.videos.result_video import ResultVideo
+from track_range.views.videos.video_writer import FragmentFile, VideoWriter
 
 resource = pytest.importorskip("resource", reason="file size limits need POSIX")
 

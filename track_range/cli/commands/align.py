@@ -14,7 +14,7 @@ from track_range.cli.parameters import command
 from track_range.run.progress import step_progress
 from track_range.run.run import Run
 from track_range.run.settings_files import settings_from
-from track_range.views.report.tables import rig_grid
+from track_range.views.tables import rig_grid
 
 _BASELINE_S = 30.0  # longest part of the drive from which the baseline is checked
 

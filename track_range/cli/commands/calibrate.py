@@ -17,7 +17,7 @@ from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
-from track_range.views.report.tables import SIGMA, Column, grid_of
+from track_range.views.tables import SIGMA, Column, grid_of
 
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
 _ROAD_OPTIONS = (

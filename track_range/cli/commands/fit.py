@@ -43,7 +43,7 @@ from track_range.run.options.detection import SizeField, ThreadsField
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-from track_range.views.report import tables
+from track_range.views import tables
 
 
 class FitOptions(FitSettings):

@@ -21,7 +21,7 @@ from track_range.stereo.rig_formats.rig_format import write_rig_text
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
 from track_range.stereo.rig_formats.values.units import UNIT_NAMES
-from track_range.views.report.tables import Column, grid_of
+from track_range.views.tables import Column, grid_of
 
 _Size = Annotated[
     str | None, option("Image size in pixels, for formats without a size.", metavar="WIDTHxHEIGHT")

@@ -156,7 +156,7 @@ def _process(
 
 def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
     from track_range.cli.console import print_line, print_summary
-    from track_range.views.report.tables import frames_per_s
+    from track_range.views.tables import frames_per_s
 
     with _ignore_broken_pipe():
         if is_verbose:

@@ -10,7 +10,7 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.foundation.schemas.options import Options, option
 from track_range.results.surrogate import by_class, surrogate_rows, write_rows
-from track_range.views.report.tables import ColumnSpec, Grid, columns_of, grid_of
+from track_range.views.tables import ColumnSpec, Grid, columns_of, grid_of
 
 _N_SHOWN = 20  # road users in the table
 

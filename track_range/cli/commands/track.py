@@ -10,7 +10,7 @@ from track_range.evaluation.sequences.find import MOT_FOLDER, listed
 from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.evaluation.sequences.track import TrackedFile, track
 from track_range.run.progress import frame_progress
-from track_range.views.report.tables import Column, Grid, grid_of
+from track_range.views.tables import Column, Grid, grid_of
 
 
 def _track(settings: TrackSettings) -> None:

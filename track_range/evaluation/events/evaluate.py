@@ -32,7 +32,6 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
 from track_range.ranging.evaluation.errors import match_truth, score_closing
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event
 from track_range.results.events.files import (
     EVENTS_FILE,
@@ -41,6 +40,7 @@ from track_range.results.events.files import (
     read_events,
 )
 from track_range.results.folder import read_run_rows, rows_file
+from track_range.results.rows.columns import Columns, boxes_px
 
 # labels of a simulated drive beside its contacts, the first that exists
 BOX_FILES = ("truth.csv", "truth.txt")

@@ -42,9 +42,9 @@ from track_range.evaluation.events.settings import MIN_LEAD_S
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
 from track_range.results.events.files import EventFileError
+from track_range.results.rows.columns import Columns, boxes_px
 
 CONTACT_COLUMNS = ("object_id", "class", "contact_s")
 

@@ -10,7 +10,7 @@ from typing import Any
 from track_range.fleet.output.record import ERROR_FIGURES
 from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, MAX_GROUPS, MIN_H
 from track_range.fleet.report.track_figures import Figures
-from track_range.views.report import tables
+from track_range.views import tables
 
 _Link = Callable[[Figures], str]
 

@@ -30,8 +30,8 @@ from track_range.detection.formats.video_labels.mot import mot_lines
 from track_range.detection.formats.video_labels.text_tables import kitti_lines
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import Columns, boxes_px
 from track_range.results.formats.row_file import RowWriter
+from track_range.results.rows.columns import Columns, boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 

@@ -1,4 +1,4 @@
-"""tracks.csv: one row per track and frame, with the columns of `track_range.results.columns`."""
+"""tracks.csv: one row per track and frame, with the columns of `track_range.results.rows.columns`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import numpy as np
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import (
+from track_range.results.formats.row_file import RowWriter, csv_text
+from track_range.results.rows.columns import (
     MAX_CLASS,
     MAX_COLUMNS,
     TEXT_COLUMNS,
     Columns,
     result_columns,
 )
-from track_range.results.formats.row_file import RowWriter, csv_text
 
 if TYPE_CHECKING:
     from pyarrow import csv as arrow_csv

@@ -26,8 +26,8 @@ from track_range.ranging.warning.safety import HALF_WIDTH_M
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import LENGTH_M
-from track_range.results.writers import RunInfo
 
 SCENARIO_FILE = "run.xosc"
 _EGO = "ego"

@@ -21,7 +21,9 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regu
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import (
+from track_range.results.formats.row_file import RowFile
+from track_range.results.formats.run_info import RunInfo
+from track_range.results.rows.columns import (
     MAX_CLASS,
     MAX_COLUMNS,
     TEXT_COLUMNS,
@@ -31,8 +33,6 @@ from track_range.results.columns import (
     result_columns,
     rows_schema,
 )
-from track_range.results.formats.row_file import RowFile
-from track_range.results.writers import RunInfo
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -29,13 +29,13 @@ from track_range.foundation.files import atomic_files
 from track_range.pipeline.colours import track_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import (
     TrackObject,
     check_extra,
     map_from_vehicle,
     track_objects,
 )
-from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"
 APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.writers import RunInfo
+from track_range.results.formats.run_info import RunInfo
 
 
 class RowFile:

@@ -25,11 +25,12 @@ from track_range.foundation.files.atomic_files import atomic_path, writable, wri
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.schemas.options import Options, option
-from track_range.results.columns import Columns, methods_measured
 from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
 from track_range.results.formats.poses_file import read_poses
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.replay import frames_of_rows
-from track_range.results.writers import WRITERS, RunInfo, create_writer
+from track_range.results.rows.columns import Columns, methods_measured
+from track_range.results.writers import WRITERS, create_writer
 from track_range.run.export.source import (
     boxes_of_labels,
     boxes_of_run,

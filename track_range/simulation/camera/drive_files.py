@@ -17,7 +17,7 @@ from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.truth import VisibleObjects
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.video_writer import VideoWriter
 
 # x264's constant rate factor; compression then shifts textures by far less than 0.1 px
 NEAR_LOSSLESS_CRF = 10

@@ -20,9 +20,9 @@ from track_range.detection.boxes import iou
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import counted
 from track_range.pipeline.colours import OTHER_COLOURS, method_colours
-from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, Event
-from track_range.views.report import tables
+from track_range.results.rows.columns import Columns, boxes_px
+from track_range.views import tables
 from track_range.views.report.content.errors import band_line
 from track_range.views.report.content.events import (
     event_details,
@@ -31,7 +31,8 @@ from track_range.views.report.content.events import (
     time_words,
 )
 from track_range.views.report.sentences import address, flattened, run_name
-from track_range.views.report.tables import (
+from track_range.views.report.track_comparison import picture, track_differences, unmatched_names
+from track_range.views.tables import (
     Cell,
     Column,
     ColumnSpec,
@@ -41,7 +42,6 @@ from track_range.views.report.tables import (
     grid_of,
     largest,
 )
-from track_range.views.report.track_comparison import picture, track_differences, unmatched_names
 
 TIME_TOLERANCE_S = 0.5  # largest gap in s between the times of matching events
 MIN_IOU = 0.3  # smallest median IoU of the boxes of matching events

@@ -7,7 +7,7 @@ from typing import Any
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.matching import SizeMeasure
-from track_range.views.report.tables import (
+from track_range.views.tables import (
     Column,
     ColumnSpec,
     Grid,

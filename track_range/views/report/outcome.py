@@ -17,7 +17,7 @@ from track_range.views.report.content.events import (
     time_words,
 )
 from track_range.views.report.sentences import event_headline
-from track_range.views.report.tables import NOTHING, Cell, Grid
+from track_range.views.tables import NOTHING, Cell, Grid
 
 MOST_EVENTS = 5  # that are listed in the terminal, the most severe ones
 _DISTANCE_FIGURES = (

@@ -25,10 +25,11 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
 from track_range.pipeline.colours import colour_of_each
 from track_range.results.approaches import closest_approaches
-from track_range.results.columns import Columns, methods_measured
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.formats.poses_file import Poses
-from track_range.views.report import comparison, sentences, tables
+from track_range.results.rows.columns import Columns, methods_measured
+from track_range.views import tables
+from track_range.views.report import comparison, sentences
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import (
@@ -44,7 +45,7 @@ from track_range.views.report.content.road import (
     uncalibrated_video,
 )
 from track_range.views.report.content.series import timeline, track_records
-from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids
+from track_range.views.tables import accuracy_grids, mot_grid, speed_grids
 
 _SCRIPTS = (  # in the order of their execution
     *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),

@@ -15,7 +15,6 @@ from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_
 from track_range.results.folder import RunFolder, clip_rows, read_run_folder
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.writers import result_names
-from track_range.views.event_clips import write_clips
 from track_range.views.report.comparison import (
     ComparedRun,
     compared_tracks,
@@ -25,7 +24,8 @@ from track_range.views.report.comparison import (
     settings_grid,
 )
 from track_range.views.report.page import write_comparison, write_report
-from track_range.views.report.tables import Grid
+from track_range.views.tables import Grid
+from track_range.views.videos.event_clips import write_clips
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ from urllib.parse import quote
 import numpy as np
 
 from track_range.foundation.files.input_files import counted
-from track_range.results.columns import Columns
 from track_range.results.events.event import Event
+from track_range.results.rows.columns import Columns
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
-from track_range.views.report import tables
+from track_range.views import tables
 from track_range.views.report.content.events import (
     kind_counts,
     kind_words,
@@ -28,7 +28,7 @@ from track_range.views.report.content.events import (
     time_words,
 )
 from track_range.views.report.content.series import column
-from track_range.views.report.tables import Summary
+from track_range.views.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
 # smallest probability of contact of a headline, as of the amber marks in the overlay

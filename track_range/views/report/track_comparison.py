@@ -19,10 +19,10 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import WHITE
 from track_range.ranging.evaluation.errors import match_boxes
 from track_range.results.approaches import closest_approaches, reference_distance
-from track_range.results.columns import Columns, boxes_px, most_frequent
-from track_range.views.event_clips import frame_at
+from track_range.results.rows.columns import Columns, boxes_px, most_frequent
 from track_range.views.report.content.events import sigma_words, time_words
 from track_range.views.report.content.series import column
+from track_range.views.videos.event_clips import frame_at
 
 _MIN_FRAMES = 3  # common frames of matched tracks
 _MIN_SIGMA = 0.01  # smallest relative standard deviation, also where it is unknown

@@ -21,9 +21,9 @@ from track_range.evaluation.sequences.find import find_sequences
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.fitting.box_files import read_box_csv
 from track_range.ranging.world.ego_speed import open_ego_speed
-from track_range.results.columns import column_names
 from track_range.results.events.files import events_text, read_events
 from track_range.results.folder import read_run_rows
+from track_range.results.rows.columns import column_names
 from track_range.run.options.opened import class_names
 from track_range.stereo.geometry.camera import PinholeCamera
 

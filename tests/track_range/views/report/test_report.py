@@ -16,8 +16,8 @@ import numpy.typing as npt
 import pytest
 
 from track_range.foundation.files.output_files import OutputError
-from track_range.results.columns import column_names
 from track_range.results.events.event import Event
+from track_range.results.rows.columns import column_names
 from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import (
     comparison_page,

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from track_range.pipeline.colours import method_colours
-from track_range.results.columns import column_names
 from track_range.results.events.event import Event
 from track_range.results.formats.poses_file import Poses
+from track_range.results.rows.columns import column_names
 from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import write_comparison, write_report
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.video_writer import VideoWriter
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed (extra dev)"

@@ -12,7 +12,7 @@ from track_range.views.report.sentences import (
     run_name,
     sigma_sentences,
 )
-from track_range.views.report.tables import accuracy_grids, mot_grid
+from track_range.views.tables import accuracy_grids, mot_grid
 
 
 def row(median_pct: float | None, **more: Any) -> dict[str, Any]:

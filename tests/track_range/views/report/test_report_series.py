@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.results.columns import methods_measured
+from track_range.results.rows.columns import methods_measured
 from track_range.views.report.content.series import (
     LINE_POINTS,
     MOST_CELLS,

@@ -8,9 +8,9 @@ import pytest
 from tests.track_range.views.report.test_event_comparison import rows
 from track_range.views.report.comparison import ComparedRun, compared_tracks
 from track_range.views.report.page import comparison_page
-from track_range.views.report.tables import SIGMA
 from track_range.views.report.track_comparison import picture, track_differences
-from track_range.views.video_writer import VideoWriter
+from track_range.views.tables import SIGMA
+from track_range.views.videos.video_writer import VideoWriter
 
 INPUTS = {"left": "drive/left.mp4", "right": "drive/right.mp4"}
 

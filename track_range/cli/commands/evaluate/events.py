@@ -10,7 +10,7 @@ from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.output_files import write_json
-from track_range.views.report.tables import (
+from track_range.views.tables import (
     NOTHING,
     Cell,
     Column,

@@ -11,7 +11,7 @@ from track_range.cli.parameters import command
 from track_range.evaluation.motion.evaluate import evaluate_motion
 from track_range.evaluation.motion.settings import MotionEvaluationSettings
 from track_range.foundation.files.output_files import write_json
-from track_range.views.report import tables
+from track_range.views import tables
 
 
 class MotionOptions(MotionEvaluationSettings):

@@ -11,7 +11,7 @@ from track_range.foundation.files.output_files import write_json, write_text
 from track_range.foundation.schemas.options import option
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.views.report import tables
+from track_range.views import tables
 
 
 class RangesOptions(RangeEvaluationSettings):

@@ -9,7 +9,7 @@ from track_range.cli.console import console, print_line
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.options import option
-from track_range.views.report import tables
+from track_range.views import tables
 
 JsonField = Annotated[
     Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")

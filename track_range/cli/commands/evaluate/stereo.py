@@ -14,7 +14,7 @@ from track_range.evaluation.stereo_evaluation import evaluate_stereo
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
-from track_range.views.report import tables
+from track_range.views import tables
 
 
 class StereoOptions(StereoEvaluationSettings):

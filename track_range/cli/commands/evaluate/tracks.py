@@ -13,7 +13,7 @@ from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import write_json
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
-from track_range.views.report.tables import Column, Grid, columns_of, figure, grid_of
+from track_range.views.tables import Column, Grid, columns_of, figure, grid_of
 
 # in lower case the keys of results
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()

@@ -63,7 +63,7 @@ def _fleet_report(options: FleetReportOptions) -> None:
     from track_range.foundation.files.input_files import printable
     from track_range.foundation.files.output_files import check_outputs, write_json, write_text
     from track_range.run.progress import step_progress
-    from track_range.views.report.tables import markdown_table
+    from track_range.views.tables import markdown_table
 
     out = Location.of(options.out)
     page = None if options.html is None else Location.of(options.html)

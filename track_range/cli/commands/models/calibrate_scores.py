@@ -35,7 +35,7 @@ from track_range.run.options.detection import ThreadsField
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-from track_range.views.report.tables import Column, Grid, grid_of
+from track_range.views.tables import Column, Grid, grid_of
 
 
 class CalibrateScoresOptions(Options):

@@ -10,7 +10,7 @@ from track_range.detection.models.lookup import model_rows, models_folder
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.opened import class_names
 from track_range.run.ready_model import ready_model
-from track_range.views.report.tables import Cell, Grid
+from track_range.views.tables import Cell, Grid
 
 
 class ListOptions(Options):

@@ -22,7 +22,7 @@ from track_range.foundation.files.output_files import OutputError, locked_output
 from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
-from track_range.views.report.tables import NOTHING, Cell, Column, Grid, grid_of
+from track_range.views.tables import NOTHING, Cell, Column, Grid, grid_of
 
 
 def _pseudo_label(options: PseudoLabelOptions) -> None:

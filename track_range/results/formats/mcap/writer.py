@@ -21,8 +21,8 @@ import numpy as np
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.mcap import NANOSECONDS, PROFILES, Message
 from track_range.results.formats.row_file import RowFile
+from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import check_extra, track_objects
-from track_range.results.writers import RunInfo
 
 if TYPE_CHECKING:
     from track_range.results.formats.mcap.foxglove_profile import FoxgloveProfile

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from track_range.pipeline.colours import track_colour
-from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.formats.poses_file import Poses
+from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
 from track_range.views.report.content.series import (
     LINE_POINTS,
     TICKS_PER_M,

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.special import erfinv
 
 from track_range.foundation.arrays import FloatArray
-from track_range.results.columns import Columns, methods_measured
+from track_range.results.rows.columns import Columns, methods_measured
 from track_range.views.report.content.series import column, thinned
-from track_range.views.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
+from track_range.views.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 
 # maximum number of points of one method in the chart of errors; more would overlap
 SCATTER_POINTS = 1500

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.columns import Columns, boxes_px, rows_by_track
+from track_range.results.rows.columns import Columns, boxes_px, rows_by_track
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.report.content.series import column
 

@@ -18,9 +18,9 @@ from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
 from track_range.results.approaches import track_extremes
-from track_range.results.columns import Columns, methods_measured, rows_by_track
 from track_range.results.folder import every_of
-from track_range.views.report.tables import figure
+from track_range.results.rows.columns import Columns, methods_measured, rows_by_track
+from track_range.views.tables import figure
 
 LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
 # numbers in a page, of three to four bytes; 2,000 tracks of 30 frames have 0.9 million

@@ -14,10 +14,10 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.recording.video.frame import VideoError
 from track_range.results.events.event import clip_name
 from track_range.results.events.files import write_event_files
-from track_range.views.event_clips import clip_interval_s, cut_clip, frame_at, write_clips
-from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.report.run_folders import report
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.event_clips import clip_interval_s, cut_clip, frame_at, write_clips
+from track_range.views.videos.result_video import QUANTIZER
+from track_range.views.videos.video_writer import VideoWriter
 
 FPS, N_FRAMES = 10.0, 60
 BAR_PX = 4

@@ -14,7 +14,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.prefetch import lower_thread_priority
 from track_range.pipeline.clock import StageClock
 from track_range.pipeline.frame_result import FrameResult
-from track_range.views.video_writer import MAX_HELD_FRAMES, VideoWriter
+from track_range.views.videos.video_writer import MAX_HELD_FRAMES, VideoWriter
 
 # of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)
 QUANTIZER = 28

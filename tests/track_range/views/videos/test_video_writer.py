@@ -12,10 +12,10 @@ import av
 import numpy as np
 import pytest
 
-import track_range.views.video_writer as video_writer
+import track_range.views.videos.video_writer as video_writer
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.video_writer import VideoWriter
 
 UNEVEN_S = [0.0, 0.1, 0.21, 0.3, 0.75, 0.8, 1.4, 1.5, 2.9, 3.0]
 
@@ -102,7 +102,7 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 from pathlib import Path
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.video_writer import VideoWriter
 writer = VideoWriter(Path(sys.argv[1]), width_px=64, height_px=48, fps=10.0)
 for number in range(35):
     writer.write(np.full((48, 64, 3), 24 + 4 * number, np.uint8), number / 10)

@@ -30,8 +30,8 @@ from track_range.foundation.files.input_files import check_regular
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.recording.video.frame import VideoError, bgr_image
 from track_range.results.events.event import Event, clip_name, is_clip_name
-from track_range.views.overlay.result_video import QUANTIZER
-from track_range.views.video_writer import VideoWriter
+from track_range.views.videos.result_video import QUANTIZER
+from track_range.views.videos.video_writer import VideoWriter
 
 # time before the start and after the end of an event that its clip shows, s
 BEFORE_S, AFTER_S = 3.0, 2.0

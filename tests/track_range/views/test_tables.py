@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from track_range.cli.console import print_grid, print_summary
-from track_range.views.report.tables import (
+from track_range.views.tables import (
     SIGMA,
     Cell,
     Grid,

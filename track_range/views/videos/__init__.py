@@ -1,0 +1,1 @@
+"""Videos that a run writes: the annotated video, and clips of events."""
