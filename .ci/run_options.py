@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.schemas.options import choices_of, is_file, is_list, value_type
-from track_range.run.settings import PipelineOptions, RunSettings
+from track_range.run.options.settings import PipelineOptions, RunSettings
 
 FILE = Path(__file__).parents[1] / "track_range/run/option_types.py"
 

@@ -82,6 +82,7 @@ if TYPE_CHECKING:
         WriterError as WriterError,
         register_writer as register_writer,
     )
+    from track_range.run.options.settings import RunSettings as RunSettings
     from track_range.run.pipeline import (
         FrameError as FrameError,
         Pipeline as MonoPipeline,
@@ -89,7 +90,6 @@ if TYPE_CHECKING:
         Pipeline as StereoPipeline,
     )
     from track_range.run.run import Run as Run
-    from track_range.run.settings import RunSettings as RunSettings
     from track_range.stereo.alignment.file import load_alignment as load_alignment
     from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
     from track_range.stereo.geometry.frames import Frame as Frame
@@ -109,7 +109,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "run.run": "Run",
     "run.pipeline": "Pipeline FrameError",
-    "run.settings": "RunSettings",
+    "run.options.settings": "RunSettings",
     "pipeline.frame_result": "FrameResult TrackedObject",
     "api.parts": "open_recording Detector Tracker load_rig",
     "results.events.files": "read_events EventFileError",

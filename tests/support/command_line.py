@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from track_range.cli.app import main
-from track_range.cli.console import console
+from track_range.cli.shared.console import console
 
 WIDTH = 200
 """Columns of the terminal that the program sees, so that lines and tables are not broken."""

@@ -22,8 +22,8 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.recording import recording
 from track_range.run.options.opened import DetectorOptions, open_detector, open_tracker_options
+from track_range.run.options.settings import RunSettings
 from track_range.run.ready_model import ready_model
-from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration, missing_camera
 from track_range.tracking.registry import checked_tracks, create_tracker

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from track_range.cli.lazy import Lazy, lazy_app
+from track_range.cli.shared.lazy import Lazy, lazy_app
 from track_range.foundation.errors import UserError
 from track_range.foundation.processes import owned_process
 from track_range.foundation.schemas.keywords import flags_in_errors
@@ -234,7 +234,7 @@ def main() -> None:
         arguments = ["run", *arguments]
     try:
         if arguments and arguments[0] not in COMMANDS:
-            from track_range.cli.bare_recordings import run_of_recordings
+            from track_range.cli.shared.bare_recordings import run_of_recordings
 
             arguments = run_of_recordings(arguments, PROGRAM)
         app(arguments, prog_name=PROGRAM)

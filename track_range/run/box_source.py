@@ -29,7 +29,7 @@ from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording
 from track_range.run.options.detection import MASK_SUFFIXES, DetectionOptions
 from track_range.run.options.opened import DetectorOptions, open_detector
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
 # smallest fraction of a recorded box inside the undistorted image of a wide lens that is used

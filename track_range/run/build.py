@@ -29,7 +29,7 @@ from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
-from track_range.run.settings import PipelineOptions, RunSettings
+from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry

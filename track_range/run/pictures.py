@@ -5,7 +5,7 @@ disparities.
 from __future__ import annotations
 
 from track_range.recording.recording import Recording
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.views.overlay.annotator import DisparityPicture, Overlay, StackedPicture, Status
 from track_range.views.videos.result_video import Draw
 

@@ -57,10 +57,10 @@ from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings, still_boxes_note
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.option_notes import assumed_rate, unused_options
+from track_range.run.options.settings import RunSettings
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
-from track_range.run.settings import RunSettings
 from track_range.run.settings_files import (
     absolute_settings,
     input_files,

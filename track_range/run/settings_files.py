@@ -26,7 +26,7 @@ from track_range.recording.video.names import VideoName, files_of
 from track_range.results.formats.provenance import settings_hash
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.input import plain_name
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)

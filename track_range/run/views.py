@@ -22,7 +22,7 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.results.formats.box_files import RECORDED_BOXES_COLUMNS, RECORDED_BOXES_FILE
 from track_range.run.build import open_input
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 VIEWS_FILE = "views.csv"
 _MAX_DEG = 120.0  # largest angle of a view to the camera's axis, as of --yaw-deg

@@ -20,8 +20,8 @@ from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.rows.columns import Columns
 from track_range.results.summary import matched_truth, with_truth
+from track_range.run.options.settings import RunSettings
 from track_range.run.run import Run
-from track_range.run.settings import RunSettings
 from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 

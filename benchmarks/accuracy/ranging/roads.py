@@ -30,7 +30,7 @@ from track_range.ranging.evaluation.box_methods import MethodOptions, measured_b
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.rows.columns import Columns
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.simulation.drive import write_drive
 
 KNOWN = {

@@ -21,7 +21,7 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.rows.columns import Columns
 from track_range.results.summary import matched_truth, with_truth
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.drive import Drive, write_drive

@@ -13,7 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.csv_labels import OPTIONAL, REQUIRED
 from track_range.detection.yolo.input_format import LETTERBOXES
 from track_range.results.writers import DEFAULT_WRITERS
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.stereo.evaluation.box_matchers import MATCHER_NAMES
 
 HEAVY = ("numpy", "cv2", "onnxruntime", "av", "scipy", "matplotlib", "pyarrow", "torch")

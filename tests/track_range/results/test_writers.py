@@ -22,7 +22,7 @@ from track_range.results.writers import (
     register_writer,
     result_names,
 )
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from track_range.cli.console import print_grid, print_summary
+from track_range.cli.shared.console import print_grid, print_summary
 from track_range.views.tables import (
     SIGMA,
     Cell,

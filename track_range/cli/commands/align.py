@@ -9,8 +9,8 @@ from rich.console import Console
 
 from track_range.calibration.align import BaselineCheck, RigAlignment, align, check_rig_health
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.run.progress import step_progress
 from track_range.run.run import Run
 from track_range.run.settings_files import settings_from

@@ -7,8 +7,8 @@ from functools import partial
 
 from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.run.progress import step_progress

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from track_range.cli.commands.run import print_outcome, run_and_print
-from track_range.cli.console import console, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_line
+from track_range.cli.shared.parameters import command
 from track_range.foundation.files.output_files import locked_output
 from track_range.foundation.processes import one_opencv_thread
 from track_range.foundation.schemas.options import Options, option
+from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
-from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
 
 if TYPE_CHECKING:

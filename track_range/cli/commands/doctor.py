@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from track_range.cli.console import console, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_line
+from track_range.cli.shared.parameters import command
 from track_range.detection.models.devices import Device
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
@@ -302,8 +302,8 @@ def _check_disk() -> str:
 
 def _check_run() -> str:
     """A run on one second of simulated video: detector, tracker, all methods, every result file."""
+    from track_range.run.options.settings import RunSettings
     from track_range.run.run import Run
-    from track_range.run.settings import RunSettings
 
     folder, drive = _drive()
     pair, out = (drive.left, drive.right), Path(folder.name) / "run"

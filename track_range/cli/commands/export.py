@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from track_range.cli.console import console, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.foundation.files.input_files import counted
 from track_range.run.export.export import ExportSettings, export
 

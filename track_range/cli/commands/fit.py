@@ -9,8 +9,8 @@ from typing import Annotated
 
 import numpy as np
 
-from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.detection.box_errors import BoxError
 from track_range.detection.evaluation.box_error_fit import (
     MIN_HEIGHT_PX,

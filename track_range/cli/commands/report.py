@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.foundation.schemas.options import Options, option
 from track_range.views.report.run_folders import report
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import Lazy, lazy_app
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.lazy import Lazy, lazy_app
+from track_range.cli.shared.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.schemas.options import Options, option

@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from track_range.cli.parameters import PairCommand, command_of, given_values, parameters
+from track_range.cli.shared.parameters import PairCommand, command_of, given_values, parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.processes import tuned_process
 from track_range.foundation.schemas.options import Options, option
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.run.settings_files import settings_from
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class RunView(Options):
 
 
 def _run(**values: Any) -> None:
-    from track_range.cli.console import console, print_line
+    from track_range.cli.shared.console import console, print_line
     from track_range.views.live_view.view import open_view
 
     options = RunView.of(given_values(RunView, values))
@@ -134,7 +134,7 @@ def run_and_print(
 def _process(
     run: Run, console: Console, view: LiveView | None, print_results: Callable[[Run, Console], None]
 ) -> None:
-    from track_range.cli.console import print_notes
+    from track_range.cli.shared.console import print_notes
 
     opening_notes = run.notes
     with _ignore_broken_pipe():
@@ -155,7 +155,7 @@ def _process(
 
 
 def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
-    from track_range.cli.console import print_line, print_summary
+    from track_range.cli.shared.console import print_line, print_summary
     from track_range.views.tables import frames_per_s
 
     with _ignore_broken_pipe():
@@ -175,7 +175,7 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
 
 def print_outcome(run: Run, console: Console) -> None:
     """Print what happened: the extremes of each class, the events, and where to look."""
-    from track_range.cli.console import print_grid, print_line
+    from track_range.cli.shared.console import print_grid, print_line
     from track_range.foundation.files.input_files import printable
     from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines
 

@@ -5,8 +5,8 @@ detectors.
 from contextlib import nullcontext
 from functools import partial
 
-from track_range.cli.console import console, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_line
+from track_range.cli.shared.parameters import command
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.foundation.schemas.options import Options, option
 from track_range.results.surrogate import by_class, surrogate_rows, write_rows
 from track_range.views.tables import ColumnSpec, Grid, columns_of, grid_of

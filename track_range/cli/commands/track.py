@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from functools import partial
 
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.sequences.find import MOT_FOLDER, listed
 from track_range.evaluation.sequences.settings import TrackSettings

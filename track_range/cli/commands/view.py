@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from track_range.cli.console import console, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES

@@ -12,7 +12,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import is_file, option_of, value_type
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 # that may differ between clips
 CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)

@@ -31,7 +31,7 @@ from track_range.foundation.files.input_files import (
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import option_of, value_type
 from track_range.recording.video.utc import parsed_utc
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -1,7 +1,7 @@
 """Options of commands and functions: pydantic models in which each option is declared once, as a
 field.
 
-`track_range.cli.parameters` creates the parameters of the command line from the fields; settings
+`track_range.cli.shared.parameters` creates the parameters of the command line from the fields; settings
 files and the Python API use the same names.
 """
 

@@ -1,1 +1,1 @@
-"""Options of the detector and of the tracker that commands share."""
+"""Options of a run: their fields, the rules between them, and notes on them."""

@@ -3,7 +3,7 @@
 from track_range.recording.recording import Recording
 from track_range.recording.video.address import LiveAddress
 from track_range.run.options.detection import DetectionOptions
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 _OF_NETWORK = [  # options of a detector network, which recorded detections do not need
     name

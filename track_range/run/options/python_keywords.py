@@ -6,7 +6,7 @@ from typing import Any
 
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.schemas.options import Options
-from track_range.run.settings import PipelineOptions
+from track_range.run.options.settings import PipelineOptions
 
 _OBJECTS = {  # options that may be objects: the member of these, and what is expected
     "detector": (

@@ -2,7 +2,7 @@
 matchers against labels.
 """
 
-from track_range.cli.lazy import Lazy, lazy_app
+from track_range.cli.shared.lazy import Lazy, lazy_app
 
 app = lazy_app(
     {

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.evaluation.sequences.detector_evaluation import evaluate_source, open_candidates
 from track_range.evaluation.sequences.labelled_images import LabelledSource

@@ -5,8 +5,8 @@ from statistics import median
 from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
-from track_range.cli.console import console, print_grid, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.output_files import write_json

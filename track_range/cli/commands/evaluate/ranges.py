@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.cli.commands.evaluate import result_files
-from track_range.cli.console import console, print_grid, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.foundation.files.output_files import write_json, write_text
 from track_range.foundation.schemas.options import option
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges

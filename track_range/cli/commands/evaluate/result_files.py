@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.console import console, print_line
+from track_range.cli.shared.console import console, print_line
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.options import option

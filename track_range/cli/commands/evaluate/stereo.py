@@ -8,8 +8,8 @@ from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.cli.commands.evaluate import result_files
-from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line
+from track_range.cli.shared.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.processes import one_opencv_thread

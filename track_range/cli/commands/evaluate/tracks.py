@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
-from track_range.cli.console import console, print_grid, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import write_json

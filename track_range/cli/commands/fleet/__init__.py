@@ -1,6 +1,6 @@
 """`track-range fleet`: many recordings on the workers of a Ray cluster."""
 
-from track_range.cli.lazy import Lazy, lazy_app
+from track_range.cli.shared.lazy import Lazy, lazy_app
 
 app = lazy_app(
     {

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from inspect import Parameter
 from typing import TYPE_CHECKING, Any
 
-from track_range.cli.parameters import command_of, given_values, parameters
+from track_range.cli.shared.parameters import command_of, given_values, parameters
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.schemas.options import option_of
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
@@ -25,7 +25,7 @@ _MAX_NAME, _MAX_NAMED = 20, 10
 
 
 def _fleet_run(**values: Any) -> None:
-    from track_range.cli.console import console, print_line, print_notes
+    from track_range.cli.shared.console import console, print_line, print_notes
     from track_range.fleet.engine.plan import common_options
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.fleet_run import run_fleet
@@ -68,7 +68,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     """Print what would be processed, with the problems in the headers; ClipsFailedError if there
     are some.
     """
-    from track_range.cli.console import console, print_line
+    from track_range.cli.shared.console import console, print_line
     from track_range.fleet.engine.plan import fleet_plan
     from track_range.fleet.engine.remaining import remaining, work_text
     from track_range.fleet.errors import ClipsFailedError

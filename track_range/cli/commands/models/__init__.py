@@ -1,6 +1,6 @@
 """`track-range models`: list, download, inspect, import, quantize and calibrate detectors."""
 
-from track_range.cli.lazy import Lazy, lazy_app
+from track_range.cli.shared.lazy import Lazy, lazy_app
 
 app = lazy_app(
     {

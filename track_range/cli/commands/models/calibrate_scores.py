@@ -7,8 +7,8 @@ from typing import Annotated
 import numpy as np
 
 from track_range.cli.commands.evaluate.result_files import check_result_files
-from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import score_fit

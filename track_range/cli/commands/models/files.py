@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from track_range.cli.console import console, print_grid
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_grid
+from track_range.cli.shared.parameters import command
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.lookup import model_rows, models_folder
 from track_range.foundation.schemas.options import Options, option

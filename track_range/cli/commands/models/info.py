@@ -10,8 +10,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from track_range.cli.console import console
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console
+from track_range.cli.shared.parameters import command
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
 from track_range.detection.classes import ROAD_CLASSES, class_counts
 from track_range.detection.models.lookup import ModelLocation, find_model

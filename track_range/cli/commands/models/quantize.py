@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from track_range.cli.commands.evaluate.detections import print_figures
-from track_range.cli.console import console
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console
+from track_range.cli.shared.parameters import command
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, read_image
 from track_range.detection.models.quantize import (

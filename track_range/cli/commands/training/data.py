@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from track_range.cli.commands.training.options import AnchorOptions
-from track_range.cli.console import console, print_first, print_line
+from track_range.cli.shared.console import console, print_first, print_line
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors

@@ -7,8 +7,8 @@ import shutil
 from itertools import pairwise
 
 from track_range.cli.commands.training.options import PseudoLabelOptions
-from track_range.cli.console import console, print_first, print_grid, print_line, print_notes
-from track_range.cli.parameters import command
+from track_range.cli.shared.console import console, print_first, print_grid, print_line, print_notes
+from track_range.cli.shared.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.models.onnx_session import Runtime

@@ -1,7 +1,7 @@
 """`track-range train` and `anchors`; PyTorch is imported when one of the commands runs."""
 
 from track_range.cli.commands.training.options import AnchorOptions, TrainOptions
-from track_range.cli.parameters import command
+from track_range.cli.shared.parameters import command
 from track_range.detection.training.errors import check_torch
 
 

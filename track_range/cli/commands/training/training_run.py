@@ -15,7 +15,7 @@ from rich.progress import (
 
 from track_range.cli.commands.training.data import fitted_anchors, read_images
 from track_range.cli.commands.training.options import TrainOptions
-from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.shared.console import console, print_grid, print_line
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml

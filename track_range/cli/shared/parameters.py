@@ -12,8 +12,8 @@ import typer
 from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
-from track_range.cli.bare_recordings import refuse_expanded
-from track_range.cli.lazy import HelpCommand
+from track_range.cli.shared.bare_recordings import refuse_expanded
+from track_range.cli.shared.lazy import HelpCommand
 from track_range.foundation.schemas.options import (
     Options,
     choices_of,

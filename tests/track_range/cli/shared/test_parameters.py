@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 import pytest
 from typer.testing import CliRunner
 
-from track_range.cli.parameters import command, parameters
+from track_range.cli.shared.parameters import command, parameters
 from track_range.fleet.inputs.clip import CLIP_SETTINGS, is_file_setting
 from track_range.foundation.errors import UsageError
 from track_range.foundation.schemas.options import Options, option, option_of
 from track_range.results.formats.provenance import _NOT_HASHED
 from track_range.results.writers import WRITERS, create_writer
-from track_range.run.settings import RunSettings
+from track_range.run.options.settings import RunSettings
 from track_range.run.settings_files import settings_from
 
 

@@ -1,0 +1,1 @@
+"""What commands share: their parameters, groups with help pages, and output to the terminal."""
