@@ -100,3 +100,14 @@ def command_of(line):
     if not name and rest[0].startswith("-") and rest != ["--version"]:
         name, command = ["run"], subcommand(command, "run")
     return " ".join(name), command, rest
+
+
+OPTION = re.compile(r"--[a-z][a-z0-9-]*")
+
+
+def options_of(command):
+    return {
+        option
+        for parameter in command.params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }

@@ -10,6 +10,7 @@ import yaml
 
 import track_range as tr
 from tests.documentation.documented_commands import (
+    OPTION,
     PAGES,
     PROJECT,
     README,
@@ -18,6 +19,7 @@ from tests.documentation.documented_commands import (
     commands,
     inline_code,
     is_command,
+    options_of,
     python_blocks,
     subcommand,
     track_range_commands,
@@ -29,7 +31,6 @@ from track_range.results.rows.columns import result_columns
 from track_range.results.summary_shape import _SUMMARY
 from track_range.results.writers import result_names
 
-OPTION = re.compile(r"--[a-z][a-z0-9-]*")
 FOREIGN_OPTIONS = {"--strict", "--cov", "--numprocesses"}
 """Options of other programs that pages name."""
 
@@ -49,14 +50,6 @@ GLOSSARY = (
     ),
     *("alignment", "track activation"),
 )
-
-
-def options_of(command):
-    return {
-        option
-        for parameter in command.params
-        for option in (*parameter.opts, *parameter.secondary_opts)
-    }
 
 
 def all_options(command):

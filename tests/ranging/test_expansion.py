@@ -79,7 +79,7 @@ def test_uncertain_and_receding_objects_have_no_time():
 def test_images_make_it_precise():
     """The textured square of the tests of registration, 20 px high and closing: box noise of 1 px
     hardly matters."""
-    from tests.ranging.test_patch_scale import SIZE_PX, scene, texture, tracks
+    from tests.ranging.patch_scenes import SIZE_PX, scene, texture, tracks
 
     errors = {True: [], False: []}
     for seed in range(6):

@@ -214,6 +214,17 @@ def test_only_tests_of_benchmarks_import_them():
     assert users == []
 
 
+def test_no_test_imports_another_one():
+    """What tests share is a module beside them, in tests/support, or a fixture of a conftest.py."""
+    pattern = re.compile(r"(from|import) +tests(\.\w+)*(\.| +import +)test_|noqa: F811")
+    users = [
+        str(path)
+        for path in sources("tests", "benchmarks")
+        if path != Path(__file__) and pattern.search(path.read_text(encoding="utf-8"))
+    ]
+    assert users == []
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_have_a_docstring_and_a_telling_name(package):
     for path in sources(package):

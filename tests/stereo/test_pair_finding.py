@@ -5,45 +5,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.support.images.rendered_pairs import (
+    RIG,
+    Pairs,
+    mirrored,
+    of_drive,
+    rendered,
+    shifted,
+    turned,
+    warped,
+)
 from track_range.foundation.arrays import Image
 from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.recording import open_recording
-from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.pair_evidence import Motion, PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
-
-RIG = kitti_like_rig(width_px=620, height_px=188)
-N_PAIRS = 13  # 0.1 s apart
-Pairs = list[tuple[Image, Image]]
-
-
-@cache
-def rendered() -> tuple[tuple[Image, Image], ...]:
-    renderer = Renderer(make_scene(0, seconds=2.0), RIG)
-    return tuple(
-        (renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_PAIRS)
-    )
-
-
-def warped(image: Image, matrix: np.ndarray) -> Image:
-    return np.asarray(
-        cv2.warpPerspective(image, matrix, (image.shape[1], image.shape[0])), np.uint8
-    )
-
-
-def shifted(image: Image, x_px: float, y_px: float = 0.0) -> Image:
-    return warped(image, np.array([[1.0, 0.0, x_px], [0.0, 1.0, y_px], [0.0, 0.0, 1.0]]))
 
 
 def yawed(image: Image, deg: float) -> Image:
@@ -58,18 +43,6 @@ def found(pairs: Pairs, rig: StereoRig = RIG) -> PairFinding:
     for left, right in pairs:
         evidence.add(left, right)
     return find_fault(evidence.figures(), rig)
-
-
-def turned(image: Image) -> Image:
-    return np.asarray(cv2.rotate(image, cv2.ROTATE_180), np.uint8)
-
-
-def mirrored(image: Image) -> Image:
-    return np.asarray(cv2.flip(image, 1), np.uint8)
-
-
-def of_drive(*, n: int = 7) -> Pairs:
-    return list(rendered()[::2][:n])  # in this slow drive, points move enough in 0.2 s
 
 
 @pytest.mark.slow

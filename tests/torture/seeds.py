@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import yaml
 
-from tests.detection.formats import test_tool_labels as tool_files
+from tests.detection.formats import tool_files
 from tests.torture.mutations import BYTES, JSON, NPY, ONNX, PNG, TABLE, TEXT, YAML, Mutation
 from tests.torture.processes import succeed
 from track_range.ranging import size_models

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.images.films import write_film
 from tests.support.results.overlay_results import BOX, result
 from tests.toys.registrations import registered_method
 from tests.toys.toy_method import TOY, BoxWidthRanger
-from tests.track_range.conftest import write_film
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.pipeline.colours import colour_of_each

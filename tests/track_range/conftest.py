@@ -1,62 +1,17 @@
-"""Videos with identifiable frames, each with a grey level given by its number; and a browser."""
+"""Fixtures of all tests of track_range: videos with identifiable frames, a run, and a browser."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import av
-import cv2
 import numpy as np
 import pytest
 
-FIRST_LEVEL, LEVEL_STEP = 24, 4
-
-
-def level_image(number: int, *, width_px: int = 64, height_px: int = 48) -> np.ndarray:
-    return np.full((height_px, width_px, 3), FIRST_LEVEL + LEVEL_STEP * number, np.uint8)
-
-
-def number_of(image: np.ndarray) -> int:
-    return round((float(image.mean()) - FIRST_LEVEL) / LEVEL_STEP)
-
-
-def write_film(
-    path: Path,
-    times_s: Sequence[float],
-    *,
-    images: Sequence[np.ndarray] | None = None,
-    codec: str = "libx264",
-    gop: int = 6,
-    rotation: tuple[float, bool, bool] | None = None,
-    options: dict[str, str] | None = None,
-    aspect: Fraction = Fraction(1),
-    rate: int = 10,
-    metadata: dict[str, str] | None = None,
-) -> Path:
-    """A video with one image per time; H.264 with B-frames by default."""
-    images = [level_image(number) for number in range(len(times_s))] if images is None else images
-    clock = Fraction(1, rate if path.suffix == ".avi" else 90_000)  # AVI has frames, not times
-    with av.open(str(path), "w", options=options or {}) as container:
-        container.metadata.update(metadata or {})
-        stream: Any = container.add_stream(codec, rate=rate)
-        stream.height, stream.width = images[0].shape[:2]
-        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-        stream.codec_context.time_base, stream.codec_context.gop_size = clock, gop
-        stream.codec_context.sample_aspect_ratio = aspect
-        if rotation is not None:
-            stream.set_display_rotation(*rotation)
-        for time_s, image in zip(times_s, images, strict=True):
-            frame = av.VideoFrame.from_ndarray(
-                cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), format="yuv420p"
-            )
-            frame.pts, frame.time_base = round(time_s / clock), clock
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
-    return path
+import track_range as tr
+from tests.support.images.films import N_NOISE_FRAMES, level_image, noise, number_of, write_film
 
 
 @pytest.fixture(scope="session")
@@ -75,6 +30,32 @@ def level() -> Callable[..., np.ndarray]:
 def number_in() -> Callable[[np.ndarray], int]:
     """Number of an image of such a video, from its grey level."""
     return number_of
+
+
+@pytest.fixture(scope="session")
+def run_on_noise(
+    tmp_path_factory: pytest.TempPathFactory, film: Callable[..., Path]
+) -> Callable[..., tr.Run]:
+    """A run on a video of noise with two boxes in each frame."""
+    folder = tmp_path_factory.mktemp("inputs")
+    video = film(
+        folder / "film.mp4",
+        [number / 10 for number in range(N_NOISE_FRAMES)],
+        images=noise(N_NOISE_FRAMES),
+    )
+    row = "{} {} Car 0 0 0 {} 10 {} 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
+    rows = [
+        row.format(n, track, 5 + 30 * track, 25 + 30 * track)
+        for n in range(N_NOISE_FRAMES)
+        for track in (0, 1)
+    ]
+    (folder / "boxes.txt").write_text("".join(rows))
+
+    def run(out: Path, **options: Any) -> tr.Run:
+        given = {"detections": folder / "boxes.txt", "focal_px": 60, "lanes": "off", "out": out}
+        return tr.Run.mono(video, **{**given, **options})
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -5,44 +5,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
-from tests.support.networks.onnx_models import write_model
+from tests.support.networks.onnx_models import write_mean_network, write_model
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.tracking.appearance.reid import ReidModel
 
 ONE_THREAD = Runtime(device="cpu", n_threads=1)
 MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-
-
-def write_mean_network(path, *, input_shape, split_at_row=None):
-    """Features (batch, 6): mean of each channel over the upper half of the input, then over the
-    lower half."""
-    height = split_at_row or input_shape[2]
-    constants = {
-        name: np.array([value])
-        for name, value in (("0", 0), ("half", height // 2), ("all", height), ("2", 2))
-    }
-    nodes = []
-    for name, start, end in (("upper", "0", "half"), ("lower", "half", "all")):
-        nodes.append(helper.make_node("Slice", ["images", start, end, "2"], [f"{name}_half"]))
-        nodes.append(
-            helper.make_node("ReduceMean", [f"{name}_half"], [name], axes=[2, 3], keepdims=0)
-        )
-    nodes.append(helper.make_node("Concat", ["upper", "lower"], ["features"], axis=1))
-    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, input_shape)
-    features = helper.make_tensor_value_info("features", TensorProto.FLOAT, [input_shape[0], 6])
-    weights = [numpy_helper.from_array(value, name) for name, value in constants.items()]
-    model = helper.make_model(
-        helper.make_graph(nodes, "means", [image], [features], weights),
-        opset_imports=[helper.make_opsetid("", 13)],
-    )
-    model.ir_version = 9
-    onnx.save(model, path)
-    return path
 
 
 def picture(n):

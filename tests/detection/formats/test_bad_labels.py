@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from tests.detection.formats.test_reference_labels import COCO, CVAT, SIZE, YOLO
+from tests.detection.formats.reference_labels import COCO, CVAT, SIZE, YOLO
 from tests.support.damaged_text import MAX_MESSAGE, check_damaged, damaged
 from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.errors import LabelFileError

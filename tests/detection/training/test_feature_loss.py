@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.detection.training.road_scenes import write_data_set
-from tests.detection.training.test_training import SMALL, Killed, Quiet, weights
+from tests.detection.training.short_trainings import SMALL, Killed, Quiet, weights
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from tests.detection.training.road_scenes import write_data_set
+from tests.detection.training.short_trainings import SMALL, Killed, Quiet, weights
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.batches import BatchMaker
@@ -43,29 +44,6 @@ PLAIN = AugmentationSettings(
 )
 
 
-SMALL = TrainingSettings(
-    size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings()
-)
-
-
-class Quiet:
-    """Listener that does nothing."""
-
-    def step(self, epoch, i, n, losses): ...
-
-    def validated(self, epoch, i, n): ...
-
-    def epoch(self, row): ...
-
-
-class Killed(Quiet):
-    """Listener that stops a run in the middle of its third epoch."""
-
-    def step(self, epoch, i, n, losses):
-        if epoch == 2 and i == 2:
-            raise KeyboardInterrupt
-
-
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
     data = read_data_yaml(write_data_set(tmp_path_factory.mktemp("drawn"), n_train=12, n_val=4))
@@ -78,12 +56,6 @@ def training(sets, out, settings=SMALL, *, name="yolov5n", teacher=None, **optio
     prepare_torch(seed=settings.seed)
     network = make_network(name, len(sets.road_class_id), **options)
     return Training(network, settings, sets, out, teacher=teacher)
-
-
-def weights(run):
-    return torch.cat(
-        [value.flatten().float() for value in run.average.network.state_dict().values()]
-    )
 
 
 @pytest.mark.train

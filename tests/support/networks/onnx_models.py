@@ -172,3 +172,30 @@ def _save(path, graph, metadata):
     helper.set_model_props(model, metadata or {})
     onnx.save(model, path)
     return path
+
+
+def write_mean_network(path, *, input_shape, split_at_row=None):
+    """Features (batch, 6): mean of each channel over the upper half of the input, then over the
+    lower half."""
+    height = split_at_row or input_shape[2]
+    constants = {
+        name: np.array([value])
+        for name, value in (("0", 0), ("half", height // 2), ("all", height), ("2", 2))
+    }
+    nodes = []
+    for name, start, end in (("upper", "0", "half"), ("lower", "half", "all")):
+        nodes.append(helper.make_node("Slice", ["images", start, end, "2"], [f"{name}_half"]))
+        nodes.append(
+            helper.make_node("ReduceMean", [f"{name}_half"], [name], axes=[2, 3], keepdims=0)
+        )
+    nodes.append(helper.make_node("Concat", ["upper", "lower"], ["features"], axis=1))
+    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, input_shape)
+    features = helper.make_tensor_value_info("features", TensorProto.FLOAT, [input_shape[0], 6])
+    weights = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    model = helper.make_model(
+        helper.make_graph(nodes, "means", [image], [features], weights),
+        opset_imports=[helper.make_opsetid("", 13)],
+    )
+    model.ir_version = 9
+    onnx.save(model, path)
+    return path

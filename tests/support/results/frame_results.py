@@ -1,7 +1,10 @@
 """Frame results and pipelines for tests, from few values."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from track_range.pipeline.alarming import Alarms, AlarmStage
 from track_range.pipeline.doubting import DoubtStage
@@ -13,9 +16,19 @@ from track_range.pipeline.world import World, WorldStage
 from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import ObjectMotion
+from track_range.results.writers import (
+    OpenWriters,
+    RunInfo,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
+
+INFO = RunInfo(
+    camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={}
+)
 
 
 def frame_result(
@@ -62,3 +75,54 @@ def frame_pipeline(
         alarming=AlarmStage(camera, CollisionWarning()),
         **stages,
     )
+
+
+def result(frame=4):
+    """Tracks 3, a car that is measured, and 7, a predicted train that is not."""
+    tracks = Tracks(
+        np.array([3, 7]),
+        np.array([[1.0, 2.0, 3.0, 4.5], [10.0, 20.0, 30.0, 40.0]]),
+        np.array([2, 6]),
+        np.array([0.5, 0.25]),
+        np.array([True, False]),
+    )
+    nan = np.nan
+    ranges = {
+        "mono": Ranges(tracks.track_id, np.array([12.3456, nan]), np.array([1.0, nan])),
+        "fused": Ranges(tracks.track_id, np.array([12.0, nan]), np.array([0.5, nan])),
+        "fused_kf": Ranges(tracks.track_id, np.array([12.5, 8.0]), np.array([0.4, 0.3])),
+    }
+    image = np.zeros((50, 50, 3), np.uint8)
+    xyz_m = np.array([[1.0, 2.0, 12.0], [nan, nan, nan]])
+    return frame_result(
+        frame=Frame(frame, 0.4, image, None),
+        tracks=tracks,
+        ranges=ranges,
+        closing_mps=np.array([2.0, nan]),
+        closing_sigma_mps=np.array([0.5, nan]),
+        ttc_s=np.array([6.0, nan]),
+        ttc_sigma_s=np.array([1.5, nan]),
+        xyz_m=xyz_m,
+        motion=ObjectMotion(
+            *(
+                np.array(pair)
+                for pair in (
+                    (8.5, nan),
+                    (0.4, nan),
+                    (-12.5, nan),
+                    (20.25, nan),
+                    (-3.5, nan),
+                    (nan, 0.0),
+                )
+            )
+        ),
+        ego_pose=EgoPose(8.0, -1.0, -0.5, np.diag([0.04, 0.01, 0.0001])),
+        ego_mps=10.0,
+    )
+
+
+@contextmanager
+def writing(folder, names=("csv", "mot")):
+    """Context with the open writers of these names."""
+    with OpenWriters(names, INFO, folder) as opened:
+        yield opened

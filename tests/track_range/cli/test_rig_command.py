@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.stereo.test_device_calibrations import ZED
 from tests.support.images.board_scenes import CAMERA, rig
+from tests.support.recordings.device_calibrations import ZED
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig

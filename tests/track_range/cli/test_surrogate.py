@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from tests.support.results.frame_results import changed
-from tests.track_range.results.test_results import result, writing
+from tests.support.results.frame_results import changed, result, writing
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.world.ego_path import EgoPose

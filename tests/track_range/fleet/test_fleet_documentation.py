@@ -203,8 +203,7 @@ def test_versions_and_images_agree(name):
 
 
 def test_options_of_the_examples_exist():
-    from tests.documentation.documented_commands import command_of
-    from tests.documentation.test_documentation import OPTION, options_of
+    from tests.documentation.documented_commands import OPTION, command_of, options_of
 
     job = yaml.safe_load((EXAMPLES / "fleet-kuberay.yaml").read_text())
     lines = [job["spec"]["entrypoint"], *re.findall(r"track-range fleet run [^'#\n]*", PAGE)]

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.stereo.test_pair_finding import RIG as SLOW_RIG, of_drive, shifted, turned
-from tests.track_range.recording.test_pair_monitor import RIG, road
+from tests.support.images.rendered_pairs import RIG as SLOW_RIG, of_drive, shifted, turned
+from tests.track_range.recording.road_pairs import RIG, road
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import RecordingCalibration, calibration_of
 from track_range.recording.pairs.aligner import (

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 
+from tests.support.results.frame_results import result
 from tests.track_range.recording.bag_writers import (
     START_NS,
     write_foxglove,
@@ -22,7 +23,6 @@ from tests.track_range.recording.bag_writers import (
     write_ros1,
     write_ros2,
 )
-from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.recording.recording import open_recording
 from track_range.recording.sources.bags.bag import is_bag

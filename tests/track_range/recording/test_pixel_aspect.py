@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.images.films import write_film
 from tests.support.recordings.live_servers import Camera
-from tests.track_range.conftest import write_film
 from tests.track_range.recording.bag_writers import write_foxglove_video
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.recording import open_recording

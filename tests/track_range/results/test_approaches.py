@@ -1,31 +1,9 @@
-"""Closest approaches: which rows count, and the moment of each extreme."""
+"""Closest approaches: which approach_rows count, and the moment of each extreme."""
 
 import numpy as np
 
+from tests.support.results.approach_rows import COLUMNS, NAN
 from track_range.results.approaches import closest_approaches, row_of_smallest, track_extremes
-
-NAN = np.nan
-
-
-def rows(*values):
-    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma,
-    TTC)."""
-    names = (
-        *("time_s", "track_id", "class", "observed", "fused_kf_m", "fused_kf_sigma_m"),
-        *("closing_mps", "closing_sigma_mps", "ttc_front_s"),
-    )
-    return {name: np.array([row[k] for row in values]) for k, name in enumerate(names)}
-
-
-COLUMNS = rows(
-    (0.0, 1, "car", 1, 20.0, 0.4, NAN, NAN, NAN),
-    (0.5, 1, "car", 1, 15.0, 0.3, 10.0, 1.0, 1.5),
-    (1.0, 1, "car", 0, 3.0, 0.1, 30.0, 1.0, 0.4),  # predicted
-    (1.5, 1, "car", 1, 4.0, 2.5, 90.0, 46.0, NAN),  # too uncertain
-    (0.0, 2, "person", 1, 8.5, NAN, -1.0, 0.1, NAN),
-    (0.0, 3, "bus", 1, NAN, NAN, NAN, NAN, NAN),
-    (0.0, 4, "traffic light", 1, 2.0, 0.1, NAN, NAN, NAN),
-)
 
 
 def test_detected_and_certain_rows_count():
@@ -46,7 +24,7 @@ def test_detected_and_certain_rows_count():
         "max_closing_sigma_mps": 1.0,
         "max_closing_mps_at_s": 0.5,
         "min_ttc_front_s": 0.4,
-        "min_ttc_front_s_at_s": 1.0,  # of all rows, as in events.csv and `surrogate`
+        "min_ttc_front_s_at_s": 1.0,  # of all approach_rows, as in events.csv and `surrogate`
     }
     assert {value for key, value in bus.items() if key not in ("track_id", "class")} == {None}
 

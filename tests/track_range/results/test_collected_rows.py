@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.results.events import SeenFinder
-from tests.track_range.results.test_results import result
+from tests.support.results.frame_results import result
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.table import RunRows, RunTable
 

@@ -11,7 +11,7 @@ import struct
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,9 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from pyarrow import parquet
 
-from tests.support.results.frame_results import changed
-from tests.track_range.results.test_results import result
-from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
+import track_range as tr
+from tests.support.file_size_limit import file_size_limit
+from tests.track_range.results.moving_frames import CAMERA, PERIOD_S, START_S, frame, info
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
@@ -39,35 +39,6 @@ from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, create_writers
 from track_range.run.export.export import ExportSettings, export
 from track_range.run.settings_files import settings_from
-from track_range.stereo.geometry.camera import PinholeCamera
-
-CAMERA = PinholeCamera(700.0, 710.0, 20.0, 30.0, 50, 50)
-START_S = 1_760_000_000.25
-PERIOD_S = 0.1
-
-
-def info(profile: str = "foxglove", **values: Any) -> RunInfo:
-    settings = {"mcap_profile": profile, "mcap_images": True}
-    return RunInfo(**{"camera": CAMERA, "rig": None, "fps": 10.0, "settings": settings, **values})
-
-
-def frame(index: int) -> Any:
-    """A frame with tracks 3 (ranged) and 7 (not ranged); track 3 is absent in frame 2."""
-    given = result(index)
-    image = np.full((50, 50, 3), 8 * index % 256, np.uint8)
-    given = replace(given, frame=replace(given.frame, time_s=index * PERIOD_S, left=image))
-    if index != 2:
-        return given
-    tracks = given.tracks.select(np.array([1]))
-    rows = {
-        name: getattr(given, name)[1:]
-        for name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s", "xyz_m")
-    }
-    ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
-              for name, r in given.ranges.items()}  # fmt: skip
-    return changed(
-        given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows
-    )
 
 
 def write(folder: Path, about: RunInfo, n_frames: int = 4) -> Path:
@@ -397,7 +368,8 @@ def test_killed_process(tmp_path: Path) -> None:
     """At most a second and the last frame are lost."""
     program = (
         "import os, sys, signal, pathlib\n"
-        "from tests.track_range.results.test_mcap import OpenWriters, frame, info\n"
+        "from tests.track_range.results.moving_frames import frame, info\n"
+        "from track_range.results.writers import OpenWriters\n"
         "writers = OpenWriters(('mcap',), info(settings={}), pathlib.Path(sys.argv[1]))\n"
         "for index in range(48):\n"
         "    writers.write(frame(index))\n"
@@ -454,8 +426,8 @@ def test_options() -> None:
 
 
 @pytest.mark.slow
-def test_run(tmp_path: Path, inputs) -> None:  # noqa: F811
-    list(inputs(tmp_path, overlay=False, write="csv,mcap", mcap_images=True))
+def test_run(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
+    list(run_on_noise(tmp_path, overlay=False, write="csv,mcap", mcap_images=True))
     read = messages(tmp_path / "run.mcap")
     assert len(read["/camera/image"]) == len(read["/tracks/ranges"]) == 20
     assert all(math.isfinite(row["distance_m"]) for row in read["/tracks/ranges"][10][2]["tracks"])
@@ -475,10 +447,10 @@ def test_layout(foxglove: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_export_of_a_killed_run(tmp_path: Path, inputs) -> None:  # noqa: F811
+def test_export_of_a_killed_run(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
     """All rows of a run of which only settings.yaml and tracks.arrows remain, in the full precision
     of the run."""
-    run = inputs(tmp_path, overlay=False, write="parquet,mcap")
+    run = run_on_noise(tmp_path, overlay=False, write="parquet,mcap")
     frames = iter(run)
     for _ in range(12):
         next(frames)

@@ -8,10 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.support.results.frame_results import changed
-from tests.track_range.results.test_mcap import frame
-from tests.track_range.results.test_results import result, writing
-from tests.track_range.results.test_writers import INFO
+from tests.support.results.frame_results import INFO, changed, result, writing
+from tests.track_range.results.moving_frames import frame
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.results.formats.openscenario_file import OpenScenarioWriter

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from pyarrow import parquet
 
 import track_range as tr
 from tests.documentation.documented_commands import PAGES, python_blocks
-from tests.track_range.results.test_results import result, writing
-from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
+from tests.support.file_size_limit import file_size_limit
+from tests.support.results.frame_results import result, writing
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.sequences.evaluation import evaluate_tracks
@@ -130,7 +131,7 @@ def test_full_disk(tmp_path: Path) -> None:
 def test_killed_process(tmp_path: Path) -> None:
     program = (
         "import os, sys, signal, pathlib\n"
-        "from tests.track_range.results.test_results import result, writing\n"
+        "from tests.support.results.frame_results import result, writing\n"
         "with writing(pathlib.Path(sys.argv[1]), ('parquet',)) as rows:\n"
         "    for index in range(7):\n"
         "        rows.write(result(index))\n"
@@ -231,10 +232,10 @@ def test_damaged_parquet(run_file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
+def test_run_with_parquet_only(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
     both, alone = tmp_path / "both", tmp_path / "alone"
-    list(inputs(both, overlay=False))
-    list(inputs(alone, overlay=False, write="parquet"))
+    list(run_on_noise(both, overlay=False))
+    list(run_on_noise(alone, overlay=False, write="parquet"))
     assert (alone / PARQUET).exists()
     assert not (alone / "tracks.csv").exists()
     report([alone], None)
@@ -275,9 +276,11 @@ def test_settings_hash() -> None:
 
 
 @pytest.mark.slow
-def test_rows_written_after_the_iteration(tmp_path: Path, inputs) -> None:  # noqa: F811
-    list(inputs(tmp_path / "while", overlay=False))
-    run = inputs(None, overlay=False)
+def test_rows_written_after_the_iteration(
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run]
+) -> None:
+    list(run_on_noise(tmp_path / "while", overlay=False))
+    run = run_on_noise(None, overlay=False)
     list(run)
     run.write(tmp_path / "after")
     tables = [parquet.read_table(tmp_path / name / PARQUET) for name in ("while", "after")]

@@ -4,8 +4,7 @@ import csv
 
 import pytest
 
-from tests.support.results.frame_results import changed
-from tests.track_range.results.test_results import result, writing
+from tests.support.results.frame_results import changed, result, writing
 from track_range.ranging.world.ego_path import EgoPose
 
 

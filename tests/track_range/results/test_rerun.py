@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,9 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from tests.track_range.results.test_mcap import CAMERA, START_S, frame, info
-from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
+import track_range as tr
+from tests.support.file_size_limit import file_size_limit
+from tests.track_range.results.moving_frames import CAMERA, START_S, frame, info
 from track_range.cli.commands.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import locked_folder
@@ -161,11 +163,11 @@ def test_missing_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_view(tmp_path: Path, inputs) -> None:  # noqa: F811
+def test_view(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
     """A run with video, and one of which only the rows are left."""
     for name in ("whole", "killed"):
         folder = tmp_path / name
-        list(inputs(folder, write="csv,mot,parquet,rrd" if name == "whole" else "csv"))
+        list(run_on_noise(folder, write="csv,mot,parquet,rrd" if name == "whole" else "csv"))
         if name == "killed":
             (folder / "summary.json").unlink()
         path = recording_of(folder)

@@ -2,30 +2,21 @@
 
 import csv
 import tempfile
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.support.results.frame_results import changed, frame_result
+from tests.support.results.frame_results import changed, result, writing
 from tests.toys.registrations import registered_method
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.method import ErrorSource, RangingMethod
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
-from track_range.ranging.world.ego_path import EgoPose
-from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.formats.csv_file import read_tracks_csv
-from track_range.results.formats.run_info import RunInfo
 from track_range.results.rows.columns import column_names, distance_names, methods_with_sigma
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
-from track_range.results.writers import OpenWriters
-from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import Frame
-from track_range.tracking.tracks import Tracks
 
 CONTRACT = (
     "frame,time_s,track_id,class,score,observed,x1_px,y1_px,x2_px,y2_px,mono_m,mono_sigma_m,ground_m,ground_sigma_m,"
@@ -37,58 +28,6 @@ CONTRACT = (
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
     "expansion_ttc_s,expansion_ttc_sigma_s"
 ).split(",")
-
-
-def result(frame=4):
-    tracks = Tracks(
-        np.array([3, 7]),
-        np.array([[1.0, 2.0, 3.0, 4.5], [10.0, 20.0, 30.0, 40.0]]),
-        np.array([2, 6]),
-        np.array([0.5, 0.25]),
-        np.array([True, False]),
-    )
-    nan = np.nan
-    ranges = {
-        "mono": Ranges(tracks.track_id, np.array([12.3456, nan]), np.array([1.0, nan])),
-        "fused": Ranges(tracks.track_id, np.array([12.0, nan]), np.array([0.5, nan])),
-        "fused_kf": Ranges(tracks.track_id, np.array([12.5, 8.0]), np.array([0.4, 0.3])),
-    }
-    image = np.zeros((50, 50, 3), np.uint8)
-    xyz_m = np.array([[1.0, 2.0, 12.0], [nan, nan, nan]])
-    return frame_result(
-        frame=Frame(frame, 0.4, image, None),
-        tracks=tracks,
-        ranges=ranges,
-        closing_mps=np.array([2.0, nan]),
-        closing_sigma_mps=np.array([0.5, nan]),
-        ttc_s=np.array([6.0, nan]),
-        ttc_sigma_s=np.array([1.5, nan]),
-        xyz_m=xyz_m,
-        motion=ObjectMotion(
-            *(
-                np.array(pair)
-                for pair in (
-                    (8.5, nan),
-                    (0.4, nan),
-                    (-12.5, nan),
-                    (20.25, nan),
-                    (-3.5, nan),
-                    (nan, 0.0),
-                )
-            )
-        ),
-        ego_pose=EgoPose(8.0, -1.0, -0.5, np.diag([0.04, 0.01, 0.0001])),
-        ego_mps=10.0,
-    )
-
-
-@contextmanager
-def writing(folder, names=("csv", "mot")):
-    camera = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480)
-    with OpenWriters(
-        names, RunInfo(camera=camera, rig=None, fps=10.0, settings={}), folder
-    ) as opened:
-        yield opened
 
 
 def toy_method(*, is_filtered):

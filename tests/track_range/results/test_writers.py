@@ -6,12 +6,11 @@ import json
 
 import pytest
 
+from tests.support.results.frame_results import INFO, result
 from tests.toys.registrations import registered_writer
 from tests.toys.toy_writer import NAME, JsonLinesWriter
-from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
-from track_range.results.formats.run_info import RunInfo
 from track_range.results.writers import (
     DEFAULT_WRITERS,
     WRITERS,
@@ -24,12 +23,8 @@ from track_range.results.writers import (
 )
 from track_range.run.options.settings import RunSettings
 from track_range.run.settings_files import settings_from
-from track_range.stereo.geometry.camera import PinholeCamera
 
 BUILT_IN = ("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd", "openscenario")
-INFO = RunInfo(
-    camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={}
-)
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
 
 

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import track_range as tr
-from tests.track_range.run.test_process_state import assert_unchanged_by, process_state
+from tests.track_range.run.process_state import assert_unchanged_by, process_state
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoFrame
 from track_range.simulation.drive import Drive

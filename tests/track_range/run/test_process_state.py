@@ -3,68 +3,22 @@ ROS node."""
 
 from __future__ import annotations
 
-import gc
-import logging
 import os
-import signal
 import subprocess
 import sys
-from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
-import cv2
 import pytest
 
 import track_range as tr
+from tests.track_range.run.process_state import (
+    assert_unchanged_by,
+    process_state,
+)
 from track_range.simulation.drive import Drive
 
 PROJECT = Path(__file__).resolve().parents[3]
-
-
-def process_state() -> dict[str, Any]:
-    """Settings that hold for the whole process."""
-    return {
-        "thread switching interval": sys.getswitchinterval(),
-        "OpenCV's threads": cv2.getNumThreads(),
-        "OpenCV's optimizations": cv2.useOptimized(),
-        "garbage collection": (
-            gc.isenabled(),
-            gc.get_threshold(),
-            gc.get_freeze_count(),
-            list(gc.callbacks),
-        ),
-        "niceness": os.getpriority(os.PRIO_PROCESS, os.getpid()),
-        "folders of modules": list(sys.path),
-        "log handlers": list(logging.getLogger().handlers),
-        "log level": (logging.getLogger().level, logging.root.manager.disable),
-        "signal handlers": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
-        "output": (sys.stdout, sys.stderr),
-    }
-
-
-def niceness_of_threads() -> set[int]:
-    """Niceness of each thread of this process, also those of libraries (Linux only)."""
-    folder = Path("/proc/self/task")
-    return (
-        {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in folder.iterdir()}
-        if folder.is_dir()
-        else set()
-    )
-
-
-def assert_unchanged_by(results: Iterable[Any]) -> None:
-    """Check that the settings of the process are the same before, inside the loop of, and after an
-    iteration."""
-    before, threads_before = process_state(), niceness_of_threads()
-    n_results = 0
-    for _ in results:
-        n_results += 1
-        assert process_state() == before
-    assert n_results > 0
-    assert process_state() == before
-    assert niceness_of_threads() <= threads_before
 
 
 @pytest.mark.parametrize("sgbm", [False, True])
@@ -118,7 +72,7 @@ def test_import_in_a_new_process() -> None:
     )
     code = f"""if True:
         import cv2, onnxruntime  # as another part of the program may have done
-        from tests.track_range.run.test_process_state import process_state
+        from tests.track_range.run.process_state import process_state
         before = process_state()
         from track_range import {names}
         assert process_state() == before, (process_state(), before)

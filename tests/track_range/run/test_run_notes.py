@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.tracking.test_reid import write_mean_network
+from tests.support.networks.onnx_models import write_mean_network
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
 

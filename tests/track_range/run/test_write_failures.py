@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,10 @@ import numpy as np
 import pytest
 
 import track_range as tr
+from tests.support.file_size_limit import file_size_limit
+from tests.support.images.films import N_NOISE_FRAMES, noise
+from tests.support.results.frame_results import result, writing
 from tests.toys.registrations import registered_writer
-from tests.track_range.results.test_results import result, writing
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import FolderLockError, locked_folder
@@ -32,20 +33,6 @@ from track_range.results.writers import OpenWriters
 from track_range.views.report.run_folders import report
 from track_range.views.videos.result_video import ResultVideo
 from track_range.views.videos.video_writer import FragmentFile, VideoWriter
-
-resource = pytest.importorskip("resource", reason="file size limits need POSIX")
-
-
-@contextmanager
-def file_size_limit(n_bytes: int) -> Iterator[None]:
-    """Context in which writing beyond this size of a file fails (EFBIG), after a short write up to
-    it."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 class FailingWriter:
@@ -137,10 +124,6 @@ def test_table_without_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 # ---------------------------------------------------------------------------------------------------------
 
 
-def noise(n: int) -> list[np.ndarray]:
-    return list(np.random.default_rng(3).integers(0, 256, (n, 48, 64, 3), np.uint8))
-
-
 def test_video_is_playable_after_a_failure(tmp_path: Path) -> None:
     path, images = tmp_path / "out.mp4", noise(8)
     counts = []
@@ -216,33 +199,6 @@ def test_lag_of_a_video(tmp_path: Path, fps: float, max_lag: int) -> None:
 # -----------------------------------------------------------------------------------------------------------
 
 
-N_FRAMES = 20
-
-
-@pytest.fixture(scope="module")
-def inputs(
-    tmp_path_factory: pytest.TempPathFactory, film: Callable[..., Path]
-) -> Callable[..., tr.Run]:
-    """A run on a video of noise with two boxes in each frame."""
-    folder = tmp_path_factory.mktemp("inputs")
-    video = film(
-        folder / "film.mp4", [number / 10 for number in range(N_FRAMES)], images=noise(N_FRAMES)
-    )
-    row = "{} {} Car 0 0 0 {} 10 {} 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
-    rows = [
-        row.format(n, track, 5 + 30 * track, 25 + 30 * track)
-        for n in range(N_FRAMES)
-        for track in (0, 1)
-    ]
-    (folder / "boxes.txt").write_text("".join(rows))
-
-    def run(out: Path, **options: Any) -> tr.Run:
-        given = {"detections": folder / "boxes.txt", "focal_px": 60, "lanes": "off", "out": out}
-        return tr.Run.mono(video, **{**given, **options})
-
-    return run
-
-
 def check_folder(out: Path, n_frames: int) -> None:
     """The rows and the summary, if there is one, have the same frames, and the overlay is
     playable."""
@@ -264,8 +220,10 @@ def check_folder(out: Path, n_frames: int) -> None:
     "limit",
     [14_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (16_000, 19_000, 24_000, 29_000))],
 )
-def test_run_on_a_full_disk(tmp_path: Path, inputs: Callable[..., tr.Run], limit: int) -> None:
-    run = inputs(tmp_path)
+def test_run_on_a_full_disk(
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run], limit: int
+) -> None:
+    run = run_on_noise(tmp_path)
     frames = iter(run)
     n_frames = 0
     with file_size_limit(limit), pytest.raises(UserError, match=r"tracks\.arrows|overlay\.mp4"):  # noqa: PT012
@@ -277,24 +235,24 @@ def test_run_on_a_full_disk(tmp_path: Path, inputs: Callable[..., tr.Run], limit
 
 
 @pytest.mark.slow
-def test_first_error_is_reported(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
+def test_first_error_is_reported(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
     """Without space for anything; then with space for all but the report."""
-    run = inputs(tmp_path, overlay=False)
+    run = run_on_noise(tmp_path, overlay=False)
     with file_size_limit(0), pytest.raises(UserError, match=r"settings|progress|tracks"):
         next(iter(run))
-    run = inputs(tmp_path, overlay=False, write="csv,mot")
+    run = run_on_noise(tmp_path, overlay=False, write="csv,mot")
     for _ in run:
         size = (tmp_path / "tracks.csv").stat().st_size
     other = tmp_path / "other"
-    run = inputs(other, overlay=False, sgbm=False, write="csv,mot")
+    run = run_on_noise(other, overlay=False, sgbm=False, write="csv,mot")
     with file_size_limit(size), pytest.raises(OutputError, match=r"report\.html"):
         list(run)
-    check_folder(other, N_FRAMES)
+    check_folder(other, N_NOISE_FRAMES)
     assert (other / "summary.json").exists()
 
 
 def test_failing_overlay(
-    tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw = ResultVideo._draw
     failure = RuntimeError("drawing failed")
@@ -307,7 +265,7 @@ def test_failing_overlay(
         draw(self, frame)
 
     monkeypatch.setattr(ResultVideo, "_draw", failing)
-    run = inputs(tmp_path)
+    run = run_on_noise(tmp_path)
     with pytest.raises(RuntimeError) as caught:
         list(run)
     assert caught.value is failure
@@ -316,29 +274,29 @@ def test_failing_overlay(
 
 
 @pytest.mark.slow
-def test_second_run_is_refused(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
-    first = inputs(tmp_path / "out", overlay=False)
+def test_second_run_is_refused(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
+    first = run_on_noise(tmp_path / "out", overlay=False)
     frames = iter(first)
     next(frames)
     before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    second = inputs(tmp_path / "out", overlay=False)
+    second = run_on_noise(tmp_path / "out", overlay=False)
     with pytest.raises(FolderLockError, match=f"process {os.getpid()}"):
         second.open()
-    finished = inputs(None, overlay=False)
+    finished = run_on_noise(None, overlay=False)
     list(finished)
     with pytest.raises(FolderLockError, match="another run"):
         finished.write(tmp_path / "out")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
     list(frames)
-    check_folder(tmp_path / "out", N_FRAMES)
+    check_folder(tmp_path / "out", N_NOISE_FRAMES)
     second.open().close()
     finished.write(tmp_path / "out")
-    check_folder(tmp_path / "out", N_FRAMES)
+    check_folder(tmp_path / "out", N_NOISE_FRAMES)
 
 
 @pytest.mark.slow
 def test_unusable_input_leaves_the_folder_as_it_was(
-    tmp_path: Path, inputs: Callable[..., tr.Run]
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run]
 ) -> None:
     out = tmp_path / "a" / "b" / "out"
     for name, options in (
@@ -348,7 +306,7 @@ def test_unusable_input_leaves_the_folder_as_it_was(
         run = (
             tr.Run.mono(tmp_path / name, out=out, focal_px=60)
             if not options
-            else inputs(out, **options)
+            else run_on_noise(out, **options)
         )
         with pytest.raises(UserError, match="missing"):
             run.open()
@@ -364,8 +322,8 @@ def test_unusable_input_leaves_the_folder_as_it_was(
 
 
 @pytest.mark.slow
-def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
-    run = inputs(tmp_path / "out").open()
+def test_run_that_is_opened_only(tmp_path: Path, run_on_noise: Callable[..., tr.Run]) -> None:
+    run = run_on_noise(tmp_path / "out").open()
     note = read_progress(tmp_path / "out")
     assert (note.state, note.pid, note.frames) == ("loading the networks", os.getpid(), 0)
     assert "found" not in (tmp_path / "out" / "settings.yaml").read_text()
@@ -373,13 +331,13 @@ def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) 
         report([tmp_path / "out"], None)
     run.close()
     assert list(tmp_path.iterdir()) == []
-    inputs(tmp_path / "out").open()  # dropped
+    run_on_noise(tmp_path / "out").open()  # dropped
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
 def test_folder_of_a_run_killed_while_opening(
-    tmp_path: Path, inputs: Callable[..., tr.Run]
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run]
 ) -> None:
     ProgressNote("estimating the alignment", 4711, "2026-01-01 12:00:00+00:00").write(tmp_path)
     (tmp_path / "settings.yaml").write_text("of the killed run")
@@ -387,10 +345,10 @@ def test_folder_of_a_run_killed_while_opening(
     (tmp_path / ".4711.notes.txt").write_text("precious")
     with pytest.raises(OutputError, match=r"4711.*killed while estimating the alignment"):
         report([tmp_path], None)
-    run = inputs(tmp_path, overlay=False).open()
+    run = run_on_noise(tmp_path, overlay=False).open()
     assert "film.mp4" in (tmp_path / "settings.yaml").read_text()
     list(run)
-    check_folder(tmp_path, N_FRAMES)
+    check_folder(tmp_path, N_NOISE_FRAMES)
     assert not (tmp_path / ".4711.progress.json").exists()
     assert (tmp_path / ".4711.notes.txt").exists()
 
@@ -415,12 +373,14 @@ def test_other_commands_lock_their_folder(
     assert set(out.iterdir()) == before
 
 
-def test_temporary_files_of_a_killed_run(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
+def test_temporary_files_of_a_killed_run(
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run]
+) -> None:
     """Those of all atomically written files are removed by the next run, other hidden files are
     not."""
     for name in (".123.settings.yaml", ".123.tracks.parquet", ".123.run.rrd", ".123.notes", ".git"):
         (tmp_path / name).write_text("")
-    list(inputs(tmp_path, overlay=False))
+    list(run_on_noise(tmp_path, overlay=False))
     assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {
         ".123.notes",
         ".git",
@@ -428,12 +388,12 @@ def test_temporary_files_of_a_killed_run(tmp_path: Path, inputs: Callable[..., t
 
 
 def test_rows_that_cannot_be_stored(
-    tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, run_on_noise: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The temporary folder is full while the output folder is not: the files end with the last
     stored frame."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
-    run = inputs(tmp_path / "out", overlay=False)
+    run = run_on_noise(tmp_path / "out", overlay=False)
     run.session.rows.table = RunTable(rows_per_batch=10)
     with pytest.raises(OutputError, match="rows of the run cannot be stored"):
         list(run)

@@ -16,9 +16,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.io import savemat
 
-from tests.stereo import test_device_calibrations as device
-from tests.stereo.test_calibration_names import NAMES, matlab, plain, values
 from tests.support.damaged_text import check_damaged, damaged
+from tests.support.recordings import device_calibrations as device
+from tests.support.recordings.calibration_files import NAMES
+from tests.support.recordings.calibration_matrices import matlab, plain, values
 from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.training.data.data_yaml import read_data_yaml

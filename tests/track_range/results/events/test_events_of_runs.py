@@ -7,7 +7,7 @@ import pytest
 
 import track_range as tr
 from tests.support.results.events import SeenFinder, event
-from tests.track_range.results.test_run_folder import N_FRAMES, write_run
+from tests.support.results.run_folder import N_FRAMES, write_run
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.events import finder
 from track_range.results.events.event import severity_key

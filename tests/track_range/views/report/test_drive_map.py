@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.track_range.views.report.test_report import columns, summary
+from tests.track_range.views.report.report_rows import columns, summary
 from track_range.results.formats.poses_file import Poses, read_poses
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.page import report_page

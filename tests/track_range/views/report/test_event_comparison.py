@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.track_range.views.report.report_rows import track_rows
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
 from track_range.views.report.comparison import (
@@ -48,24 +49,10 @@ def event(**changes: Any) -> Event:
     return Event(**{**values, **changes})
 
 
-def rows(*tracks: tuple[int, float], n: int = 40) -> dict[str, Any]:
-    """Rows of tracks with identity and left edge in px, each with n frames."""
-    columns: dict[str, Any] = {
-        "frame": np.tile(np.arange(float(n)), len(tracks)),
-        "time_s": np.tile(np.arange(n) / 10, len(tracks)),
-        "track_id": np.repeat([float(track_id) for track_id, _ in tracks], n),
-        "class": np.full(n * len(tracks), "car"),
-        "x1_px": np.repeat([left for _, left in tracks], n),
-        "y1_px": np.full(n * len(tracks), 100.0),
-        "y2_px": np.full(n * len(tracks), 200.0),
-    }
-    return columns | {"x2_px": columns["x1_px"] + 100.0}
-
-
 def differences(
     a: list[Event], b: list[Event], a_rows: Any = None, b_rows: Any = None
 ) -> list[tuple[str, str]]:
-    usual_rows = rows((1, 300.0), (2, 700.0))
+    usual_rows = track_rows((1, 300.0), (2, 700.0))
     listed = event_differences(a, a_rows or usual_rows, b, b_rows or usual_rows)
     return [
         (
@@ -89,7 +76,7 @@ def test_other_kind_place_or_time(change: dict[str, Any]) -> None:
 
 
 def test_other_identity_at_the_same_place() -> None:
-    assert differences([event()], [event(track_id=9)], b_rows=rows((9, 310.0))) == []
+    assert differences([event()], [event(track_id=9)], b_rows=track_rows((9, 310.0))) == []
 
 
 def test_place_without_boxes_is_the_distance() -> None:
@@ -132,7 +119,7 @@ def compared(name: str, events: Any, video: str = "a.mp4") -> ComparedRun:
         settings={},
         link=f"{name}/r.html",
         events=events,
-        rows=rows((1, 3.0)),
+        rows=track_rows((1, 3.0)),
     )
 
 
@@ -209,7 +196,11 @@ def shown(columns: dict[str, Any], events: list[Event] | None) -> list[dict[str,
 
 
 def test_headlines_of_events() -> None:
-    columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": 20.0 - np.arange(40) / 10}
+    columns = {
+        **track_rows((1, 300.0)),
+        "observed": np.ones(40),
+        "fused_m": 20.0 - np.arange(40) / 10,
+    }
     columns |= {
         "ttc_front_s": np.full(40, np.nan),
         "fused_sigma_m": np.full(40, 0.5),
@@ -233,7 +224,7 @@ def test_headlines_of_events() -> None:
 
 def test_headline_of_a_probability() -> None:
     columns = {
-        **rows((1, 300.0)),
+        **track_rows((1, 300.0)),
         "observed": np.ones(40),
         "fused_m": np.full(40, 20.0),
         "ttc_s": np.full(40, np.nan),
@@ -253,7 +244,7 @@ def test_links_to_clips() -> None:
 
 def test_headlines_without_road_users() -> None:
     columns = {
-        **rows((1, 300.0)),
+        **track_rows((1, 300.0)),
         "class": np.full(40, "traffic sign"),
         "fused_m": np.full(40, 3.0),
     }

@@ -2,8 +2,8 @@
 
 import math
 
+from tests.support.results.approach_rows import COLUMNS
 from tests.support.results.events import event
-from tests.track_range.results.test_approaches import COLUMNS
 from track_range.results.approaches import closest_approaches
 from track_range.views.report.outcome import (
     accuracy_lines,

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from tests.track_range.views.report.report_rows import columns, method_summary, summary
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.events.event import Event
-from track_range.results.rows.columns import column_names
 from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import (
     comparison_page,
@@ -72,57 +71,6 @@ class Page(HTMLParser):
             self.scripts.append(data)
 
 
-def columns(
-    *lengths: int, class_name: str = "car", truth: bool = True
-) -> dict[str, npt.NDArray[Any]]:
-    """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused
-    measured."""
-    n = sum(lengths)
-    changed: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in column_names()}
-    time_s = (
-        np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
-    )
-    distance_m = 40.0 - time_s
-    changed |= {
-        "time_s": time_s,
-        "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
-        "class": np.full(n, class_name),
-        "observed": np.ones(n),
-        "mono_m": distance_m * 1.1,
-        "stereo_m": distance_m * 0.99,
-        "fused_m": distance_m,
-        "fused_sigma_m": np.full(n, 0.4),
-        "ttc_s": np.where(time_s > 0.35, 9.5, np.nan),
-    }
-    return changed | ({"truth_m": distance_m} if truth else {})
-
-
-def row(median_pct: float | None, **more: Any) -> dict[str, Any]:
-    return {"coverage": 0.93, "n": 41, "median_relative_error_pct": median_pct, "bands": [], **more}
-
-
-def summary(**more: Any) -> dict[str, Any]:
-    return {
-        "frames": 16,
-        "wall_s": 2.0,
-        "frames_per_s": 8.25,
-        "stages_ms": {"read": 2.0, "detect": 61.7, "lane": None},
-        "methods": {"mono": row(7.9), "stereo": row(3.4)},
-        "common": {},
-        "tracks": {"n": 3, "mota": 88.1, "idf1": 91.4, "idsw": 0},
-        "notes": ["The rig was taken from calib.txt."],
-        "truth": "the visible surface",
-        "inputs": {
-            "left": "drive/left.mp4",
-            "right": "drive/right.mp4",
-            "rig": {"file": "calib.txt", "note": None},
-        },
-        "versions": {"numpy": "2.4.6"},
-        "files": {"overlay": "overlay.mp4"},
-        **more,
-    }
-
-
 def test_page_shows_the_summary() -> None:
     page = Page(report_page(summary(), columns(9, 5, 7)))
     for words in (
@@ -170,7 +118,7 @@ def test_classes_files_and_notes_cannot_become_markup() -> None:
         notes=[evil],
         truth=evil,
         inputs={"left": evil, evil: evil},
-        methods={evil: row(1.0)},
+        methods={evil: method_summary(1.0)},
         stages_ms={evil: 3.0},
         files={"overlay": 'x/"><script>alert(1)</script>.mp4'},
     )
@@ -193,7 +141,7 @@ def test_address_of_the_video() -> None:
 
 
 def test_run_without_truth() -> None:
-    changed = summary(truth=None, methods={"mono": row(None)}, tracks={"n": 3})
+    changed = summary(truth=None, methods={"mono": method_summary(None)}, tracks={"n": 3})
     page = Page(report_page(changed, columns(9, truth=False)))
     assert "No ground truth was given" in page.text
     assert "median distance error" not in page.text

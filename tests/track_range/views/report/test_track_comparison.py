@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.track_range.views.report.test_event_comparison import rows
+from tests.track_range.views.report.report_rows import track_rows as rows
 from track_range.views.report.comparison import ComparedRun, compared_tracks
 from track_range.views.report.page import comparison_page
 from track_range.views.report.track_comparison import picture, track_differences

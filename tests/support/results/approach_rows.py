@@ -1,0 +1,26 @@
+"""Rows of tracks with one approach that counts."""
+
+import numpy as np
+
+NAN = np.nan
+
+
+def approach_rows(*values):
+    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma,
+    TTC)."""
+    names = (
+        *("time_s", "track_id", "class", "observed", "fused_kf_m", "fused_kf_sigma_m"),
+        *("closing_mps", "closing_sigma_mps", "ttc_front_s"),
+    )
+    return {name: np.array([row[k] for row in values]) for k, name in enumerate(names)}
+
+
+COLUMNS = approach_rows(
+    (0.0, 1, "car", 1, 20.0, 0.4, NAN, NAN, NAN),
+    (0.5, 1, "car", 1, 15.0, 0.3, 10.0, 1.0, 1.5),
+    (1.0, 1, "car", 0, 3.0, 0.1, 30.0, 1.0, 0.4),  # predicted
+    (1.5, 1, "car", 1, 4.0, 2.5, 90.0, 46.0, NAN),  # too uncertain
+    (0.0, 2, "person", 1, 8.5, NAN, -1.0, 0.1, NAN),
+    (0.0, 3, "bus", 1, NAN, NAN, NAN, NAN, NAN),
+    (0.0, 4, "traffic light", 1, 2.0, 0.1, NAN, NAN, NAN),
+)
