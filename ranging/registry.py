@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from track_range.foundation.errors import named_errors
 from track_range.foundation.registry import Registry, imported
-from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
+from track_range.ranging.methods.method import MethodContext, MethodError, Ranger, RangingMethod
 
 # built-in ones in the order of columns, tables and stages
 METHODS: Registry[RangingMethod] = Registry(

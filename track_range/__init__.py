@@ -56,17 +56,17 @@ if TYPE_CHECKING:
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.filtering.lateral_motion import LateralFilters as LateralFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
-    from track_range.ranging.method import (
+    from track_range.ranging.measurement.ranges import Ranges as Ranges
+    from track_range.ranging.methods.ground_plane import GroundRanger as GroundRanger
+    from track_range.ranging.methods.method import (
         ErrorSource as ErrorSource,
         MethodContext as MethodContext,
         MethodError as MethodError,
         Ranger as Ranger,
         RangingMethod as RangingMethod,
     )
-    from track_range.ranging.methods.ground_plane import GroundRanger as GroundRanger
     from track_range.ranging.methods.patch_stereo import StereoRanger as StereoRanger
     from track_range.ranging.methods.size_regression import SizeRanger as SizeRanger
-    from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods, register as register_method
     from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
     from track_range.ranging.warning.settings import WarningSettings as WarningSettings

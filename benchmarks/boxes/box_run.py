@@ -30,10 +30,10 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
-from track_range.ranging.method import MethodContext, Ranger
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_speed import EgoSpeed

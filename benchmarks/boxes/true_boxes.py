@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
 from track_range.simulation.world.scene import STEP_S, Scene
 from track_range.simulation.world.truth import boxes_in_image, corners_m

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from track_range.evaluation.motion.nuscenes import read_mono3d
 from track_range.evaluation.motion.tusimple import vehicle_boxes, vehicle_columns
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
+from track_range.ranging.truth.labelled_boxes import BoxSet, box_set
 
 KITTI = {"kitti": ("labels", 0.0), "kitti 2 px": ("labels", 2.0), "kitti rrc": ("rrc:{}", 0.0)}
 SETS = ("tusimple", "nuscenes", *KITTI)

@@ -29,8 +29,8 @@ from track_range.pipeline.world import World
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodContext, Ranger
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import MethodContext, Ranger
 from track_range.ranging.registry import create_rangers, methods
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.rows.columns import methods_with_sigma

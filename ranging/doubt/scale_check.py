@@ -44,8 +44,8 @@ from track_range.ranging.doubt.scale_doubt import (
 )
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes, unhidden
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel, surface_offset_m

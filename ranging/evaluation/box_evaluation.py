@@ -1,9 +1,7 @@
-"""Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation
-over sequences.
+"""Errors of box-only methods on labelled boxes, per class and distance band.
 
 Errors are relative. The metrics of a class cover 10-100 m, the metrics of far objects 30-100 m, and
-the bands 5-100 m. Fitted methods are cross-validated: each fold of sequences is measured by a
-method that was fitted to the other sequences.
+the bands 5-100 m.
 
 Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
 
@@ -12,20 +10,19 @@ Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
     delta_k   fraction of max(d / t, t / d) < 1.25^k
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_bands, score_rows
-from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
+from track_range.ranging.truth.errors import BANDS_M, MethodColumn, score_bands, score_rows
+from track_range.ranging.truth.labelled_boxes import CLASS_OF, BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
 
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
 # smallest distance in m of the metrics of a class, and of far objects
 NEAREST_M, FAR_M = 10.0, 30.0
-N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
 # s before and after a label of the central difference that is its true closing speed
 CLOSING_HALF_SPAN_S = 0.5
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
@@ -40,11 +37,6 @@ METRICS = (
     "delta_1_25_3",
 )
 """Keys of the metrics of published evaluations."""
-
-Predictor = Callable[[BoxSet], MethodColumn]  # function that measures boxes
-Fitter = Callable[[BoxSet], Predictor]  # function that fits a predictor to boxes
-# fits a method to training boxes, measures boxes
-Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
 
 
 def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
@@ -68,62 +60,6 @@ def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> 
         )[key],
         "bands": score_bands(column, true_m, is_class),
     }
-
-
-def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
-    """Masks (N,) of the boxes of each fold: every `n_folds`-th sequence, or single sequences if
-    there are fewer.
-    """
-    for fold in range(min(n_folds, len(boxes.sequence_names))):
-        left_out = boxes.sequence % n_folds == fold
-        if left_out.any():
-            yield left_out
-
-
-def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes`, with each fold measured by a method fitted to the other
-    sequences of `train`.
-
-    `train` has boxes of the same sequences, for example without noise; a single sequence is fitted
-    to itself.
-    """
-    parts = []
-    for test in folds(boxes):
-        others = train.select(~np.isin(train.sequence, np.unique(boxes.sequence[test])))
-        parts.append((test, fit(others if len(others) else train)(boxes.select(test))))
-    return _combined(parts, len(boxes))
-
-
-def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes`, with each sequence measured by a method fitted to the same
-    sequence of `train`.
-
-    This is the protocol of Zhang et al. It shows how well a curve can fit, and not the error on
-    other drives.
-    """
-    parts = []
-    for number in np.unique(boxes.sequence):
-        test = boxes.sequence == number
-        parts.append((test, fit(train.select(train.sequence == number))(boxes.select(test))))
-    return _combined(parts, len(boxes))
-
-
-def held_out(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes` by a method fitted to `train`, which has no image in common
-    with `boxes`.
-    """
-    return fit(train)(boxes)
-
-
-def _combined(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:
-    """Column of n rows from the columns of parts of the rows; NaN for unknown sigmas."""
-    distance_m, sigma_m, systematic_m = np.full((3, n), np.nan)
-    for rows, part in parts:
-        distance_m[rows], sigma_m[rows] = part.distance_m, part.sigma_m
-        systematic_m[rows] = np.nan if part.sigma_systematic_m is None else part.sigma_systematic_m
-    return MethodColumn(
-        distance_m, sigma_m, systematic_m if np.isfinite(systematic_m).any() else None
-    )
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:

@@ -22,14 +22,14 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.evaluation.box_evaluation import frame_rows
-from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.filtering.distance_filter import (
     DistanceFilters,
     FilteredRanges,
     time_to_collision,
 )
-from track_range.ranging.fitting.labelled_boxes import BoxSet
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import BoxSet
 
 _NOISE_M2 = 0.1  # Q and R in m^2, from Zhang et al.
 _MAX_GAP_S = 1.0  # longest time in s without a measurement; after it the filter of a track restarts

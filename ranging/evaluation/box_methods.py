@@ -7,24 +7,23 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
-from track_range.ranging.evaluation import box_evaluation
-from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.evaluation.box_evaluation import frame_rows
+from track_range.ranging.fitting import cross_validation
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodContext, Ranger, RangingMethod, checked_ranges
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import MethodContext, Ranger, RangingMethod, checked_ranges
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, CurveFitter
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
+from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
-
-MIN_PLAIN_SAMPLES = 20  # smallest number of boxes of a class to which a plain curve is fitted
 
 
 def box_methods() -> tuple[RangingMethod, ...]:
@@ -57,13 +56,13 @@ class MethodOptions:
     region: Region = "unknown"  # of the packaged or fitted sizes
 
     @property
-    def scheme(self) -> box_evaluation.Scheme | None:
+    def scheme(self) -> cross_validation.Scheme | None:
         """How mono is fitted and measured; None = it has the curves of a file."""
         if self.is_same_drive:
-            return box_evaluation.within_drives
+            return cross_validation.within_drives
         if self.is_held_out:
-            return box_evaluation.held_out
-        return box_evaluation.cross_validated if self.is_cross_validated else None
+            return cross_validation.held_out
+        return cross_validation.cross_validated if self.is_cross_validated else None
 
 
 def measured_by(
@@ -74,10 +73,10 @@ def measured_by(
     Curves are fitted to `train`: boxes of the same sequences, for example without noise.
     """
     options = options or MethodOptions()
-    scheme = options.scheme or box_evaluation.cross_validated
+    scheme = options.scheme or cross_validation.cross_validated
     reference = train.with_reference()
     columns = {
-        name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name]))
+        name: scheme(boxes, reference, cross_validation.plain_fitter(PLAIN_CURVES[name]))
         for name in names
         if name in PLAIN_CURVES
     }
@@ -203,34 +202,10 @@ def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ran
     return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
 
 
-def plain_fitter(fit_curve: CurveFitter) -> box_evaluation.Fitter:
-    """Fitter of one plain curve per class, without sigma; classes with too few training boxes are
-    not measured.
-    """
-
-    def fit(train: BoxSet) -> box_evaluation.Predictor:
-        fitted = {}
-        for name in np.unique(train.class_name):
-            samples = train.select(train.class_name == name)
-            if len(samples) >= MIN_PLAIN_SAMPLES:
-                fitted[name] = fit_curve(samples.wh_over_f, samples.bearing, samples.distance_m)
-
-        def predict(boxes: BoxSet) -> MethodColumn:
-            distance_m = np.full(len(boxes), np.nan)
-            for name, curve in fitted.items():
-                rows = boxes.class_name == name
-                distance_m[rows] = curve(boxes.wh_over_f[rows], boxes.bearing[rows])
-            return MethodColumn(distance_m, np.full(len(boxes), np.nan))
-
-        return predict
-
-    return fit
-
-
-def size_fitter(method: RangingMethod, options: MethodOptions) -> box_evaluation.Fitter:
+def size_fitter(method: RangingMethod, options: MethodOptions) -> cross_validation.Fitter:
     """Fitter of a method that uses a size model, with priors fitted to the training boxes."""
 
-    def fit(train: BoxSet) -> box_evaluation.Predictor:
+    def fit(train: BoxSet) -> cross_validation.Predictor:
         try:
             model = in_region(fit_size_priors(train, source="cross-validation"), options.region)
         except CurveError:
@@ -249,7 +224,7 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
     Labels without identities belong to separate images, each of which is a sequence.
     """
     sequence = -1
-    for rows in box_evaluation.frame_rows(boxes):
+    for rows in frame_rows(boxes):
         n = len(rows)
         label_id = boxes.track_id[rows]
         is_image = bool((label_id < 0).any())

@@ -15,11 +15,12 @@ from track_range.foundation.files.input_files import quoted, read_text
 from track_range.ranging.evaluation import box_evaluation
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
-from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box_set
+from track_range.ranging.fitting.cross_validation import folds
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
+from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import BoxSelection, BoxSet, box_set
 
 # value of --split: 3,712 training and 3,769 validation frames (Chen et al., 3DOP, NeurIPS 2015)
 CHEN = "chen"
@@ -60,7 +61,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
             for class_name, scores in methods[name].items():
                 scores |= closing.get(class_name, {})
     risks = {name: box_evaluation.distance_risk(boxes, c) for name, c in measured.items()}
-    n_folds = len(list(box_evaluation.folds(boxes)))
+    n_folds = len(list(folds(boxes)))
     return {
         "labels": str(settings.labels),
         "boxes": settings.boxes,

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.schemas.options import Options, option
-from track_range.ranging.evaluation.reference_distance import ReferenceName
 from track_range.ranging.size_models.region import Region
+from track_range.ranging.truth.reference_distance import ReferenceName
 
 BoxesField = Annotated[
     str,

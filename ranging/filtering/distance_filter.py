@@ -59,7 +59,7 @@ from track_range.ranging.filtering.motion_models import (
 )
 from track_range.ranging.filtering.noise_scale import MeasuredDistances, NoiseScale as NoiseScale
 from track_range.ranging.filtering.observation import EgoStep, FilterStep, Observation
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _CAR = ROAD_CLASSES.index("car")

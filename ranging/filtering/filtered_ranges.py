@@ -6,7 +6,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 # smallest closing speed with a time to collision; below, the time is mostly noise
 MIN_CLOSING_MPS = 0.3

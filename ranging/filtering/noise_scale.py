@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 # of sigma; a method that declares less is filtered with this fraction
 _MIN_INDEPENDENT_FRACTION = 0.1

@@ -12,8 +12,8 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.filtering.cut_boxes import CutBoxes
-from track_range.ranging.filtering.key_distance import Growth
 from track_range.ranging.filtering.noise_scale import MeasuredDistances
+from track_range.ranging.measurement.growth import Growth
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 # tau, over which errors of the ego speed are correlated; assumed: that of receivers at 1 Hz

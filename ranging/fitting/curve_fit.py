@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.truth.labelled_boxes import BoxSet
 
 # nearer objects are truncated, farther ones are a few pixels high
 NEAREST_M, FARTHEST_M = 5.0, 100.0

@@ -19,11 +19,8 @@ import numpy as np
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
-from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
-from track_range.ranging.evaluation.box_methods import plain_fitter
-from track_range.ranging.fitting.box_files import read_box_csv, read_box_labels
+from track_range.ranging.fitting.cross_validation import cross_validated, folds, plain_fitter
 from track_range.ranging.fitting.curve_fit import MIN_SAMPLES, fit_curves
-from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.curve import CurveError, save_curves
@@ -35,6 +32,8 @@ from track_range.ranging.size_models.plain_curves import (
     TableSizes,
 )
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, StoredSizeModel
+from track_range.ranging.truth.box_files import read_box_csv, read_box_labels
+from track_range.ranging.truth.labelled_boxes import BoxSet, box_set
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 

@@ -27,12 +27,12 @@ import numpy as np
 from scipy.stats import multivariate_normal
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, BodyType, SizePrior
 from track_range.ranging.size_models.size_model import BORDER_PX
+from track_range.ranging.truth.labelled_boxes import BoxSet
 
 MIN_OBJECTS, MIN_BOXES = 3, 100  # of a class for a fit; classes with fewer have their standard size
 # exponents of an object's number of boxes in the weights of object and box

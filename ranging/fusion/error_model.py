@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.method import RangingMethod
+from track_range.ranging.methods.method import RangingMethod
 
 # smallest fraction of `own` in the independent variance: methods with equal sources still differ
 _MIN_OWN_NOISE = 0.1

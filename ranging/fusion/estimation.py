@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.fusion.error_model import ErrorModel
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 _TINY = 1e-300  # lower bound of divisors that are 0 for tracks without a measurement
 

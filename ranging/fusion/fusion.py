@@ -56,8 +56,8 @@ from track_range.foundation.track_state import TrackState
 from track_range.ranging import registry
 from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.fusion.estimation import Estimate, Measurements, TrackBiases, least_squares
-from track_range.ranging.method import RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import RangingMethod
 
 _CONFLICT_T2 = 9.0  # value of t^2 above which methods are in conflict: 3 standard deviations
 # number of frames in agreement after which the history of a track decides which method is wrong

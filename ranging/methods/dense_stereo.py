@@ -6,9 +6,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray32
-from track_range.ranging.method import ErrorSource, MethodContext, Ranger, RangingMethod
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.triangulation import Triangulation
-from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig

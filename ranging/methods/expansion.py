@@ -22,9 +22,9 @@ from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.filtering.lateral_motion import sides_cut
 from track_range.ranging.filtering.observation import Observation
-from track_range.ranging.method import MethodContext, Ranger, RangingMethod
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.patch_scale import WIDTH_M, PatchScales, side_fraction
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, detector_noise
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -43,8 +43,14 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    Measured,
+    MethodContext,
+    Ranger,
+    RangingMethod,
+)
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -30,8 +30,14 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    Measured,
+    MethodContext,
+    Ranger,
+    RangingMethod,
+)
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import BORDER_PX, surface_offset_m

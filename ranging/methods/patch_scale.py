@@ -31,8 +31,8 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.sparse_flow import halved, small_grey
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.filtering.key_distance import Growth
 from track_range.ranging.filtering.lateral_motion import LENGTH_M
+from track_range.ranging.measurement.growth import Growth
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 

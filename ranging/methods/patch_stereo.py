@@ -19,13 +19,19 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, weighted_median
-from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    Measured,
+    MethodContext,
+    Ranger,
+    RangingMethod,
+)
 from track_range.ranging.methods.triangulation import (
     TrackMatcher,
     Triangulation,
     disparities_by_size,
 )
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame

@@ -10,8 +10,14 @@ import numpy as np
 from track_range.detection.box_errors import NO_ERRORS, BoxErrors
 from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    Measured,
+    MethodContext,
+    Ranger,
+    RangingMethod,
+)
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import (

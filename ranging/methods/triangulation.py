@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig

@@ -56,7 +56,7 @@ def load_curves(path: Path | None = None, region: Region = "unknown") -> StoredS
     """
     if path is None:
         with resources.as_file(
-            resources.files("track_range.ranging").joinpath("curves/cuboids.json")
+            resources.files("track_range.ranging.size_models").joinpath("curves/cuboids.json")
         ) as packaged:
             return in_region(cast(CuboidSizes, load_curves(packaged)), region)
     document = read_json(path, CurveError, "a curve file written by `track-range fit`")

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 # of a and c_k: together 0.07, as drives of unknown region and detector have

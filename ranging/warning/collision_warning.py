@@ -30,7 +30,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.contact import (
     Encounter,
     contact_probability,

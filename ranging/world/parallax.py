@@ -27,7 +27,7 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
 from track_range.foundation.sparse_flow import small_grey, tracked_corners
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import CameraStep

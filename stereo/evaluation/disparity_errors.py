@@ -5,7 +5,7 @@
 A failure is an object without a value or with an error above 15 % (`wrong_pct`: the latter only).
 Intervals are 95 % bootstrap intervals: the errors of objects in one pair (of one track of a drive)
 are correlated, so pairs (tracks) are resampled instead of objects. As in
-`ranging/evaluation/errors.py`, `bias_pct` is the median error, and fractions are 0..1; `n` counts
+`ranging/truth/errors.py`, `bias_pct` is the median error, and fractions are 0..1; `n` counts
 all objects, `n_measured` the measured objects.
 
 Risk-coverage curves are the errors of the boxes that are answered first, in the order of their

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.accuracy.ranging.roads import draw, reliability, roads
 from benchmarks.inputs.road_sets import road_set
-from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.truth.errors import MethodColumn
 
 
 def test_bins_of_a_true_sigma_have_errors_of_its_size():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.truth.labelled_boxes import BoxSet
 
 F_PX, WIDTH_PX = 1000.0, 4001
 

@@ -3,15 +3,13 @@ import pytest
 
 from track_range.ranging.evaluation.box_evaluation import (
     closing_figures,
-    cross_validated,
     figures,
-    folds,
     frame_rows,
     true_closing_mps,
-    within_drives,
 )
-from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set
+from track_range.ranging.fitting.cross_validation import cross_validated, folds, within_drives
+from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.errors import LabelFileError
-from track_range.ranging.fitting.box_files import read_box_csv
 from track_range.ranging.fitting.fit import compare_curves
+from track_range.ranging.truth.box_files import read_box_csv
 
 HEADER = "class,x1,y1,x2,y2,distance_m,fx\n"
 

@@ -3,9 +3,9 @@ import pytest
 
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
-from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
+from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set
 
 
 @pytest.fixture(scope="module")

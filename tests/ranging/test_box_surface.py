@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 
 SIZE = np.array([[1.5, 1.6, 4.0]])  # height, width, length
 

@@ -11,7 +11,7 @@ import pytest
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.lateral_motion import LateralFilters
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.truth.reference_distance import surface_distance_m
 
 HEIGHT_M = 1.65
 

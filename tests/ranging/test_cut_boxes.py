@@ -9,11 +9,11 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.foundation.constant_velocity import ConstantVelocity
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.observation import Observation
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks

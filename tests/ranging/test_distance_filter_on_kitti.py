@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.filtering.distance_filter import DistanceFilters
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.truth.reference_distance import surface_distance_m
 
 FOCAL_PX, CENTRE_PX, STEP_S, HEIGHT_M = 721.5377, np.array([609.5593, 172.854]), 0.1036, 1.55
 REACH = 5

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.size_regression import SizeRanger
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -3,7 +3,7 @@ import pytest
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.evaluation.errors import (
+from track_range.ranging.truth.errors import (
     MethodColumn,
     coverage_only,
     match_boxes,
@@ -11,7 +11,7 @@ from track_range.ranging.evaluation.errors import (
     score_closing,
     score_methods,
 )
-from track_range.ranging.evaluation.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
+from track_range.ranging.truth.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 
 NAN = np.nan

@@ -5,8 +5,8 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.fusion.error_model import ErrorModel
-from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.expansion import EXPANSION, ExpansionRanger
+from track_range.ranging.methods.method import MethodContext
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -13,7 +13,7 @@ from track_range.ranging.filtering.key_distance import Growth, KeyDistance
 from track_range.ranging.filtering.motion_models import InteractingModels
 from track_range.ranging.filtering.noise_scale import MeasuredDistances
 from track_range.ranging.filtering.observation import EgoStep, FilterStep, Observation
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 CAR, NAN, UNKNOWN = 2, np.array(np.nan), EgoMotion()

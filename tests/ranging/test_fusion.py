@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.ranging.fusion.fusion import Fusion, ScaleSource
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 ONE = np.array([1])
 METHODS = ("mono", "ground", "lane", "stereo", "sgbm")

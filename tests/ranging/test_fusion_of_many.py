@@ -7,8 +7,8 @@ from hypothesis import given, settings, strategies as st
 from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.fusion.estimation import TrackBiases
 from track_range.ranging.fusion.fusion import Fusion, ScaleSource
-from track_range.ranging.method import ErrorSource, RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import ErrorSource, RangingMethod
 from track_range.ranging.registry import methods
 
 ONE = np.array([1])

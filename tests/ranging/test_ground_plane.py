@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -7,7 +7,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.filtering.key_distance import Growth, KeyDistance
 from track_range.ranging.filtering.observation import Observation
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 YES = np.array([[True]])

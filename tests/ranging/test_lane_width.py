@@ -16,8 +16,8 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidthRanger, inflated_by_disagreement
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

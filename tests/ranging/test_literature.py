@@ -12,9 +12,9 @@ from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_evaluation import metrics
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
 from track_range.ranging.evaluation.labelled_ranges import centre_offset_m, evaluate_ranges
-from track_range.ranging.evaluation.reference_distance import lidar_distance_m, read_lidar
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.ranging.fitting.labelled_boxes import BoxSelection, box_set
+from track_range.ranging.truth.labelled_boxes import BoxSelection, box_set
+from track_range.ranging.truth.reference_distance import lidar_distance_m, read_lidar
 
 LIDAR_ROWS = """R0_rect: 1 0 0 0 1 0 0 0 1
 Tr_velo_to_cam: 0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3

@@ -9,7 +9,7 @@ from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.motion_models import InteractingModels, mean_of
 from track_range.ranging.filtering.observation import Observation
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0

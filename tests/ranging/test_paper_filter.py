@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_filters import PaperFilter
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 
 def measured(ids, distance_m):

@@ -6,7 +6,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.world.parallax import Parallax
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import CameraStep

@@ -7,7 +7,12 @@ import pytest
 
 from tests.toys.registrations import registered_method
 from track_range.ranging import registry
-from track_range.ranging.method import ErrorSource, MethodContext, MethodError, RangingMethod
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    MethodContext,
+    MethodError,
+    RangingMethod,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

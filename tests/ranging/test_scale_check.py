@@ -11,8 +11,8 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt, causes_of
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
-from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.road_horizon import RoadView

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from tests.ranging.made_up_boxes import made_up_boxes
-from track_range.ranging.evaluation.box_evaluation import cross_validated, figures
+from track_range.ranging.evaluation.box_evaluation import figures
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, size_fitter
-from track_range.ranging.fitting.labelled_boxes import box_set
+from track_range.ranging.fitting.cross_validation import cross_validated
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, fit_size_priors
 from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import YAW_DEG, ShapeTables
+from track_range.ranging.truth.labelled_boxes import box_set
 
 MEAN_M, SIGMA = np.array([1.45, 1.70, 4.30]), np.array([0.06, 0.05, 0.09])
 

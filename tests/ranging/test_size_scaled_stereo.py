@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.patch_stereo import FocalBaseline, SizeScaledRanger
-from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.patch_matches import PatchMatches
 from track_range.tracking.tracks import Tracks

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.triangulation import Triangulation, disparities_by_size
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera

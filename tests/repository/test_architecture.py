@@ -149,11 +149,17 @@ def test_knots_of_folders_are_seen():
 
 
 def test_lazy_and_typing_imports_and_names_of_modules_are_seen():
-    names = ("cli.app", "ranging.ranges", "results", "views.videos.video_writer", "run.run")
+    names = (
+        "cli.app",
+        "ranging.measurement.ranges",
+        "results",
+        "views.videos.video_writer",
+        "run.run",
+    )
     modules = {f"track_range.{name}": None for name in names}
     text = """
 if TYPE_CHECKING:
-    from track_range.ranging.ranges import Ranges
+    from track_range.ranging.measurement.ranges import Ranges
 def f():
     from track_range.cli import app
     import track_range.results
@@ -164,19 +170,19 @@ TABLE = {"a": "track_range.views.videos.video_writer:Writer", "b": "run.run"}
 
 def test_forbidden_imports_and_cycles_are_seen():
     graph = {
-        "track_range.detection.boxes": frozenset({"track_range.ranging.ranges"}),
-        "track_range.ranging.ranges": frozenset(
+        "track_range.detection.boxes": frozenset({"track_range.ranging.measurement.ranges"}),
+        "track_range.ranging.measurement.ranges": frozenset(
             {"track_range.ranging.fusion.fusion", "track_range.tracking.tracks"}
         ),
-        "track_range.ranging.fusion.fusion": frozenset({"track_range.ranging.ranges"}),
+        "track_range.ranging.fusion.fusion": frozenset({"track_range.ranging.measurement.ranges"}),
         "track_range.tracking.tracks": frozenset({"track_range.tracking.registry"}),
         "track_range.tracking.registry": frozenset({"track_range.tracking.tracks"}),
     }
     assert list(rooms.forbidden(graph)) == [
-        "track_range.detection.boxes imports track_range.ranging.ranges"
+        "track_range.detection.boxes imports track_range.ranging.measurement.ranges"
     ]
     assert rooms.cycles(graph) == [
-        ["track_range.ranging.fusion.fusion", "track_range.ranging.ranges"]
+        ["track_range.ranging.fusion.fusion", "track_range.ranging.measurement.ranges"]
     ]
 
 

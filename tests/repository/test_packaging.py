@@ -61,7 +61,7 @@ def test_wheel_holds_one_top_level_name(wheels, source):
     assert {
         "track_range/detection/weights/road.onnx",
         "track_range/detection/weights/road-licensed.onnx",
-        "track_range/ranging/curves/cuboids.json",
+        "track_range/ranging/size_models/curves/cuboids.json",
         "track_range/views/report/assets/script/start.js",
         "track_range/stereo/geometry/camera.py",
         "track_range/tracking/deepsort.py",

@@ -30,7 +30,7 @@ SOURCES = (
         "detection/classes.py",
         "detection/formats/video_labels/kitti.py",
         "detection/formats/limits.py",
-        "ranging/evaluation/reference_distance.py",
+        "ranging/truth/reference_distance.py",
     ),
     *("stereo/geometry", "stereo/rig_formats", "stereo/evaluation/kitti_2015.py"),
 )

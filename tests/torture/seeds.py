@@ -269,9 +269,7 @@ def _write_calibrations(folder: Path) -> None:
     save_alignment(
         Alignment(offset_px=0.4, offset_sigma_px=0.1, residual_px=0.2), folder / "align.yaml"
     )
-    shutil.copy(
-        Path(size_models.__path__[0]).parent / "curves/cuboids.json", folder / "curves.json"
-    )
+    shutil.copy(Path(size_models.__path__[0]) / "curves/cuboids.json", folder / "curves.json")
 
 
 def _write_networks(folder: Path) -> None:

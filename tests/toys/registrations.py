@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from track_range.ranging import registry
-from track_range.ranging.method import RangingMethod
+from track_range.ranging.methods.method import RangingMethod
 from track_range.results.writers import WRITERS, WriterFactory, register_writer
 
 

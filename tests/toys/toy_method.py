@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from track_range.ranging.method import ErrorSource, Ranger, RangingMethod
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import ErrorSource, Ranger, RangingMethod
 
 
 class BoxWidthRanger(Ranger):

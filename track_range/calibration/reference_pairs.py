@@ -9,7 +9,7 @@ fitted.
 
 A distance belongs to the visible surface on the ray through the box centre, along the left camera's
 optical axis: from truth.csv, else from the label's 3-D box. Of a drive, objects are the labels that
-`ranging.evaluation.truth` evaluates (not truncated, at most partly occluded, of a road class). The
+`ranging.truth.truth` evaluates (not truncated, at most partly occluded, of a road class). The
 true disparity is f B / distance.
 """
 
@@ -35,8 +35,8 @@ from track_range.detection.formats.video_labels.csv_labels import has_label_colu
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
-from track_range.ranging.evaluation.errors import BANDS_M
-from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.ranging.truth.errors import BANDS_M
+from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.recording.recording import Recording, open_recording
 from track_range.recording.video.names import LayoutOption
 from track_range.stereo.evaluation.kitti_2015 import (

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 
-from track_range.ranging.method import FIRST_STAGES, LAST_STAGES
+from track_range.ranging.methods.method import FIRST_STAGES, LAST_STAGES
 from track_range.ranging.registry import methods
 
 _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured in wall-clock time

@@ -14,7 +14,7 @@ from track_range.ranging.filtering.distance_filter import DistanceFilters, Filte
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
 from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.fusion.fusion import Fused, ScaleSource
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera

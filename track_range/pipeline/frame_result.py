@@ -17,7 +17,7 @@ from track_range.pipeline.filtering import Approach
 from track_range.pipeline.world import World
 from track_range.ranging.doubt.doubt import Doubt
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose

@@ -13,9 +13,9 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import named_errors
 from track_range.foundation.files.input_files import counted
 from track_range.pipeline.clock import StageClock
-from track_range.ranging.filtering.key_distance import Growth
-from track_range.ranging.method import MethodError, Ranger, checked_ranges
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.growth import Growth
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import MethodError, Ranger, checked_ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.geometry.frames import Frame

@@ -7,7 +7,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.filtering import Filtered
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera

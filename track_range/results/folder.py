@@ -23,7 +23,7 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.schemas.validation import Number, PositiveNumber, validated
-from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events

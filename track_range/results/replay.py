@@ -16,7 +16,7 @@ from track_range.pipeline.alarming import Alarms
 from track_range.pipeline.filtering import Approach
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.world import World
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings

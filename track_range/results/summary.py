@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.errors import (
+from track_range.ranging.truth.errors import (
     BANDS_M,
     MethodColumn,
     coverage_only,
@@ -23,7 +23,7 @@ from track_range.ranging.evaluation.errors import (
     score_closing,
     score_methods,
 )
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import EVENT_KINDS, Event, severity_key
 from track_range.results.events.files import rounded_values
 from track_range.results.rows.columns import Columns, boxes_px, methods_with_sigma

@@ -17,9 +17,9 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.doubt.scale_check import ScaleCheck
-from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
+from track_range.ranging.methods.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region

@@ -27,11 +27,11 @@ from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter, PacedFrames
-from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.truth.truth import read_truth
 from track_range.recording.speed_source import AUTO, open_speed
 from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack

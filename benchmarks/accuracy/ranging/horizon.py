@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.accuracy.ranging.simulated_runs import joined
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import FPS
-from track_range.ranging.evaluation.errors import MethodColumn, score_rows
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.errors import MethodColumn, score_rows
+from track_range.ranging.truth.truth import Truth
 from track_range.results.rows.columns import Columns
 from track_range.results.summary import matched_truth, with_truth
 from track_range.run.options.settings import RunSettings

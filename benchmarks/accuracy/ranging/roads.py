@@ -27,8 +27,8 @@ from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.box_evaluation import distance_risk
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
-from track_range.ranging.evaluation.errors import MethodColumn, score_rows
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.errors import MethodColumn, score_rows
+from track_range.ranging.truth.truth import Truth
 from track_range.results.rows.columns import Columns
 from track_range.run.options.settings import RunSettings
 from track_range.simulation.drive import write_drive

@@ -16,8 +16,8 @@ from benchmarks.inputs.drives import FPS
 from track_range.cli.commands.run import run_and_print
 from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, IntArray
-from track_range.ranging.evaluation.errors import MethodColumn, score_rows
-from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.truth.errors import MethodColumn, score_rows
+from track_range.ranging.truth.truth import read_truth
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.rows.columns import Columns
 from track_range.results.summary import matched_truth, with_truth

@@ -55,7 +55,7 @@ def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
     """The rows of KITTI tracking labels, of a result file, or of a folder of object files.
 
     The distance is the z of the location where there is no 3-D box, as in result files of
-    track-range; the surface of a 3-D box has another distance (`ranging.evaluation.truth`). Errors:
+    track-range; the surface of a 3-D box has another distance (`ranging.truth.truth`). Errors:
     see `read_kitti`.
     """
     labels = read_kitti(path)

@@ -9,7 +9,7 @@ import numpy as np
 from tests.support.results.frame_results import frame_result
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from track_range.ranging.evaluation.truth import CSV_PROTOCOL, read_truth
+from track_range.ranging.truth.truth import CSV_PROTOCOL, read_truth
 from track_range.simulation.drive import Drive
 from track_range.stereo.rig_formats.reading import load_rig
 

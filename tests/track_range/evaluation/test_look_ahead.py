@@ -6,7 +6,7 @@ import pytest
 from track_range.evaluation.motion.measured_motion import combined
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 
 
 def state(x, v, P_xx, P_xv, P_vv):

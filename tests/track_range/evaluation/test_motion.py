@@ -13,7 +13,7 @@ from track_range.evaluation.motion.nuscenes import nuscenes_motion
 from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
 from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
-from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S
+from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S
 
 EGO_MPS, LEAD_MPS, N_FRAMES = 10.0, 6.0, 45
 

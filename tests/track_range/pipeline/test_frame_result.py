@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.results.frame_results import frame_result
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

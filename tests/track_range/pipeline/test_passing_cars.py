@@ -11,8 +11,8 @@ from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import run_in_threads
-from track_range.ranging.method import Ranger
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import Ranger
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -14,11 +14,11 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
-from track_range.ranging.method import MethodError, Ranger
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.ground_plane import GroundRanger
+from track_range.ranging.methods.method import MethodError, Ranger
 from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.size_regression import SizeRanger
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.run.box_source import boxes_of
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -16,7 +16,7 @@ from track_range.ranging.doubt.doubt import Doubt, SharedErrors
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_speed import EgoSpeed

@@ -12,7 +12,7 @@ from tests.support.results.frame_results import changed, result, writing
 from tests.toys.registrations import registered_method
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.files.output_files import OutputError
-from track_range.ranging.method import ErrorSource, RangingMethod
+from track_range.ranging.methods.method import ErrorSource, RangingMethod
 from track_range.ranging.registry import methods
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.rows.columns import column_names, distance_names, methods_with_sigma

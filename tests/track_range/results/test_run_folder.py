@@ -16,7 +16,7 @@ from tests.support.results.run_folder import N_FRAMES, write_run
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.sequences.find import find_sequences
 from track_range.foundation.files.output_files import OutputError
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.truth import Truth
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.parquet_file import write_table
 from track_range.results.rows.columns import column_names

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.files.output_files import write_json
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.truth import Truth
 from track_range.results.rows.columns import column_names
 from track_range.results.summary import (
     frame_spans,

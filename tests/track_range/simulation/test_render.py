@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.render.street import FAR_M, stretches
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.road_shape import yaw_rotation
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene

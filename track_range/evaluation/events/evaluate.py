@@ -30,8 +30,8 @@ from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.input_files import counted, first_line
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
-from track_range.ranging.evaluation.errors import match_truth, score_closing
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.errors import match_truth, score_closing
+from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import Event
 from track_range.results.events.files import (
     EVENTS_FILE,

@@ -41,7 +41,7 @@ from track_range.detection.formats.video_labels.csv_labels import has_label_colu
 from track_range.evaluation.events.settings import MIN_LEAD_S
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
 from track_range.results.events.files import EventFileError
 from track_range.results.rows.columns import Columns, boxes_px

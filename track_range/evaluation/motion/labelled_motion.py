@@ -18,7 +18,7 @@ import numpy as np
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
-from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set
+from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set
 
 _HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known

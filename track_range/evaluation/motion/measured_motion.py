@@ -24,10 +24,10 @@ from track_range.ranging.evaluation.box_methods import (
     measured_by,
     ranges_in_frame,
 )
-from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.object_motion import over_ground
 from track_range.stereo.odometry.ego_motion import EgoMotion

@@ -21,8 +21,8 @@ from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, read_text
 from track_range.foundation.files.structured_text import parse_json
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
-from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.truth.labelled_boxes import BoxSet
+from track_range.ranging.truth.reference_distance import surface_distance_m
 
 _BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
 _ALONG = 0.95  # smallest cosine of the angle between the camera's axis and its motion

@@ -18,7 +18,7 @@ import numpy as np
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.errors import fraction, within_sigmas
+from track_range.ranging.truth.errors import fraction, within_sigmas
 
 BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
 MAX_SIGMA_MPS = 1.5  # largest sigma of an answer

@@ -22,8 +22,8 @@ from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.structured_text import read_json
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.evaluation.errors import MIN_IOU
-from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.truth.errors import MIN_IOU
+from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 

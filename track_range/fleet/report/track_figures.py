@@ -21,7 +21,7 @@ import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.errors import BANDS_M
+from track_range.ranging.truth.errors import BANDS_M
 from track_range.results.approaches import reference_distance
 from track_range.results.rows.columns import distance_names
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import METHODS, methods
 from track_range.ranging.world.object_motion import MOTION_STATES
 

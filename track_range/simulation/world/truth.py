@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 

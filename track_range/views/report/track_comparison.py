@@ -17,7 +17,7 @@ import numpy as np
 from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import WHITE
-from track_range.ranging.evaluation.errors import match_boxes
+from track_range.ranging.truth.errors import match_boxes
 from track_range.results.approaches import closest_approaches, reference_distance
 from track_range.results.rows.columns import Columns, boxes_px, most_frequent
 from track_range.views.report.content.events import sigma_words, time_words

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.results.frame_results import changed, frame_result
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.ranges import Ranges
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
-from track_range.ranging.filtering.key_distance import Growth
+from track_range.ranging.measurement.growth import Growth
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.truth.truth import Truth
 
 # edges of the distance bands for which errors are reported
 BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)

@@ -2,7 +2,7 @@
 video.
 
 The true distance is the z at which the ray through the label's box centre first meets its 3-D box,
-in the frame of the left colour camera (`ranging.evaluation.reference_distance`). Labels are used if
+in the frame of the left colour camera (`ranging.truth.reference_distance`). Labels are used if
 they have a 3-D box at 5-100 m, are not truncated, have occluded <= 1 and one of five KITTI types,
 with vans as a separate class. Boxes come from the labels, possibly with added noise, or from a
 detector; the true distance is always the distance in the label.
@@ -30,9 +30,9 @@ from track_range.detection.formats.video_labels.kitti import (
 )
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import first_line, quoted, read_text
-from track_range.ranging.evaluation import reference_distance
-from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
-from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
+from track_range.ranging.truth import reference_distance
+from track_range.ranging.truth.errors import BANDS_M, MIN_IOU
+from track_range.ranging.truth.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 

@@ -26,7 +26,7 @@ from track_range.detection.formats.table_checks import other_labels_note
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import quoted
-from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
+from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, BoxSet
 
 COLUMNS = (
     "class",

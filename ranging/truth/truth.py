@@ -26,7 +26,7 @@ from track_range.detection.formats.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
 # largest KITTI occlusion level (partly occluded) that is scored for distance: others are guesses

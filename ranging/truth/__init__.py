@@ -1,0 +1,1 @@
+"""Labelled boxes and their true distances, and the errors of distances against them."""
