@@ -8,6 +8,8 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
+# coordinate in the corner convention minus the coordinate with pixel centres at integers
+HALF_PIXEL_PX = 0.5
 # smallest divisor of an IoU, so that two empty boxes have an IoU of 0
 _MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)
 # boxes per block of `nms`, by measurement: larger ones compare too many pairs, smaller ones add

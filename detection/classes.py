@@ -8,6 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import quoted
 
 ROAD_CLASSES = (
     "person",
@@ -175,3 +176,34 @@ def class_counts(class_ids: IntArray) -> str:
 ROAD_OF_COCO = {80: map_to_road_classes(COCO_CLASSES), 91: map_to_road_classes(COCO_CATEGORIES)}
 """(80,) and (91,) road class of each of COCO's class numbers and category ids; -1 = not a road
 class."""
+
+
+_MAX_NAME = 100  # characters of a class name
+
+
+def names_of(value: object) -> tuple[str, ...]:
+    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files;
+    else ValueError.
+    """
+    if isinstance(value, Mapping):
+        try:
+            numbers = {int(key): name for key, name in value.items()}
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ValueError(
+                f"expected names numbered from 0, got {quoted(list(value))}"
+            ) from error
+        if sorted(numbers) != list(range(len(numbers))):
+            raise ValueError(
+                f"expected names numbered from 0 without gaps, got {quoted(sorted(numbers))}"
+            )
+        value = [numbers[key] for key in sorted(numbers)]
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or not value:
+        raise ValueError(
+            f"expected a list of names, got {quoted(value)}; specify them with --names"
+        )
+    for name in value:
+        if not isinstance(name, str | int | float) or len(str(name)) > _MAX_NAME:
+            raise ValueError(
+                f"expected names of at most {_MAX_NAME} characters, got {quoted(name)}"
+            )
+    return tuple(str(name) for name in value)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASS_TABLE, ROAD_CLASSES, ROAD_OF_COCO, class_counts
-from track_range.detection.formats.supervision import read_supervision, supervision_boxes
+from track_range.detection.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import FloatArray, IntArray, Rows, check_shape, row_numbers
 
 Descriptors = npt.NDArray[np.float32]  # (N, D) appearance embeddings
@@ -165,7 +165,7 @@ class Detections:
         confidence, class_id`.
 
         Boxes of classes that are not road classes are left out; see
-        `formats.supervision.read_supervision`.
+        `supervision.read_supervision`.
         """
         return cls.of(*read_supervision(boxes, class_names)[:3])
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         evaluate_tracks as evaluate_tracks,
     )
     from track_range.api.parts import Detector as Detector, Tracker as Tracker, load_rig as load_rig
+    from track_range.detection.catalogue.download import DownloadError as DownloadError
     from track_range.detection.classes import (
         ROAD_CLASSES as ROAD_CLASSES,
         road_class_id as class_id,
@@ -38,9 +39,8 @@ if TYPE_CHECKING:
     from track_range.detection.evaluation.score_calibration import (
         evaluate_calibration as evaluate_score_calibration,
     )
-    from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
-    from track_range.detection.models.download import DownloadError as DownloadError
+    from track_range.detection.formats.tables.errors import LabelFileError as LabelFileError
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.foundation.errors import (
         ConfigError as ConfigError,
@@ -149,9 +149,9 @@ _NAMES = {
     "foundation.errors": "UserError ConfigError UsageError",
     "recording.video.frame": "VideoError",
     "detection.detector": "DetectorError",
-    "detection.models.download": "DownloadError",
+    "detection.catalogue.download": "DownloadError",
     "detection.models.onnx_session": "ModelError",
-    "detection.formats.errors": "LabelFileError",
+    "detection.formats.tables.errors": "LabelFileError",
     "foundation.files.output_files": "OutputError",
 }
 """Public names by module, relative to track_range; "name=NAME" where the name differs there."""

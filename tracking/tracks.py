@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import class_counts
-from track_range.detection.formats.supervision import read_supervision, supervision_boxes
+from track_range.detection.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import (
     BoolArray,
     FloatArray,

@@ -20,8 +20,8 @@ import av
 import numpy as np
 
 from benchmarks.harness import option
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.detections import Detections
-from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image

@@ -1,3 +1,3 @@
-"""Label and box files: the formats, the neutral table of boxes, recorded detections, and boxes of
-other libraries.
+"""Label and box files: the formats, their readers, the neutral table of boxes, and recorded
+detections.
 """

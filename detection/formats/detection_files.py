@@ -18,11 +18,11 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.detector import without_confused
-from track_range.detection.formats.box_table import NO_FACTS, VideoFacts
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of
-from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
-from track_range.detection.formats.table_checks import (
+from track_range.detection.formats.tables.box_table import NO_FACTS, VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_FRAME, are_plausible_boxes
+from track_range.detection.formats.tables.table_checks import (
     first_frame_number,
     names_with_counts,
     other_labels_note,

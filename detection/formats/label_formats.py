@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, Written
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.box_table import NO_FACTS, BoxTable, VideoFacts, Written
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels import text_tables
 from track_range.detection.formats.video_labels.coco import read_coco, write_coco
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns

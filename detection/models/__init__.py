@@ -1,4 +1,4 @@
-"""Models: the catalogue, downloads, metadata, the ONNX session and quantization.
+"""Networks in ONNX files: the session on a device, and quantization.
 
 Every module that imports onnxruntime is in this package, which disables its telemetry first.
 """

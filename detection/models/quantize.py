@@ -53,8 +53,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
 )
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import atomic_output, silent_conversion
-from track_range.detection.yolo.detector import YoloDetector
-from track_range.foundation.arrays import FloatArray, FloatArray32
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 
 _PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
 N_CALIBRATION = 60  # number of images for calibration of the value ranges of the layers
@@ -155,11 +154,15 @@ def calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Pa
     return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
 
 
-def input_blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
-    """Inputs of a detector's network for the images; damaged images are skipped."""
+def input_blobs(
+    input_blob: Callable[[Image], FloatArray32], paths: Sequence[Path]
+) -> Iterator[FloatArray32]:
+    """Inputs of a network for the images, with a detector's function that prepares an image;
+    damaged images are skipped.
+    """
     for path in paths:
         with suppress(ImageFileError):
-            yield detector.input_blob(read_image(path))
+            yield input_blob(read_image(path))
 
 
 def _float_model(path: Path) -> onnx.ModelProto:

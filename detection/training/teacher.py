@@ -5,7 +5,7 @@ A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) le
 teacher's outputs: objectness, class scores and boxes are the targets where images are not
 completely labelled. Where labels are complete, they determine which of the network's cells are
 positive. RoadNet, which has other heads, learns from the teacher's features
-(`losses.feature_loss`).
+(`training.feature_loss`).
 
 (Hinton et al., "Distilling the Knowledge in a Neural Network", 2015; Mehta & Ozturk, "Object
 Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by objectness.)
@@ -14,7 +14,6 @@ Import of the weights of an exported YOLOv5 into the PyTorch network, so that te
 as students.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +23,14 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from track_range.detection.classes import COCO_CLASSES, map_to_road_classes
-from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, check_model_file
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.assignment import Cells
+from track_range.detection.training.losses.detection_loss import TeacherOutputs
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
+from track_range.detection.yolo.metadata import ModelOptions, read_metadata
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_json
@@ -106,18 +106,6 @@ def _in_order(network: nn.Module) -> list[nn.Conv2d]:
 
 
 MIN_OBJECTNESS = 0.1  # smallest objectness of a teacher's cell that is a positive
-
-
-@dataclass(frozen=True, slots=True)
-class TeacherOutputs:
-    """Outputs of a teacher in one head for a batch, with P confident cells."""
-
-    # (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class
-    objectness: Tensor
-    cells: Cells  # the confident cells
-    cxcywh: Tensor  # (P, 4) boxes in input pixels
-    # (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have
-    class_score: Tensor
 
 
 class Teacher:

@@ -27,9 +27,9 @@ from track_range.detection.training import run_folder
 from track_range.detection.training.data.batches import BatchMaker, scaled
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
+from track_range.detection.training.feature_loss import FeatureLoss
 from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
-from track_range.detection.training.losses.feature_loss import FeatureLoss
 from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
@@ -214,7 +214,7 @@ class Training:
         )
 
     def export(self, path: Path, *, family: str, data: str, licence: str = "") -> None:
-        """Write `average` as an ONNX file with the attributes that `detection.models.metadata`
+        """Write `average` as an ONNX file with the attributes that `detection.yolo.metadata`
         reads.
 
         `family` and `data` are names of the network's family and of the data set, for display.
@@ -397,7 +397,7 @@ def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, obj
     impossible.
 
     The graph ends with `DetectionNetwork.exported`, the input size is variable. The values of
-    `metadata`, which `detection.models.metadata` reads, are converted to JSON.
+    `metadata`, which `detection.yolo.metadata` reads, are converted to JSON.
     """
     # the network itself stays on its device
     exported = _Exported(copy.deepcopy(network)).cpu().float().eval()

@@ -1,1 +1,1 @@
-"""YOLO detectors: output layouts, decoders, letterbox and input format."""
+"""YOLO detectors: metadata, output layouts, decoders, letterbox and input format."""

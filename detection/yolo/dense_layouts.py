@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
-from track_range.detection.models.metadata import Anchors
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.decoders import (
     BoxCode,
@@ -30,6 +29,7 @@ from track_range.detection.yolo.decoders import (
     distances,
 )
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
+from track_range.detection.yolo.metadata import Anchors
 from track_range.detection.yolo.network_outputs import (
     KEYPOINTS_NOTE,
     MASKS_NOTE,

@@ -29,18 +29,18 @@ from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.detector import MAX_IOU
-from track_range.detection.models.metadata import (
+from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
+from track_range.detection.yolo.decoders import Candidates
+from track_range.detection.yolo.first_images import N_IMAGES, FirstImages
+from track_range.detection.yolo.layouts import readings_of
+from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
+from track_range.detection.yolo.metadata import (
     FROM_METADATA,
     Attribute,
     ModelMetadata,
     ModelOptions,
     read_metadata,
 )
-from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
-from track_range.detection.yolo.decoders import Candidates
-from track_range.detection.yolo.first_images import N_IMAGES, FirstImages
-from track_range.detection.yolo.layouts import readings_of
-from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import quoted, shortened

@@ -14,11 +14,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
 from track_range.detection.yolo import decoders
 from track_range.detection.yolo.decoders import Candidates, Decoder, Part, corners
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
+from track_range.detection.yolo.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.yolo.network_outputs import (
     KEYPOINTS_NOTE,
     MASKS_NOTE,

@@ -4,7 +4,7 @@ class names.
 `dense_layouts` has the layouts of networks without suppression; `end_to_end` has the layouts of
 networks that return one box per object. Shapes, metadata and the number of class names determine
 which readings are possible; `first_images` chooses between them by the values. The family's other
-defaults can be overridden (`detection.models.metadata`).
+defaults can be overridden (`detection.yolo.metadata`).
 """
 
 from collections.abc import Callable, Iterator
@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
-from track_range.detection.models.metadata import Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo import dense_layouts, end_to_end
 from track_range.detection.yolo.input_format import placement_and_grey
+from track_range.detection.yolo.metadata import Attribute, ModelMetadata
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import quoted, shortened
 

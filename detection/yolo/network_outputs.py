@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from track_range.detection.models.metadata import Attribute, ModelMetadata
 from track_range.detection.yolo.decoders import Decoder
 from track_range.detection.yolo.input_format import InputFormat
+from track_range.detection.yolo.metadata import Attribute, ModelMetadata
 from track_range.foundation.arrays import FloatArray32
 
 # of the grids of all families

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.ranging.fitting.cross_validation import cross_validated, folds, plain_fitter

@@ -18,11 +18,11 @@ import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, road_class_of
-from track_range.detection.formats.box_table import BoxTable
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
-from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.tables.box_table import BoxTable
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
+from track_range.detection.formats.tables.table_checks import other_labels_note
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import quoted

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import (
     KittiLabels,
     read_kitti,

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text

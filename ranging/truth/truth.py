@@ -19,10 +19,10 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
-from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of, read_labels
-from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray

@@ -7,12 +7,12 @@ import pytest
 
 from tests.support.networks.onnx_models import write_model
 from track_range.detection.box_errors import UNKNOWN_DETECTOR, BoxError, box_errors_of
+from track_range.detection.catalogue.lookup import find_model
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.models.lookup import find_model
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.metadata import ModelOptions
 from track_range.run.box_source import boxes_of, network_source
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.opened import open_detector

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from track_range.detection.models.catalogue import CATALOGUE, entry_named
-from track_range.detection.models.lookup import find_model, model_rows, models_folder
+from track_range.detection.catalogue.entries import CATALOGUE, entry_named
+from track_range.detection.catalogue.lookup import find_model, model_rows, models_folder
 from track_range.detection.models.onnx_session import ModelError
 
 DIGITS = {"sha1": 40, "sha256": 64}

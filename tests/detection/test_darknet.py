@@ -8,10 +8,10 @@ import pytest
 
 from tests.support.networks import darknet_networks
 from tests.support.networks.darknet_networks import section, write_weights
+from track_range.detection.catalogue.darknet.importer import import_darknet
+from track_range.detection.catalogue.darknet.network import read_network
+from track_range.detection.catalogue.entries import CATALOGUE
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.darknet.importer import import_darknet
-from track_range.detection.darknet.network import read_network
-from track_range.detection.models.catalogue import CATALOGUE
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.detector import YoloDetector
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.support.networks import darknet_networks
 from tests.support.networks.darknet_networks import section
-from track_range.detection.darknet.network import Convolution, read_layers, read_network
+from track_range.detection.catalogue.darknet.network import Convolution, read_layers, read_network
 from track_range.detection.models.onnx_session import ModelError
 
 NET = "[net]\nwidth=32\nheight=16\n"

@@ -10,8 +10,8 @@ import pytest
 
 from tests.support.networks import darknet_networks
 from tests.support.networks.darknet_networks import write_weights
-from track_range.detection.darknet.importer import import_darknet
-from track_range.detection.darknet.network import read_network
+from track_range.detection.catalogue.darknet.importer import import_darknet
+from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
 pytestmark = pytest.mark.slow  # OpenCV 4 has its own environment

@@ -12,9 +12,9 @@ import pytest
 
 from tests.support.networks.onnx_models import write_outputs
 from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.detection.yolo.metadata import ModelOptions
 
 INPUT_HW = (64, 96)  # not divisible by stride 64
 IMAGE = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)

@@ -8,8 +8,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from track_range.detection.models.catalogue import ModelFile, entry_named
-from track_range.detection.models.download import DownloadError, fetch, pull
+from track_range.detection.catalogue.download import DownloadError, fetch, pull
+from track_range.detection.catalogue.entries import ModelFile, entry_named
 
 BODY = np.random.default_rng(0).integers(0, 256, 700_000, np.uint8).tobytes()
 SHA1 = hashlib.sha1(BODY, usedforsecurity=False).hexdigest()

@@ -15,9 +15,9 @@ import pytest
 
 from tests.support.networks.onnx_models import write_dfine, write_outputs
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, ROAD_CLASSES
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.detection.yolo.metadata import ModelOptions
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 160, 3), np.uint8)
 CAR, TRUCK, PERSON = 2, 7, 0

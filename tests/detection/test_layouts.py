@@ -12,9 +12,9 @@ from onnx import helper
 from tests.detection import layout_networks
 from tests.detection.layout_networks import CASES, OBJECTS, SCORES, SIDE, write
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.metadata import ModelOptions
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (SIDE, SIDE, 3), np.uint8)
 CLASSES = ["car", "person", "truck", "car"]

@@ -6,10 +6,10 @@ import pytest
 from tests.support.networks.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.detection.yolo.letterbox import rectangular_input_hw
+from track_range.detection.yolo.metadata import ModelOptions
 from track_range.foundation.prefetch import prefetch
 
 N_ROWS = 3 * (8 * 8 + 4 * 4 + 2 * 2)  # a 64 x 64 input with strides 8, 16, 32

@@ -6,9 +6,9 @@ import pytest
 
 from tests.support.networks.onnx_models import write_model
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.metadata import ModelOptions
 
 CELLS = 8 * 8 + 4 * 4 + 2 * 2  # a 64 x 64 input with strides 8, 16, 32
 BLACK = np.zeros((64, 64, 3), np.uint8)

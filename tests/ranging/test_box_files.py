@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.ranging.fitting.fit import compare_curves
 from track_range.ranging.truth.box_files import read_box_csv
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.truth.errors import (
     MethodColumn,

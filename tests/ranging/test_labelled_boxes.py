@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
 from track_range.stereo.geometry.rig import RigError
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_evaluation import metrics

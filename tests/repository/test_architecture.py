@@ -283,7 +283,7 @@ READS_YAML_OR_JSON = {
     "track_range/foundation/files/structured_text.py": "the reader of all YAML and JSON files",
     "track_range/foundation/files/folder_lock.py": "lock files, at most a few hundred bytes, "
     "ignored if damaged",
-    "detection/models/metadata.py": "Ultralytics writes class names as a Python literal; the size "
+    "detection/yolo/metadata.py": "Ultralytics writes class names as a Python literal; the size "
     "is limited",
 }
 """Files that call a parser of YAML, JSON or Python literals, and the reason."""

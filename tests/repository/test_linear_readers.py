@@ -24,12 +24,12 @@ from tests.repository.patterns import (
     product_modules,
 )
 from tests.track_range.recording.telemetry.mp4_files import MadeTrack, box, mp4
-from track_range.detection.darknet.network import read_network
-from track_range.detection.formats.box_table import VideoFacts
+from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, read_labels
-from track_range.detection.models.metadata import ModelOptions, read_metadata
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.yolo.metadata import ModelOptions, read_metadata
 from track_range.fleet.inputs.manifest import manifest_clips
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
@@ -201,7 +201,7 @@ READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module
     "ego speed": (lambda path: open_ego_speed(str(path)), ".csv", "ranging"),
     "rows of a run": (read_tracks_csv, ".csv", "results"),
     "events of a run": (read_events, ".csv", "results"),
-    "Darknet cfg": (read_network, ".cfg", "detection.darknet"),
+    "Darknet cfg": (read_network, ".cfg", "detection.catalogue.darknet"),
     "metadata of a model": (
         of_metadata, ".txt", "detection.models",
     ),

@@ -29,7 +29,7 @@ SOURCES = (
     *(
         "detection/classes.py",
         "detection/formats/video_labels/kitti.py",
-        "detection/formats/limits.py",
+        "detection/formats/tables/limits.py",
         "ranging/truth/reference_distance.py",
     ),
     *("stereo/geometry", "stereo/rig_formats", "stereo/evaluation/kitti_2015.py"),

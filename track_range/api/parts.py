@@ -13,9 +13,9 @@ from typing import Any, TypedDict, Unpack
 
 from rich.console import Console
 
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL
 from track_range.detection.detections import Detections
 from track_range.detection.models.devices import Device
-from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloSettings
 from track_range.foundation.arrays import Image

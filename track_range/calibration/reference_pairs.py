@@ -24,8 +24,8 @@ import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import (
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_FRAME,
     MAX_ID,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import OutputError

@@ -19,8 +19,8 @@ from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError, ObjectDetector, checked_detections
-from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
+from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.errors import UsageError

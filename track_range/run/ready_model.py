@@ -14,8 +14,8 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from track_range.detection.models.download import pull
-from track_range.detection.models.lookup import find_model, models_folder
+from track_range.detection.catalogue.download import pull
+from track_range.detection.catalogue.lookup import find_model, models_folder
 
 
 def ready_model(name_or_path: str | Path, console: Console) -> Path:

@@ -174,7 +174,7 @@ def write_image_set(
     images for training.
 
     Objects that are less than half visible are written to `ignored` (see `labels_pseudo` in
-    detection/training/data/data_yaml.py): whether a detector finds them has no effect on its loss.
+    detection/training/data_yaml.py): whether a detector finds them has no effect on its loss.
 
     `folder` gets images/, labels/, ignored/ and data.yaml. The same `seeds` give the same images;
     `make` creates a scene from its seed and length in seconds. `progress` is called after each

@@ -20,7 +20,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.losses.detection_loss import Losses
 from track_range.detection.training.networks.registry import (

@@ -19,9 +19,9 @@ from rich.console import Console
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive
 from track_range.detection.boxes import iou
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
-from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.pipeline.alarming import Alarms
 from track_range.pipeline.filtering import Approach

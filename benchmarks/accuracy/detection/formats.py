@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.harness import Figures, option, workload
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 
 _N_TRACKS = 10
 _SIZE_PX = (1242, 375)

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.harness import Figures, option, workload
 from track_range.detection.boxes import iou
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image

@@ -22,8 +22,8 @@ from benchmarks.accuracy.ranging.horizon import finished
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import KITTI_HEIGHT_M, SETS, RoadSet, road_set
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.box_evaluation import distance_risk
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by

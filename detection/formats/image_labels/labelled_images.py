@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from track_range.detection.boxes import HALF_PIXEL_PX
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.box_table import HALF_PIXEL_PX
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
-from track_range.detection.formats.table_checks import frame_in_name, ignored_note
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.table_checks import frame_in_name, ignored_note
 from track_range.detection.formats.video_labels.coco import CocoFile
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, Image

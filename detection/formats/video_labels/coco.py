@@ -24,17 +24,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from track_range.detection.formats import table_checks
-from track_range.detection.formats.box_table import (
-    HALF_PIXEL_PX,
+from track_range.detection.boxes import HALF_PIXEL_PX
+from track_range.detection.formats.tables import table_checks
+from track_range.detection.formats.tables.box_table import (
     BoxTable,
     VideoFacts,
     Written,
     frames_listed,
     image_name,
 )
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import (
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_DISTANCE_M,
     MAX_FRAME,

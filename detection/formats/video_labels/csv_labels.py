@@ -25,8 +25,8 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_of
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import (
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_DISTANCE_M,
     MAX_FRAME,

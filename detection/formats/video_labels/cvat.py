@@ -32,22 +32,22 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.formats.box_table import (
-    HALF_PIXEL_PX,
+from track_range.detection.boxes import HALF_PIXEL_PX
+from track_range.detection.formats.tables.box_table import (
     BoxTable,
     VideoFacts,
     Written,
     frames_listed,
 )
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import (
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_DISTANCE_M,
     MAX_FRAME,
     MAX_ID,
     MAX_SIDE_PX,
 )
-from track_range.detection.formats.table_checks import check_identities
+from track_range.detection.formats.tables.table_checks import check_identities
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import counted, open_regular, quoted, shortened

@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import COCO_CLASSES
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
-from track_range.detection.formats.table_checks import first_frame_number
+from track_range.detection.formats.tables.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
+from track_range.detection.formats.tables.table_checks import first_frame_number
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.formats.box_table import BoxTable, VideoFacts, Written
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
-from track_range.detection.formats.table_checks import (
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts, Written
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
+from track_range.detection.formats.tables.table_checks import (
     check_identities,
     ignored_note,
     omitted_regions_note,

@@ -24,11 +24,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from track_range.detection.boxes import HALF_PIXEL_PX
 from track_range.detection.classes import COCO_CLASSES
-from track_range.detection.formats import table_checks
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, MAX_SIDE_PX
+from track_range.detection.formats.tables import table_checks
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import (
+    MAX_COORDINATE_PX,
+    MAX_FRAME,
+    MAX_ID,
+    MAX_SIDE_PX,
+)
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import open_regular, quoted, readable
 from track_range.foundation.files.numeric_text import number, plain_number

@@ -22,20 +22,19 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from track_range.detection.boxes import xyxy_from_cxcywh
+from track_range.detection.boxes import HALF_PIXEL_PX, xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats import table_checks
-from track_range.detection.formats.box_table import (
-    HALF_PIXEL_PX,
+from track_range.detection.formats.tables import table_checks
+from track_range.detection.formats.tables.box_table import (
     BoxTable,
     VideoFacts,
     Written,
     frames_listed,
     image_name,
 )
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
-from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, MAX_SIDE_PX
+from track_range.detection.formats.tables.class_names import names_for_folder
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_FRAME, MAX_ID, MAX_SIDE_PX
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.images import IMAGE_SUFFIXES, header_size_px
 from track_range.foundation.files.input_files import (

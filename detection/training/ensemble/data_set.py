@@ -32,10 +32,10 @@ from scipy.special import expit, logit
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.evaluation.score_calibration import Reliability
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabels
-from track_range.detection.training.data.data_yaml import OwnLabels
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.training.data_yaml import OwnLabels
 from track_range.detection.training.ensemble.calibration import (
     MIN_POSITIVES,
     EnsembleCalibration,

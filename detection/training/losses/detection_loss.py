@@ -25,10 +25,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy, one_hot
 
-from track_range.detection.training.losses.assignment import LabelledObjects, Rows, assign
+from track_range.detection.training.losses.assignment import Cells, LabelledObjects, Rows, assign
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou
 from track_range.detection.training.networks.network import AnchorNetwork
-from track_range.detection.training.teacher import TeacherOutputs
 
 _BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5  # as in YOLOv5
 # g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5
@@ -47,6 +46,18 @@ class Completeness(Rows):
         """(P,) whether classes (P,) are completely labelled at points (P, 2) of images (P,)."""
         right, below = (xy >= self.meeting_xy[image]).long().unbind(1)
         return self.flags[image, below, right, class_index]
+
+
+@dataclass(frozen=True, slots=True)
+class TeacherOutputs:
+    """Outputs of a teacher in one head for a batch, with P confident cells."""
+
+    # (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class
+    objectness: Tensor
+    cells: Cells  # the confident cells
+    cxcywh: Tensor  # (P, 4) boxes in input pixels
+    # (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have
+    class_score: Tensor
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.models.metadata import Anchors
+from track_range.detection.yolo.metadata import Anchors
 
 
 class DetectionNetwork(nn.Module):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.network import DetectionNetwork
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov4_tiny import (
@@ -15,6 +14,7 @@ from track_range.detection.training.networks.yolov4_tiny import (
     YoloV4Tiny,
 )
 from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, YoloV5
+from track_range.detection.yolo.metadata import Anchors
 from track_range.foundation.arrays import FloatArray
 
 

@@ -11,11 +11,11 @@ as in AlexeyAB's yolov4-tiny.cfg.)
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.blocks import Cbam, ConvolutionBlock
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.yolov5 import background_head
 from track_range.detection.yolo.dense_layouts import YOLOV4_TINY_ANCHORS
+from track_range.detection.yolo.metadata import Anchors
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]  # anchors in input pixels, stride 16 first
 _SCALE_X_Y = 1.05  # Darknet's factor on the range of the centre offsets

@@ -12,9 +12,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.blocks import C3, ConvolutionBlock, Sppf
 from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.yolo.metadata import Anchors
 
 COCO_ANCHORS_PX: Anchors = (  # YOLOv5's default anchors in input pixels, for COCO at 640 pixels
     ((10, 13), (16, 30), (33, 23)),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from track_range.detection.formats.box_table import VideoFacts
+from track_range.detection.formats.tables.box_table import VideoFacts
 
 CAR, CAR_LATER, PERSON = [9.5, 19.5, 29.5, 39.5], [19.5, 19.5, 39.5, 39.5], [49.5, 9.5, 54.5, 29.5]
 SIZE = VideoFacts(size_px=(100, 50))

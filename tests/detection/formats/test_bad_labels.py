@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.detection.formats.reference_labels import COCO, CVAT, SIZE, YOLO
 from tests.support.damaged_text import MAX_MESSAGE, check_damaged, damaged
-from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
+from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels import cvat
 from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
 from track_range.foundation.errors import UserError

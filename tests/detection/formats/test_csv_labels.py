@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 
 HEADER = "frame,id,class,x1,y1,x2,y2,distance_m"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
 
 KITTI = "{frame} -1 {kind} -1 -1 -10 1 2 11 12 -1 -1 -1 -1000 -1000 -1000 -10 {score}\n"
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti
 
 CAR = "3 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1"

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.titles import GENERAL_TITLES, READ_TITLES
 
 VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)

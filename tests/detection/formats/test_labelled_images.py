@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ANY_CLASS
 from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
@@ -18,6 +17,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
     read_manifest,
     read_sequence,
 )
+from track_range.detection.formats.tables.errors import LabelFileError
 
 CAR = ROAD_CLASSES.index("car")
 

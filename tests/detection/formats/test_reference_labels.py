@@ -17,8 +17,8 @@ from tests.detection.formats.reference_labels import (
     SIZE,
     make,
 )
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 
 
 @pytest.mark.parametrize("name", [*FILES, "yolo"])

@@ -17,9 +17,9 @@ from tests.detection.formats.tool_files import (
     write,
 )
 from tests.support.damaged_text import MAX_MESSAGE, check_damaged, damaged
-from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels import tool_labels
 from track_range.foundation.errors import UserError
 

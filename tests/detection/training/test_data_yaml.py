@@ -4,10 +4,10 @@ import pytest
 import yaml
 
 from tests.detection.training.road_scenes import write_data_set
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.training.data.data_set import CachedImages
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 
 CAR, PERSON = 2, 0
 

@@ -4,9 +4,13 @@ import pytest
 import torch
 
 from track_range.detection.training.losses.assignment import Cells, LabelledObjects
-from track_range.detection.training.losses.detection_loss import Batch, Completeness, DetectionLoss
+from track_range.detection.training.losses.detection_loss import (
+    Batch,
+    Completeness,
+    DetectionLoss,
+    TeacherOutputs,
+)
 from track_range.detection.training.networks.registry import make_network
-from track_range.detection.training.teacher import TeacherOutputs
 
 SIDE = 64
 HIGH_LOGIT = 12.0

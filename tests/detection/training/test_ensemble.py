@@ -13,11 +13,11 @@ from tests.detection.training.road_scenes import write_data_set
 from tests.support.networks.onnx_models import write_rectangle_finder
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, YoloLabels
-from track_range.detection.training.data.data_yaml import read_data_yaml, read_own_labels
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.training.data_yaml import read_data_yaml, read_own_labels
 from track_range.detection.training.ensemble.calibration import (
     EnsembleCalibration,
     Samples,

@@ -9,9 +9,9 @@ import torch
 from tests.detection.training.road_scenes import write_data_set
 from tests.detection.training.short_trainings import SMALL, Killed, Quiet, weights
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError
-from track_range.detection.training.losses.feature_loss import FeatureLoss, correlation
+from track_range.detection.training.feature_loss import FeatureLoss, correlation
 from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, export_onnx, prepare_torch

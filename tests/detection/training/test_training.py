@@ -15,7 +15,7 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.batches import BatchMaker
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.registry import make_network

@@ -150,7 +150,7 @@ def assorted(*, size_px=(144, 108), n_classes=3):
 
 
 def write_weights(path, network, *, seed, version=(0, 2, 5), gain=2.0, more_variance=0.0):
-    """Write random weights of a network (`detection.darknet.network.Network`) with batch norm near
+    """Write random weights of a network (`detection.catalogue.darknet.network.Network`) with batch norm near
     its usual values.
 
     The format is written independently of the importer, convolution by convolution as Darknet saves

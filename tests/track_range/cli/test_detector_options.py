@@ -4,8 +4,8 @@ import pytest
 import track_range as tr
 from tests.support.networks import darknet_networks
 from tests.support.networks.onnx_models import write_model
+from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.classes import ROAD_CLASSES, ClassNameError
-from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.run.options.opened import DetectorOptions, class_names, open_detector, thresholds

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from track_range.cli.commands import doctor
-from track_range.detection.models import lookup
+from track_range.detection.catalogue import lookup
 
 
 @pytest.mark.slow

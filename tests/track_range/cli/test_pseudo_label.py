@@ -10,7 +10,7 @@ import yaml
 from tests.detection.training.road_scenes import write_data_set
 from tests.support.damaged_text import MAX_MESSAGE
 from tests.support.networks.onnx_models import write_model
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 
 N_LABELLED, N_UNLABELLED = 40, 2
 """Number of training images in which cars are labelled completely, and of the others."""

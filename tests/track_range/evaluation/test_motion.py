@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.labelled_drives import F_PX, row
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion

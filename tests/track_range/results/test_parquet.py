@@ -20,7 +20,7 @@ from tests.documentation.documented_commands import PAGES, python_blocks
 from tests.support.file_size_limit import file_size_limit
 from tests.support.results.frame_results import result, writing
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.sequences.evaluation import evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import OutputError

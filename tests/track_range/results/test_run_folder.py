@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from tests.support.results.run_folder import N_FRAMES, write_run
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.sequences.find import find_sequences
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.truth.truth import Truth

@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.command_line import Finished
 from track_range.detection.formats.label_formats import label_format_of, read_labels
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.simulation.drive import Drive
 
 pytestmark = pytest.mark.slow  # the run takes seconds

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.simulation.simulate import write_image_set
 
 

@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 
 import track_range as tr
 from tests.support.results.frame_results import frame_result
+from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.foundation.errors import ConfigError
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings_files import save_settings, settings_from, without_folders

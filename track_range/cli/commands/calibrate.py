@@ -87,7 +87,7 @@ def _check(settings: CalibrationSettings) -> None:
 
 def _calibrate_on_road(settings: CalibrationSettings) -> None:
     from track_range.calibration.road.from_road import Detect, calibrate_on_road
-    from track_range.detection.models.lookup import DEFAULT_MODEL
+    from track_range.detection.catalogue.lookup import DEFAULT_MODEL
     from track_range.run.options.opened import DetectorOptions, open_detector
     from track_range.run.ready_model import ready_model
 

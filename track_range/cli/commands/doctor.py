@@ -168,7 +168,7 @@ def tested(device: Device) -> _Tested:
     """
     import av
 
-    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+    from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
     from track_range.detection.models.onnx_session import Runtime
     from track_range.detection.models.providers import why_missing
     from track_range.detection.yolo.detector import YoloDetector
@@ -232,7 +232,7 @@ def _drive() -> tuple[tempfile.TemporaryDirectory[str], Drive]:
 
 
 def _default_detector() -> str:
-    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+    from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 
     return str(find_model(DEFAULT_MODEL).path)
 
@@ -254,7 +254,7 @@ def _has_codec(name: str, mode: Literal["r", "w"]) -> bool:
 
 
 def _model_cache() -> str:
-    from track_range.detection.models.lookup import models_folder
+    from track_range.detection.catalogue.lookup import models_folder
 
     folder = models_folder()
     existing = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())

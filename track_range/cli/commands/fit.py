@@ -12,14 +12,14 @@ import numpy as np
 from track_range.cli.shared.console import console, print_grid, print_line, print_notes
 from track_range.cli.shared.parameters import command
 from track_range.detection.box_errors import BoxError
+from track_range.detection.catalogue.lookup import PACKAGED_FOLDER
 from track_range.detection.evaluation.box_error_fit import (
     MIN_HEIGHT_PX,
     MIN_MATCHES,
     MIN_SCORE,
     BoxErrorSamples,
 )
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.models.lookup import PACKAGED_FOLDER
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.models.onnx_session import ModelError
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import (

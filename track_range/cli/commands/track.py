@@ -5,7 +5,7 @@ from functools import partial
 
 from track_range.cli.shared.console import console, print_grid, print_line
 from track_range.cli.shared.parameters import command
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.sequences.find import MOT_FOLDER, listed
 from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.evaluation.sequences.track import TrackedFile, track

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
 from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set

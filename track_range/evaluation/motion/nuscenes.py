@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from track_range.detection.classes import road_class_of
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, read_text

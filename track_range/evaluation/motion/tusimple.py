@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.boxes import iou
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.foundation.arrays import FloatArray, IntArray

@@ -19,8 +19,8 @@ from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
 from track_range.detection.evaluation.object_sizes import MIN_BIN_BOXES, SIZE_BINS, evaluate_by_size
 from track_range.detection.evaluation.score_calibration import MIN_SCORE, evaluate_calibration
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.foundation.arrays import FloatArray, Image

@@ -14,10 +14,10 @@ from track_range.detection.classes import (
     map_to_road_classes,
     road_class_id,
 )
-from track_range.detection.formats.box_table import NO_FACTS, BoxTable
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
-from track_range.detection.formats.table_checks import names_with_counts, other_labels_note
+from track_range.detection.formats.tables.box_table import NO_FACTS, BoxTable
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.table_checks import names_with_counts, other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import MOT_CLASSES, read_mot
 from track_range.evaluation.sequences import find

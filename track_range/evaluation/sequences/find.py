@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_label_folder
-from track_range.detection.formats.limits import MAX_FRAME
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_FRAME
 from track_range.foundation.files.input_files import quoted, read_text, readable, real_path
 from track_range.foundation.files.numeric_text import number
 from track_range.results.folder import clip_rows, rows_file

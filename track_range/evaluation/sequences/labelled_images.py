@@ -8,7 +8,6 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
@@ -19,6 +18,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
     read_manifest,
     read_sequence,
 )
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.recording.sources.open_video import open_video

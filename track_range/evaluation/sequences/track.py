@@ -14,9 +14,9 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
-from track_range.detection.formats.box_table import NO_FACTS
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.box_table import NO_FACTS
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KITTI_TYPE_OF, kitti_line
 from track_range.detection.formats.video_labels.mot import mot_lines
 from track_range.evaluation.sequences import find

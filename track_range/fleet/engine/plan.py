@@ -14,8 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from track_range.detection.catalogue.lookup import find_model
 from track_range.detection.classes import road_class_ids
-from track_range.detection.models.lookup import find_model
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.record import ClipRecord, Row
 from track_range.fleet.settings import FleetSettings

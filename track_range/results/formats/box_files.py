@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts
+from track_range.detection.formats.tables.box_table import NO_FACTS, BoxTable, VideoFacts
 from track_range.detection.formats.video_labels.mot import mot_lines
 from track_range.detection.formats.video_labels.text_tables import kitti_lines
 from track_range.foundation.arrays import FloatArray

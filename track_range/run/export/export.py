@@ -15,9 +15,14 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
-from track_range.detection.formats.box_table import BoxTable, Written, frames_listed, image_name
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
+from track_range.detection.formats.tables.box_table import (
+    BoxTable,
+    Written,
+    frames_listed,
+    image_name,
+)
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError

@@ -11,9 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, file_name_part
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
+from track_range.detection.formats.tables.box_table import (
+    NO_FACTS,
+    BoxTable,
+    VideoFacts,
+    file_name_part,
+)
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml

@@ -182,7 +182,7 @@ class DetectionOptions(Options):
             and values.get("detector") is None
             and values.get("detections") is None
         ):
-            from track_range.detection.models.lookup import DEFAULT_MODEL  # imports onnxruntime
+            from track_range.detection.catalogue.lookup import DEFAULT_MODEL  # imports onnxruntime
 
             return {**values, "detector": DEFAULT_MODEL}
         return values

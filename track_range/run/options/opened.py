@@ -8,9 +8,9 @@ from typing import Self
 
 from track_range.detection.classes import road_class_id, road_class_ids
 from track_range.detection.models.devices import Device
-from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.detection.yolo.metadata import ModelOptions
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number

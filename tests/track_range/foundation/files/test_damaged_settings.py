@@ -20,9 +20,9 @@ from tests.support.damaged_text import check_damaged, damaged
 from tests.support.recordings import device_calibrations as device
 from tests.support.recordings.calibration_files import NAMES
 from tests.support.recordings.calibration_matrices import matlab, plain, values
-from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
-from track_range.detection.models.metadata import ModelOptions, read_metadata
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.formats.tables.class_names import names_for_folder
+from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.yolo.metadata import ModelOptions, read_metadata
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.ranging.size_models.curve import load_curves

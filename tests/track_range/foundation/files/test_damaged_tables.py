@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from tests.support.damaged_text import check_damaged, damaged
 from tests.support.networks.darknet_networks import yolov3_tiny
 from tests.support.results.events import event
-from track_range.detection.darknet.network import read_network
+from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.image_labels.labelled_images import read_manifest
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from track_range.cli.shared.console import console, print_grid
 from track_range.cli.shared.parameters import command
-from track_range.detection.darknet.importer import import_darknet
-from track_range.detection.models.lookup import model_rows, models_folder
+from track_range.detection.catalogue.darknet.importer import import_darknet
+from track_range.detection.catalogue.lookup import model_rows, models_folder
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.opened import class_names
 from track_range.run.ready_model import ready_model

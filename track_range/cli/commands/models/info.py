@@ -13,11 +13,11 @@ from rich.text import Text
 from track_range.cli.shared.console import console
 from track_range.cli.shared.parameters import command
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
+from track_range.detection.catalogue.lookup import ModelLocation, find_model
 from track_range.detection.classes import ROAD_CLASSES, class_counts
-from track_range.detection.models.lookup import ModelLocation, find_model
-from track_range.detection.models.metadata import FROM_METADATA
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.detection.yolo.first_images import N_IMAGES
+from track_range.detection.yolo.metadata import FROM_METADATA
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.files.atomic_files import describe, write_bytes
 from track_range.foundation.files.images import read_image

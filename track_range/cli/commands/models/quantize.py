@@ -131,7 +131,7 @@ def _quantize(options: QuantizeOptions) -> None:
         quantize_int8(
             path,
             int8,
-            blobs=input_blobs(original, calibration),
+            blobs=input_blobs(original.input_blob, calibration),
             progress=lambda done, total: status.update(
                 f"Correcting the biases of convolution {done + 1} of {total}"
             ),

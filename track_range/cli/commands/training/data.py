@@ -6,11 +6,10 @@ import numpy as np
 
 from track_range.cli.commands.training.options import AnchorOptions
 from track_range.cli.shared.console import console, print_first, print_line
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.labelled_images import LabelledImage
-from track_range.detection.models.metadata import Anchors
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.training.data.data_set import CachedImages
-from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.networks.registry import (
     NETWORKS,
@@ -19,6 +18,7 @@ from track_range.detection.training.networks.registry import (
     kmeans_anchors,
     mean_best_iou,
 )
+from track_range.detection.yolo.metadata import Anchors
 from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 

@@ -12,7 +12,7 @@ from track_range.cli.shared.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.models.onnx_session import Runtime
-from track_range.detection.training.data.data_yaml import OwnLabels, read_own_labels
+from track_range.detection.training.data_yaml import OwnLabels, read_own_labels
 from track_range.detection.training.ensemble import data_set
 from track_range.detection.training.ensemble.calibration import MIN_POSITIVES
 from track_range.detection.training.ensemble.views import EnsembleMember, store_missing

@@ -18,7 +18,7 @@ from track_range.cli.commands.training.options import TrainOptions
 from track_range.cli.shared.console import console, print_grid, print_line
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.data_set import TrainingSets
-from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.detection_loss import Losses
 from track_range.detection.training.networks.registry import NETWORKS, make_network

@@ -3,7 +3,7 @@ format.
 
 Boxes have track-range's convention: frames from 0, pixel centres at integers, outer edges of the
 box. The corner convention of COCO, CVAT and YOLO, where the left edge of the image is 0, is larger
-by half a pixel (`HALF_PIXEL_PX`).
+by half a pixel (`boxes.HALF_PIXEL_PX`).
 """
 
 from __future__ import annotations
@@ -17,11 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
-
-# coordinate in the corner convention minus the coordinate with pixel centres at integers
-HALF_PIXEL_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)

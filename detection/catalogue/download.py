@@ -16,8 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlparse
 
-from track_range.detection.darknet.importer import import_darknet
-from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
+from track_range.detection.catalogue.darknet.importer import import_darknet
+from track_range.detection.catalogue.entries import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.input_files import shortened
@@ -42,7 +42,7 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
     there yet.
 
     The size of an input of variable size is written to `NAME.yaml` beside it
-    (`detection.models.metadata`). DownloadError: the download failed, or the cache folder cannot be
+    (`detection.yolo.metadata`). DownloadError: the download failed, or the cache folder cannot be
     written.
     """
     model = cache / f"{entry.name}.onnx"

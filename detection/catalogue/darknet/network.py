@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.detection.darknet.cfg import CfgSection, read_sections
+from track_range.detection.catalogue.darknet.cfg import CfgSection, read_sections
 from track_range.foundation.files.input_files import quoted, shortened
 
 Shape = tuple[int, int, int]  # number of channels, rows and columns of an output

@@ -1,7 +1,7 @@
 """The catalogue of detectors that can be downloaded: names, addresses, licences and published
 checksums.
 
-The models are not part of track-range: `detection/models/download.py` downloads a model from the
+The models are not part of track-range: `detection/catalogue/download.py` downloads a model from the
 release of its project into the user's cache folder. A model is listed only if the checksums of all
 its files are published elsewhere (OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo,
 Git LFS, or several independent projects).

@@ -2,7 +2,7 @@
 
 The outputs are the inputs of the [yolo] layers, [1, A (5 + classes), rows, columns], in the cfg's order and named after
 their strides (`head_s32`, ...). `detection.yolo.decoders.anchored` decodes them into boxes; the class names, anchors
-and scale_x_y that it needs are written to the file's metadata (`detection.models.metadata`).
+and scale_x_y that it needs are written to the file's metadata (`detection.yolo.metadata`).
 
     [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->  head_s32, head_s16, ...
 
@@ -32,7 +32,7 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from track_range.detection.darknet.network import (
+from track_range.detection.catalogue.darknet.network import (
     ACTIVATIONS,
     IMAGE,
     Convolution,

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.boxes import HALF_PIXEL_PX
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.box_table import HALF_PIXEL_PX
 from track_range.foundation.arrays import FloatArray, IntArray
 
 

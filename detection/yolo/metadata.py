@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.detection.box_errors import box_errors_of
+from track_range.detection.classes import names_of
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, shortened
@@ -159,37 +160,8 @@ def _literal(text: str) -> object:
         return text
 
 
-_MAX_NAME = 100  # characters of a class name
+_MAX_NAME = 100  # characters of the name of a family
 _MAX_CLASSES = 10_000  # in RF-DETR's metadata
-
-
-def names_of(value: object) -> tuple[str, ...]:
-    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files;
-    else ValueError.
-    """
-    if isinstance(value, Mapping):
-        try:
-            numbers = {int(key): name for key, name in value.items()}
-        except (ValueError, TypeError, OverflowError) as error:
-            raise ValueError(
-                f"expected names numbered from 0, got {quoted(list(value))}"
-            ) from error
-        if sorted(numbers) != list(range(len(numbers))):
-            raise ValueError(
-                f"expected names numbered from 0 without gaps, got {quoted(sorted(numbers))}"
-            )
-        value = [numbers[key] for key in sorted(numbers)]
-    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or not value:
-        raise ValueError(
-            f"expected a list of names, got {quoted(value)}; specify them with --names"
-        )
-    for name in value:
-        if not isinstance(name, str | int | float) or len(str(name)) > _MAX_NAME:
-            raise ValueError(
-                f"expected names of at most {_MAX_NAME} characters, got {quoted(name)}"
-            )
-    return tuple(str(name) for name in value)
-
 
 _MAX_HEADS, _MAX_ANCHORS = 16, 64  # of a network, and in a head; YOLO networks have 1 to 5 of each
 _ANCHORS_EXPECTED = (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
+from track_range.detection.catalogue.entries import CATALOGUE, CatalogueEntry, entry_named
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.files.cache_folder import cache_folder
 from track_range.foundation.files.input_files import shortened

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import BoxTable
-from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_FRAME
+from track_range.detection.formats.tables.box_table import BoxTable
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.limits import MAX_FRAME
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import counted, quoted, shortened
 

@@ -33,7 +33,6 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import (
     LabelledImage,
@@ -45,8 +44,9 @@ from track_range.detection.formats.image_labels.labelled_images import (
 from track_range.detection.formats.image_labels.yolo_labels import (
     YoloLabelReader,
     YoloLabels,
-    names_in,
 )
+from track_range.detection.formats.tables.class_names import names_in
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.training.errors import TrainingError
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import (
