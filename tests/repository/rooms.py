@@ -98,7 +98,6 @@ ROOMS: Mapping[str, Room] = _rooms()
 
 KNOTS_LEFT = (
     "cli",
-    "detection",
     "fleet",
     "ranging",
     "results",

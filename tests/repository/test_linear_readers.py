@@ -203,7 +203,7 @@ READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module
     "events of a run": (read_events, ".csv", "results"),
     "Darknet cfg": (read_network, ".cfg", "detection.catalogue.darknet"),
     "metadata of a model": (
-        of_metadata, ".txt", "detection.models",
+        of_metadata, ".txt", "detection.yolo",
     ),
     "training data": (of_data_yaml, ".yaml", "detection.training"),
 }  # fmt: skip
