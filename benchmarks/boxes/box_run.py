@@ -36,9 +36,9 @@ from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
 from track_range.tracking.appearance.embeddings import ColourLayoutSettings
 from track_range.tracking.camera_motion import CameraMotion

@@ -43,13 +43,14 @@ from track_range.ranging.doubt.scale_doubt import (
     prior_cost,
 )
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes, unhidden
+from track_range.ranging.fitting.camera.measurements import SceneBoxes, unhidden
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.stereo.odometry.road_horizon import RoadView

@@ -10,14 +10,9 @@ import pytest
 
 from benchmarks.boxes.box_drive import BoxDrive
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import (
-    default_guess,
-    focal_of_field,
-    focal_posterior,
-)
+from track_range.ranging.fitting.camera.focal_evidence import focal_posterior
 from track_range.ranging.fitting.camera.measurements import (
     CameraMeasurements,
-    FocalGuess,
     KnownObject,
     SceneBoxes,
     unhidden,
@@ -26,6 +21,7 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
 from track_range.stereo.geometry.rig import StereoRig
 
 SIZE_PX = (1280, 720)

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import (
-    default_guess,
-    focal_of_field,
-    focal_posterior,
-)
+from track_range.ranging.fitting.camera.focal_evidence import focal_posterior
 from track_range.ranging.fitting.camera.measurements import (
     CameraMeasurements,
-    FocalGuess,
     HorizonRow,
     KnownLane,
     KnownObject,
@@ -25,6 +20,7 @@ from track_range.ranging.fitting.camera.measurements import (
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
 
 SIZE_PX = (1280, 720)
 CENTRE_PX = (639.5, 359.5)

@@ -76,7 +76,12 @@ def _rooms() -> dict[str, Room]:
         "foundation, detection",
     )
     add("ranging", "tracks, geometry -> distances with sigma; fusion, filters, warning")
-    add("recording", "files, bags, streams, telemetry, calibration files -> frames")
+    add(
+        "recording",
+        "files, bags, streams, telemetry, calibration files -> frames",
+        ("foundation", "stereo"),
+        "foundation, stereo",
+    )
     add("calibration", "boards and drives -> rigs, alignment files, focal lengths")
     add("pipeline", "`Frame` -> `FrameResult`")
     add("results", "`FrameResult` -> columns, files of each format, events; finished run folders")
@@ -86,7 +91,12 @@ def _rooms() -> dict[str, Room]:
     not_each_other = "the rooms from `foundation` to `run`"
     add("evaluation", "labelled data -> figures", below, not_each_other)
     add("simulation", "worlds -> drives with exact truth", below, not_each_other)
-    add("fleet", "many recordings -> one data set", below, not_each_other)
+    add(
+        "fleet",
+        "many recordings -> one data set",
+        tuple(name for name in below if name not in ("tracking", "calibration")),
+        f"{not_each_other} but tracking and calibration",
+    )
     uses = (*rooms,)
     add("api", "the names of the Python API", uses, "all")
     add("cli", "the command line, one file per command", (*uses, "api"), "all")

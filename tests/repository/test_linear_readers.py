@@ -36,12 +36,12 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.world.ego_speed import open_ego_speed
 from track_range.recording.sources.files.image_names import named_images
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.recording.telemetry.exiftool import track_of_records
 from track_range.recording.telemetry.found import READERS, embedded
 from track_range.recording.telemetry.sidecars.reading import SIDECARS, Sidecar
+from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.results.events.files import read_events
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.run.settings_files import read_settings

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass, replace
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion, Odometry
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.cameras.auto_alignment import given_alignment
 from track_range.recording.cameras.calibration import (
     LensView,
@@ -55,6 +54,7 @@ from track_range.recording.video.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 

@@ -16,7 +16,6 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
-from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
 from track_range.recording.recording import Recording
 from track_range.recording.sources.live.live_video import LiveVideo
 from track_range.recording.telemetry.checks import with_unit
@@ -29,10 +28,12 @@ from track_range.recording.telemetry.sidecars.reading import (
     TABLE_NAME,
 )
 from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
+from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered
 from track_range.recording.video.recorded_video import VideoPart
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
 _MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run

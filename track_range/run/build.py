@@ -24,7 +24,6 @@ from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
@@ -33,6 +32,7 @@ from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import ObjectTracker, create_tracker

@@ -31,7 +31,6 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
@@ -51,6 +50,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.stereo.rig_formats.reading import load_calibration
 from track_range.tracking.registry import ObjectTracker
 

@@ -18,14 +18,9 @@ from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import (
-    default_guess,
-    focal_of_field,
-    focal_posterior,
-)
+from track_range.ranging.fitting.camera.focal_evidence import focal_posterior
 from track_range.ranging.fitting.camera.measurements import (
     CameraMeasurements,
-    FocalGuess,
     KnownObject,
     SceneBoxes,
     unhidden,
@@ -35,6 +30,7 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
 from track_range.stereo.geometry.rig import StereoRig
 
 SCENARIOS = ("city", "town", "highway", "queue")

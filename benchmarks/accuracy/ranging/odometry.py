@@ -24,7 +24,7 @@ from benchmarks.inputs.drives import FPS, REAL_DATA, SimulatedDrive, decoded
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.ranging.world.ego_speed import open_ego_speed
+from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.simulation.settings import SCENARIO_NAMES
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.alignment.file import load_alignment

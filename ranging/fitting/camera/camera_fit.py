@@ -33,7 +33,6 @@ from scipy.optimize import least_squares
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.camera.measurements import (
     CameraMeasurements,
-    FocalGuess,
     KnownLane,
     KnownObject,
 )
@@ -46,6 +45,7 @@ from track_range.ranging.size_models.size_model import (
     surface_offset_m,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 
 _Real = TypeVar("_Real", float, FloatArray)
 # theta, in this order

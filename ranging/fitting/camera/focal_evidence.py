@@ -26,15 +26,12 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import counted
-from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes
+from track_range.ranging.fitting.camera.measurements import SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess, focal_of_field
 
-# assumed; most road cameras have 50 (telephones, research vehicles) to 110 degrees
-DEFAULT_FIELD_DEG = 75.0
-# relative, of the focal length: 50 degrees is a factor of 1.6, 110 one of 0.54
-DEFAULT_FIELD_SIGMA = 0.3
 _FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 97  # number of points of the grid
 _VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
@@ -90,28 +87,6 @@ class FocalPosterior:
         log_f = np.log(self.focal_px)
         mean = float(self.density @ log_f)
         return math.exp(mean), math.sqrt(float(self.density @ (log_f - mean) ** 2))
-
-
-def default_guess(width_px: int) -> FocalGuess:
-    """Prior of the focal length of an unknown road camera with images of this width."""
-    return FocalGuess(
-        focal_of_field(DEFAULT_FIELD_DEG, width_px),
-        DEFAULT_FIELD_SIGMA,
-        f"the usual field of view of road cameras, {DEFAULT_FIELD_DEG:.0f} degrees",
-    )
-
-
-def best_guess(guesses: Sequence[FocalGuess]) -> FocalGuess:
-    """The mean of independent guesses of the focal length, weighted by their precision."""
-    precision = np.array([guess.sigma**-2 for guess in guesses])
-    log_f = float(precision @ np.log([guess.focal_px for guess in guesses]) / precision.sum())
-    source = " and ".join(guess.source for guess in guesses)
-    return FocalGuess(math.exp(log_f), float(precision.sum() ** -0.5), source)
-
-
-def focal_of_field(field_deg: float, side_px: int) -> float:
-    """Focal length in px of a field of view across a side of the image."""
-    return side_px / 2 / math.tan(math.radians(field_deg) / 2)
 
 
 def focal_posterior(

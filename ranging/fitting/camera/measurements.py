@@ -1,5 +1,5 @@
-"""Measurements from which a camera without a calibration is fitted: known metres, boxes of a video,
-focal guesses.
+"""Measurements from which a camera without a calibration is fitted: known metres and
+boxes of a video.
 
 Pixels are pixels of the video, with the principal point at the image centre and without lens
 distortion. A known distance is the project's `distance_m`: the depth z, along the camera's axis, of
@@ -46,15 +46,6 @@ class KnownLane:
     width_m: float  # distance between the ends
     relative_sigma: float = 0.02  # relative standard deviation of `width_m`
     time_s: float = 0.0  # time of the frame, in seconds from the first one
-
-
-@dataclass(frozen=True, slots=True)
-class FocalGuess:
-    """A focal length from one source."""
-
-    focal_px: float  # focal length in px of the images
-    sigma: float  # relative standard deviation
-    source: str  # where it comes from, as it continues "focal length from ..."
 
 
 @dataclass(frozen=True, slots=True)

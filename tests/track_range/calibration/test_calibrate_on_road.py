@@ -15,9 +15,9 @@ from track_range.calibration.road.from_road import separability
 from track_range.calibration.road.road_evidence import known_lanes, known_metres
 from track_range.foundation.errors import UsageError
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera

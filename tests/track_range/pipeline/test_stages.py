@@ -19,10 +19,10 @@ from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)

@@ -13,10 +13,10 @@ import pytest
 from tests.support.images.films import write_film
 from tests.support.recordings.live_servers import Camera
 from tests.track_range.recording.bag_writers import write_foxglove_video
-from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.recording import open_recording
 from track_range.recording.telemetry.image_evidence import motion_of
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 

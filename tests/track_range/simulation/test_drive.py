@@ -8,8 +8,8 @@ import pytest
 
 from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.world.ego_speed import open_ego_speed
 from track_range.recording.sources.open_video import open_video
+from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.simulation.drive import N_THREADS, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.settings import DriveOptions

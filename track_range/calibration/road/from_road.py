@@ -36,7 +36,6 @@ from track_range.ranging.fitting.camera.camera_fit import (
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.fitting.camera.measurements import (
     CameraMeasurements,
-    FocalGuess,
     KnownObject,
     SceneBoxes,
 )
@@ -49,6 +48,7 @@ from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.address import LiveAddress
 from track_range.recording.video.names import VideoName, files_of, video_name
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera

@@ -11,8 +11,6 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.ranging.fitting.camera.focal_evidence import best_guess, default_guess
-from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.sources.bags.bag_video import BagVideo
@@ -31,6 +29,7 @@ from track_range.stereo.geometry.camera import (
     shown_size,
     square_size,
 )
+from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess, default_guess
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig

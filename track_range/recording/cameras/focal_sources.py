@@ -18,9 +18,8 @@ from typing import NamedTuple
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
-from track_range.ranging.fitting.camera.focal_evidence import default_guess
-from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 
 # relative standard deviation of a focal length from the field of view of a wide lens
 _WIDE_SIGMA = 0.15

@@ -15,13 +15,13 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
-from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeries
 from track_range.recording.video.frame import TIME_EPSILON_S
 from track_range.recording.video.names import RecordedName
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
 # length of the video measured before a run: three times the largest offset on both sides

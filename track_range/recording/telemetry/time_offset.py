@@ -18,6 +18,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, mad_sigma
+from track_range.stereo.odometry.ego_speed import MAX_GAP_S
 
 # largest one that is searched: receivers lag by up to 1 s, clocks in whole seconds by another one
 MAX_OFFSET_S = 3.0
@@ -38,8 +39,6 @@ _MIN_CORRELATION = 0.9  # smallest correlation between image motion and telemetr
 # largest standard deviation of an offset that is applied, s: below the lag that it corrects
 _MAX_SIGMA_S = 0.2
 _MIN_SPEED_MPS = 2.0  # smallest speed at which a course is known, m/s
-# longest interval between samples that is interpolated, as in `ranging.world.ego_speed`
-_MAX_GAP_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +139,7 @@ def _fit(
         return None
     is_used = np.isfinite(image) & (t >= at_s[0]) & (t <= at_s[-1])
     after = np.clip(np.searchsorted(at_s, t), 1, len(at_s) - 1)
-    is_used &= at_s[after] - at_s[after - 1] <= _MAX_GAP_S
+    is_used &= at_s[after] - at_s[after - 1] <= MAX_GAP_S
     if is_used.sum() < _MIN_SAMPLES:
         return None
     t, e = t[is_used], image[is_used]

@@ -18,6 +18,7 @@ from track_range.recording.telemetry.sidecars.time_texts import DAY_S
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.video.recorded_video import VideoPart
 from track_range.recording.video.utc import UtcStart
+from track_range.stereo.odometry.ego_speed import MAX_GAP_S
 
 ZONES_H = (  # differences between local times and UTC in use, hours
     *(float(hours) for hours in range(-12, 15)),
@@ -28,8 +29,6 @@ ZONES_H = (  # differences between local times and UTC in use, hours
 _VIDEO_SIGMA_S = 0.5
 # standard deviation of the difference between two clocks that state whole seconds, s
 _CLOCK_SIGMA_S = 1.0
-# longest interval between samples that covers a video, as in `ranging.world.ego_speed`
-_MAX_GAP_S = 3.0
 _MIN_NAMED = 0.1  # smallest fraction of a video that telemetry which the user names must cover
 _MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
 # largest difference in s between the starts of a video and of telemetry that was recorded with it
@@ -153,16 +152,16 @@ def covered(time_s: FloatArray, duration_s: float) -> float:
     """
     end_s = max(duration_s, 1.0)
     inner = np.concatenate([[0.0], time_s[(time_s > 0) & (time_s < end_s)], [end_s]])
-    before = bool((time_s <= 0).any()) and -float(time_s[time_s <= 0].max()) <= _MAX_GAP_S
+    before = bool((time_s <= 0).any()) and -float(time_s[time_s <= 0].max()) <= MAX_GAP_S
     after = (
-        bool((time_s >= end_s).any()) and float(time_s[time_s >= end_s].min()) - end_s <= _MAX_GAP_S
+        bool((time_s >= end_s).any()) and float(time_s[time_s >= end_s].min()) - end_s <= MAX_GAP_S
     )
     gaps_s = np.diff(inner)
-    is_covered = gaps_s <= _MAX_GAP_S
+    is_covered = gaps_s <= MAX_GAP_S
     if len(inner) == 2:
         inside = bool((time_s <= 0).any()) and bool((time_s >= end_s).any())
         return float(inside and before and after)
-    is_covered[0] &= before or inner[1] <= _MAX_GAP_S
+    is_covered[0] &= before or inner[1] <= MAX_GAP_S
     return float(gaps_s[is_covered].sum() / end_s)
 
 

@@ -20,7 +20,7 @@ from track_range.evaluation.events.scores import read_contacts
 from track_range.evaluation.sequences.find import find_sequences
 from track_range.ranging.truth.box_files import read_box_csv
 from track_range.ranging.truth.truth import read_truth
-from track_range.ranging.world.ego_speed import open_ego_speed
+from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.results.events.files import events_text, read_events
 from track_range.results.folder import read_run_rows
 from track_range.results.rows.columns import column_names

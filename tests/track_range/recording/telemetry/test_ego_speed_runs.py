@@ -18,10 +18,10 @@ from tests.track_range.recording.telemetry.telemetry_files import (
     rmc,
 )
 from track_range.fleet.inputs.clip import Clip
-from track_range.ranging.world.ego_speed import EgoSpeedError
 from track_range.recording.recording import open_recording
 from track_range.recording.speed_source import open_speed
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
+from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
 
 TIMES_S = [0.2 * i for i in range(16)]

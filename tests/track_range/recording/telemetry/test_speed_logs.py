@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.support.damaged_text import check_damaged, damaged
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
-from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError
 from track_range.recording.speed_source import (
     SpeedSource,
     _checked,
@@ -21,8 +20,10 @@ from track_range.recording.speed_source import (
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
+from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.recording.telemetry.video_clock import on_video_clock
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 
 T = np.arange(60.0)
 V = 14 + 2 * np.sin(T / 8)

@@ -21,6 +21,7 @@ from track_range.recording.telemetry.tracks.positions import (
     unit_of_ratio,
 )
 from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
+from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS
 
 # largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
 MAX_SAMPLES = 500_000
@@ -29,7 +30,6 @@ Unit = Literal["known", "assumed", "unknown"]  # how the unit of a format's spee
 _UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5
 # largest relative difference between the pace of a track and that of the receiver's clock
 _PACE_TOLERANCE = 0.1
-_MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry
 # largest difference to the stated speed at which the course from positions is used
 _COURSE_AGREEMENT = 0.3
 
@@ -133,7 +133,7 @@ def has_plausible_positions(samples: Sequence[Sample]) -> bool:
     if ((np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)).any():
         return False
     moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
-    return moved is None or float(np.percentile(moved.speed_mps, 90)) <= _MAX_SPEED_MPS
+    return moved is None or float(np.percentile(moved.speed_mps, 90)) <= MAX_SPEED_MPS
 
 
 def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], tuple[str, ...]]:

@@ -1,0 +1,83 @@
+"""EgoSpeed: forward speed of the camera along its optical axis over the time of the video.
+
+The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera
+is not modelled.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+
+# largest plausible speed (432 km/h); a faster one is most likely in another unit
+MAX_SPEED_MPS = 120.0
+MAX_GAP_S = 3.0  # longest interval between two samples that is interpolated
+# s before the first and after the last sample for which it holds: videos start on another frame
+_EDGE_S = 0.25
+# standard deviation of the speeds of tables, which state none: that of GPS receivers
+TABLE_SIGMA_MPS = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class EgoSpeed:
+    """Samples of the camera's speed."""
+
+    # (N,) increasing, seconds from the video's first frame; a single -inf = constant speed
+    time_s: FloatArray
+    speed_mps: FloatArray  # (N,) along the camera's axis, negative = backwards
+    source: str  # where the samples come from, for notes
+    speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples
+    time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
+    # (N, 2) latitude and longitude, to check the speeds; None = unknown
+    positions_deg: FloatArray | None = None
+
+    def along(self, yaw_deg: float) -> EgoSpeed:
+        """The speed along an axis that is `yaw_deg` to the side of the camera's axis."""
+        fraction = math.cos(math.radians(yaw_deg))
+        sigma_mps = abs(fraction) * self.speed_sigma_mps
+        return replace(self, speed_mps=fraction * self.speed_mps, speed_sigma_mps=sigma_mps)
+
+    def at(self, time_s: float) -> float:
+        """Speed at `time_s` in m/s, NaN = unknown."""
+        if np.isneginf(self.time_s[0]):
+            return float(self.speed_mps[0])
+        if not self.time_s[0] - _EDGE_S <= time_s <= self.time_s[-1] + _EDGE_S:
+            return math.nan
+        after = int(np.searchsorted(self.time_s, time_s))
+        is_between = 0 < after < len(self.time_s)
+        if is_between and self.time_s[after] - self.time_s[after - 1] > MAX_GAP_S:
+            return math.nan
+        return float(np.interp(time_s, self.time_s, self.speed_mps))
+
+    def sigma_at(self, time_s: float) -> float:
+        """Standard deviation of `at(time_s)` in m/s, NaN where the speed is unknown.
+
+        sigma^2 = sigma_v^2 + (a sigma_t)^2, with the acceleration a between the neighbouring
+        samples.
+        """
+        if math.isnan(self.at(time_s)):
+            return math.nan
+        if len(self.time_s) == 1 or not self.time_sigma_s:
+            return self.speed_sigma_mps
+        after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
+        step_mps, step_s = (float(x[after] - x[after - 1]) for x in (self.speed_mps, self.time_s))
+        return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
+
+    def note(self, last_s: float, subject: str = "") -> str | None:
+        """Note for the user on a video with its last frame at `last_s`; None if the samples cover
+        all of the video.
+        """
+        first_known_s, last_known_s = float(self.time_s[0]), float(self.time_s[-1])
+        if np.isneginf(first_known_s) or (
+            first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S
+        ):
+            return None
+        return (
+            f"{subject or 'The ego speed from ' + self.source} covers "
+            f"{first_known_s:.1f}-{last_known_s:.1f} s of the video; elsewhere closing speeds are "
+            "estimated from distances alone."
+        )
