@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from track_range.fleet.engine import worker
+from track_range.fleet.engine.fleet_run import run_fleet
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
 from track_range.fleet.engine.remaining import content_hash, present_fingerprint
-from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import publish_record, read_clips
 from track_range.fleet.output.record import ClipRecord

@@ -108,7 +108,6 @@ ROOMS: Mapping[str, Room] = _rooms()
 
 KNOTS_LEFT = (
     "cli",
-    "fleet",
     "ranging",
     "results",
     "run",

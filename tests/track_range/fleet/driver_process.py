@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
-from track_range.fleet.fleet_run import run_fleet
+from track_range.fleet.engine.fleet_run import run_fleet
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UserError
 

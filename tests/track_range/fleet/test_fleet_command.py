@@ -13,7 +13,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.track_range.fleet.killing import killed_workers
-from track_range.fleet import fleet_run
+from track_range.fleet.engine import fleet_run
 from track_range.fleet.engine.plan import common_options
 from track_range.fleet.output.data_set import read_clips
 from track_range.fleet.settings import FleetSettings, size_bytes

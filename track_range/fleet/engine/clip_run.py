@@ -22,11 +22,11 @@ from track_range.fleet.engine.remaining import content_hash, fingerprint
 from track_range.fleet.engine.worker import peak_memory_bytes, reset_peak_memory
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
+from track_range.fleet.inputs.fetch import fetched
 from track_range.fleet.output import data_set
 from track_range.fleet.output.record import ERROR_FIGURES, ClipRecord, utc_now
 from track_range.fleet.settings import size_bytes
 from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.fetch import fetched
 from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable

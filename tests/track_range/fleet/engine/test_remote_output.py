@@ -10,8 +10,8 @@ import pytest
 pytest.importorskip("ray")
 
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
+from track_range.fleet.engine.fleet_run import run_fleet
 from track_range.fleet.errors import FleetError
-from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.data_set import read_clips
 from track_range.fleet.output.state import FleetState, read_state, status_lines
 from track_range.fleet.settings import FleetSettings

@@ -7,8 +7,8 @@ import pytest
 
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet.engine.cluster import connected
+from track_range.fleet.engine.fleet_run import run_fleet
 from track_range.fleet.errors import FleetError
-from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.state import read_state
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.location import Location

@@ -15,11 +15,10 @@ pytest.importorskip("ray")
 from tests.track_range.fleet.killing import killed_workers
 from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
-from track_range.fleet import fleet_run
-from track_range.fleet.engine import driver, plan
+from track_range.fleet.engine import driver, fleet_run, plan
+from track_range.fleet.engine.fleet_run import run_fleet
 from track_range.fleet.engine.worker import shared_files, with_shared_files
 from track_range.fleet.errors import FleetError
-from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.data_set import read_clips
 from track_range.fleet.output.state import locked_output, read_state
 from track_range.fleet.settings import FleetSettings

@@ -26,9 +26,9 @@ _MAX_NAME, _MAX_NAMED = 20, 10
 
 def _fleet_run(**values: Any) -> None:
     from track_range.cli.shared.console import console, print_line, print_notes
+    from track_range.fleet.engine.fleet_run import run_fleet
     from track_range.fleet.engine.plan import common_options
     from track_range.fleet.errors import ClipsFailedError
-    from track_range.fleet.fleet_run import run_fleet
     from track_range.fleet.inputs.listing import clips_of, label_note
     from track_range.foundation.files.input_files import printable, shortened
 

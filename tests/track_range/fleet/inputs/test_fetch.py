@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
+from track_range.fleet.inputs.fetch import fetched
 from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.fetch import fetched
 from track_range.fleet.storage.location import Location
 
 LIMIT = 10**6
