@@ -1,6 +1,6 @@
 """The `ObjectDetector` protocol: what every detector of road users implements."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ class DetectorError(UserError):
     """A detector that returns no valid `Detections`; the message names its class and the frame."""
 
 
+@runtime_checkable
 class ObjectDetector(Protocol):
     """Detector of road users in images; use one instance per video stream, in one thread."""
 

@@ -26,6 +26,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking.tracks import Tracks
 
 
+@runtime_checkable
 class ObjectTracker(Protocol):
     """Assigns identities to the boxes of successive frames; all state belongs to the instance."""
 

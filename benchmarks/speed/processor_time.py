@@ -18,8 +18,8 @@ from typing import Any
 from benchmarks.harness import Figures, in_new_process, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS, looped, ordinary_video
 from track_range.foundation.processes import tuned_process
+from track_range.run.options.precedence import settings_from
 from track_range.run.run import Run
-from track_range.run.settings_files import settings_from
 
 STEPS: dict[str, tuple[str, ...]] = {
     "decoding": ("recording.sources.files.video_file:_Reading._next_decoded",),

@@ -44,7 +44,7 @@ from track_range.recording.telemetry.sidecars.reading import SIDECARS, Sidecar
 from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.results.events.files import read_events
 from track_range.results.formats.csv_file import read_tracks_csv
-from track_range.run.settings_files import read_settings
+from track_range.run.options.settings_file import read_settings
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.rig_formats.reading import RIG_FORMATS, read_calibration
 from track_range.stereo.rig_formats.rig_format import RigFormat

@@ -27,10 +27,11 @@ from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
 from track_range.results.rows.columns import Columns
 from track_range.results.writers import OpenWriters, create_writers, result_names
+from track_range.run.options.paths import input_files
 from track_range.run.options.settings import RunSettings
+from track_range.run.options.settings_file import absolute_settings, save_settings
 from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
-from track_range.run.settings_files import absolute_settings, input_files, save_settings
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.views.report.page import write_report

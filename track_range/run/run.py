@@ -31,13 +31,13 @@ from track_range.results.replay import frames_of_rows
 from track_range.run.box_source import class_name
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.options.opened import open_detector
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.python_keywords import options_and_objects
 from track_range.run.options.settings import RunSettings
 from track_range.run.output import RunOutput
 from track_range.run.pictures import overlay_picture
 from track_range.run.progress import frame_progress
 from track_range.run.session import RunSession
-from track_range.run.settings_files import settings_from
 from track_range.views.report.outcome import class_grid, html_table, user_grid
 from track_range.views.videos.result_video import Draw
 

@@ -4,7 +4,6 @@ summary.
 
 from __future__ import annotations
 
-import os
 import platform
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -55,17 +54,15 @@ from track_range.results.table import RunRows
 from track_range.run.box_source import boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings, still_boxes_note
+from track_range.run.options.anonymity import ANONYMIZED, without_folders, without_paths
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.option_notes import assumed_rate, unused_options
+from track_range.run.options.paths import input_files
 from track_range.run.options.settings import RunSettings
+from track_range.run.options.settings_file import absolute_settings
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
-from track_range.run.settings_files import (
-    absolute_settings,
-    input_files,
-    without_folders,
-)
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.registry import ObjectTracker
@@ -73,11 +70,6 @@ from track_range.tracking.registry import ObjectTracker
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 _NO_POSITIONS = "--keep-gps: the recording has no telemetry with positions that can be used."
-ANONYMIZED = (
-    "Anonymized: the heads of detected or tracked people and riders and the number plates of "
-    "detected or tracked vehicles are covered in all images of the results. Undetected heads and "
-    "plates are not covered: check the videos before you share them."
-)
 
 
 class RunSession:
@@ -285,7 +277,12 @@ class RunSession:
             *([] if odometry is None else [self._odometry_note(odometry)]),
             *self.meter.notes,
         ]
-        return [self._without_paths(note) for note in notes] if settings.anonymize else notes
+        if not settings.anonymize:
+            return notes
+        rig = self.recording.calibration.path
+        rigs = [] if rig is None else [rig]
+        paths = [*input_files(settings), *rigs, *self.speed.files]
+        return [without_paths(note, paths) for note in notes]
 
     def _stop_note(self, error: BaseException) -> str:
         stopped = f"The run was stopped early, after {counted(len(self.rows), 'frame')}"
@@ -301,20 +298,6 @@ class RunSession:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
         part = f", but only in {n_known} of {n_frames} frames" if 2 * n_known < n_frames else ""
         return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."
-
-    def _without_paths(self, note: str) -> str:
-        """A note with the names of the input files instead of their paths, and without the home
-        folder.
-        """
-        rig = self.recording.calibration.path
-        for path in [
-            *input_files(self.settings),
-            *([] if rig is None else [rig]),
-            *self.speed.files,
-        ]:
-            for text in (os.path.realpath(path), str(path)):
-                note = note.replace(text, path.name) if os.sep in text else note
-        return note.replace(str(Path.home()), "~")
 
     def _notes_on_frames(self, columns: Columns) -> tuple[str, ...]:
         """Notes on files of boxes or labels whose frame numbers do not fit the video."""

@@ -33,7 +33,8 @@ from track_range.recording.video.frame import VideoError
 from track_range.recording.video.names import BagTopic, Segments
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.writers import OpenWriters
-from track_range.run.settings_files import save_settings, settings_from
+from track_range.run.options.precedence import settings_from
+from track_range.run.options.settings_file import save_settings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError

@@ -30,7 +30,8 @@ from track_range.recording.recording import open_recording
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
 from track_range.recording.video.names import Half, VideoTrack
-from track_range.run.settings_files import save_settings, settings_from
+from track_range.run.options.precedence import settings_from
+from track_range.run.options.settings_file import save_settings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig

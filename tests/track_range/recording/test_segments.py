@@ -24,7 +24,8 @@ from track_range.recording.sources.segments.segment_times import (
 from track_range.recording.video.frame import VideoError
 from track_range.recording.video.names import Segments, natural_key
 from track_range.recording.video.utc import Stamp, stamp_in_name
-from track_range.run.settings_files import save_settings, settings_from
+from track_range.run.options.precedence import settings_from
+from track_range.run.options.settings_file import save_settings
 
 Film = Callable[..., Path]
 Trip = Callable[..., list[Path]]

@@ -19,7 +19,7 @@ from track_range.recording.video.utc import (
     stamp_in_name,
     start_of,
 )
-from track_range.run.settings_files import settings_from
+from track_range.run.options.precedence import settings_from
 
 
 def seconds(text: str) -> float:

@@ -38,7 +38,7 @@ from track_range.results.replay import frames_of_rows
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, create_writers
 from track_range.run.export.export import ExportSettings, export
-from track_range.run.settings_files import settings_from
+from track_range.run.options.precedence import settings_from
 
 
 def write(folder: Path, about: RunInfo, n_frames: int = 4) -> Path:

@@ -21,8 +21,8 @@ from track_range.results.writers import (
     register_writer,
     result_names,
 )
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
-from track_range.run.settings_files import settings_from
 
 BUILT_IN = ("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd", "openscenario")
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"

@@ -13,7 +13,8 @@ from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.run.box_source import boxes_of, outside_regions, region_mask
 from track_range.run.findings import still_boxes_note
-from track_range.run.settings_files import settings_from, without_folders
+from track_range.run.options.anonymity import without_folders
+from track_range.run.options.precedence import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 

@@ -16,8 +16,10 @@ from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import ConfigError
+from track_range.run.options.anonymity import without_folders
 from track_range.run.options.opened import DetectorOptions, open_detector
-from track_range.run.settings_files import save_settings, settings_from, without_folders
+from track_range.run.options.precedence import settings_from
+from track_range.run.options.settings_file import save_settings
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.rig_formats.rig_yaml import save_rig

@@ -11,9 +11,9 @@ from track_range.calibration.align import BaselineCheck, RigAlignment, align, ch
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.cli.shared.console import console, print_grid, print_line
 from track_range.cli.shared.parameters import command
+from track_range.run.options.precedence import settings_from
 from track_range.run.progress import step_progress
 from track_range.run.run import Run
-from track_range.run.settings_files import settings_from
 from track_range.views.tables import rig_grid
 
 _BASELINE_S = 30.0  # longest part of the drive from which the baseline is checked

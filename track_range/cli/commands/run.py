@@ -15,8 +15,8 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.processes import tuned_process
 from track_range.foundation.schemas.options import Options, option
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
-from track_range.run.settings_files import settings_from
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -35,9 +35,9 @@ from track_range.foundation.schemas.keywords import flags_in_errors
 from track_range.results.events.event import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.options.opened import OpenedDetectors
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
 from track_range.run.run import Run
-from track_range.run.settings_files import settings_from
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -22,7 +22,7 @@ from track_range.fleet.storage.errors import StorageError
 from track_range.foundation.errors import RunStoppedError, UserError
 from track_range.foundation.files.input_files import counted
 from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
-from track_range.run.settings_files import without_folders
+from track_range.run.options.anonymity import without_folders
 
 _MAX_STATES = 1000  # largest number of workers in fleet.json
 # settings that fleet.json of an anonymized fleet does not contain, since they name folders

@@ -29,8 +29,9 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.speed_source import AUTO, OFF
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
-from track_range.run.settings_files import read_settings, settings_from
+from track_range.run.options.settings_file import read_settings
 
 # of clips, or with another meaning
 _NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (

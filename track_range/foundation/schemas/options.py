@@ -23,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted, shortened
@@ -113,6 +114,18 @@ def choices_of(field: FieldInfo) -> Sequence[str]:
         else ()
         if listed is None
         else tuple(listed())
+    )
+
+
+_CONTRADICTION = "contradiction"  # type of error
+
+
+def contradiction(sentence: str, options: Sequence[str]) -> PydanticCustomError:
+    """Error of a validator for fields of a model that contradict each other; see
+    `Options.causes`.
+    """
+    return PydanticCustomError(
+        _CONTRADICTION, "{sentence}", {"sentence": sentence, "options": options}
     )
 
 
@@ -215,8 +228,20 @@ class Options(BaseModel):
             return (
                 f"{shortened(name)}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
             )
+        if first["type"] == _CONTRADICTION:
+            return f"{first['msg'].removesuffix('.')}."
         place = f"{cls.flag(str(first['loc'][0]))}: " if first["loc"] else ""
         return f"{place}{first_problem(error)[1]}."
+
+    @classmethod
+    def causes(cls, error: ValidationError) -> tuple[str, ...]:
+        """The fields that the first validation error is about: several if they contradict each
+        other.
+        """
+        first = error.errors()[0]
+        if first["type"] == _CONTRADICTION:
+            return tuple(first["ctx"]["options"])
+        return tuple(str(name) for name in first["loc"][:1])
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:

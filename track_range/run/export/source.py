@@ -34,7 +34,7 @@ from track_range.results.folder import (
 )
 from track_range.results.formats.box_files import table_of_rows
 from track_range.run.build import open_input
-from track_range.run.settings_files import settings_from
+from track_range.run.options.precedence import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", "summary.json")

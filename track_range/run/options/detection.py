@@ -13,7 +13,7 @@ from pydantic import model_validator
 from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.models.devices import Device
 from track_range.foundation.errors import UsageError
-from track_range.foundation.schemas.options import Options, option
+from track_range.foundation.schemas.options import Options, contradiction, option
 
 _shared_option = partial(option, is_shared=True)
 
@@ -198,5 +198,8 @@ class TrackingOptions(Options):
 
     @model_validator(mode="after")
     def _known_tracker(self) -> Self:
-        check_tracker(self.tracker, self.reid)
+        try:
+            check_tracker(self.tracker, self.reid)
+        except UsageError as error:
+            raise contradiction(str(error), ("tracker", "reid")) from error
         return self

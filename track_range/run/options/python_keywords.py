@@ -4,20 +4,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from track_range.detection.detector import ObjectDetector
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.schemas.options import Options
 from track_range.run.options.settings import PipelineOptions
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.tracking.registry import ObjectTracker
 
-_OBJECTS = {  # options that may be objects: the member of these, and what is expected
+_OBJECTS: dict[str, tuple[type, str]] = {  # options that may be objects: of which type, in words
     "detector": (
-        "detect",
+        ObjectDetector,
         "the name or file of a model, or an object with detect(image) -> Detections",
     ),
     "tracker": (
-        "update",
+        ObjectTracker,
         "a name, or an object with update(detections, time_s, image) -> Tracks",
     ),
-    "rig": ("right_from_left", "a calibration file or a StereoRig"),
+    "rig": (StereoRig, "a calibration file or a StereoRig"),
 }
 
 
@@ -30,10 +33,10 @@ def options_and_objects(
     ConfigError: one of the three is neither a text or path nor such an object.
     """
     objects = {}
-    for name, (member, expected) in _OBJECTS.items():
+    for name, (kind, expected) in _OBJECTS.items():
         value = options.get(name)
         is_class = isinstance(value, type)
-        if hasattr(value, member) and not is_class:
+        if isinstance(value, kind) and not is_class:
             objects[name] = value
         elif not isinstance(value, str | Path | None):
             given = f"the class {value.__name__}" if is_class else type(value).__name__

@@ -12,8 +12,8 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.schemas.options import Options, option, option_of
 from track_range.results.formats.provenance import _NOT_HASHED
 from track_range.results.writers import WRITERS, create_writer
+from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
-from track_range.run.settings_files import settings_from
 
 
 class Recipe(Options):

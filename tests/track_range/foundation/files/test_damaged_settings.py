@@ -26,7 +26,7 @@ from track_range.detection.yolo.metadata import ModelOptions, read_metadata
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.ranging.size_models.curve import load_curves
-from track_range.run.settings_files import settings_from
+from track_range.run.options.precedence import settings_from
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.rig_formats.reading import load_calibration
 

@@ -4,7 +4,8 @@ import pytest
 import yaml
 
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.run.settings_files import save_settings, settings_from
+from track_range.run.options.precedence import settings_from
+from track_range.run.options.settings_file import save_settings
 
 PAIR = {"stereo": (Path("left.mp4"), Path("right.mp4")), "detector": "m.onnx"}
 
@@ -93,6 +94,35 @@ def test_unusable_settings_files(tmp_path, content, word):
     with pytest.raises(ConfigError, match=rf"settings\.yaml.*: .*{word}") as raised:
         settings_from({}, file)
     assert not isinstance(raised.value, UsageError)
+
+
+CONTRADICTION = "run: {mono: a.mp4, detector: m, clips: true, overlay: false}"
+
+
+@pytest.mark.parametrize(
+    ("run", "given", "kind", "pattern"),
+    [
+        (CONTRADICTION, {}, ConfigError, r"s\.yaml: --clips"),
+        (CONTRADICTION, {"threads": 2}, ConfigError, r"s\.yaml: --clips"),
+        (
+            "run: {mono: a.mp4, clips: true}",
+            {"overlay": False},
+            UsageError,
+            r"--clips.*\(with .*s\.",
+        ),
+        ("run: {}", {}, ConfigError, r"s\.yaml: .*--mono"),
+        ("run: {threads: -1}", {"mono": "a.mp4"}, ConfigError, r"s\.yaml: 'run\.threads'"),
+        ("run: {threads: 1}", {"mono": "a.mp4", "threads": -1}, UsageError, "^--threads"),
+        ("run: {reid: r.onnx}", {"mono": "a.mp4", "tracker": "sort"}, UsageError, r"--reid.*s\."),
+        ("run: {reid: r.onnx, tracker: sort}", {"mono": "a.mp4"}, ConfigError, r"s\.yaml: --reid"),
+    ],
+)
+def test_error_names_the_source_of_its_causes(tmp_path, run, given, kind, pattern):
+    file = tmp_path / "s.yaml"
+    file.write_text(f"track_range_settings: 1\n{run}\n")
+    with pytest.raises(kind, match=pattern) as raised:
+        settings_from(given, file)
+    assert type(raised.value) is kind
 
 
 def test_missing_settings_file(tmp_path):

@@ -1,0 +1,130 @@
+"""Options of a run for its distances, warnings and events."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from track_range.foundation.schemas.options import Options, option
+from track_range.foundation.schemas.validation import chosen_numbers
+from track_range.ranging.size_models.region import Region
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.results.events.event import EventSettings
+
+_clip_option = partial(option, is_per_clip=True)
+
+
+class RangingOptions(Options):
+    """Options of the measurement of distances, and of warnings and events."""
+
+    panel: ClassVar = "Ranging"
+
+    curves: Annotated[
+        Path | None,
+        _clip_option(
+            "Size curves of the mono method, written by `track-range fit` (default: the "
+            "packaged curves)."
+        ),
+    ] = None
+    region: Annotated[
+        Region | None,
+        _clip_option(
+            "Region of the recording, since sizes of vehicles, people and lanes differ between "
+            "regions (default: from GPS positions, which --ego-speed auto reads; else unknown, "
+            "with larger sigmas for one camera). Size curves in a file override the region."
+        ),
+    ] = None
+    sgbm: Annotated[
+        bool,
+        option(
+            "Dense stereo matching (sgbm, slow) in addition to the patch matcher (stereo).",
+            flag="--sgbm/--no-sgbm",
+            is_shared=True,
+        ),
+    ] = True
+    sgbm_options: Annotated[
+        dict[str, Any],
+        option(
+            "Parameters of dense stereo that override the rig's parameters: fields of "
+            "SgbmSettings.",
+            is_file_only=True,
+        ),
+    ] = Field(default_factory=dict)
+    warning_options: Annotated[
+        dict[str, Any],
+        option(
+            "Thresholds of the collision warning that override the defaults: fields of "
+            "WarningSettings.",
+            is_file_only=True,
+        ),
+    ] = Field(default_factory=dict)
+    event_options: Annotated[
+        dict[str, Any],
+        option(
+            "Thresholds of the events that override the defaults: fields of EventSettings.",
+            is_file_only=True,
+        ),
+    ] = Field(default_factory=dict)
+    align: Annotated[
+        str,
+        _clip_option(
+            "Disparity correction: estimated from the drive (auto), none (off), or read from a "
+            "file written by `track-range align`.",
+            words=("auto", "off"),
+            metavar="FILE",
+            is_file=True,
+        ),
+    ] = "auto"
+    lanes: Annotated[
+        str,
+        option(
+            "Detector of the lines of the ego lane, for distances by lane width: edge-based "
+            "(classical), none (off), or a lane network (ONNX).",
+            words=("classical", "off"),
+            metavar="FILE",
+            is_file=True,
+        ),
+    ] = "classical"
+    lane_width_m: Annotated[
+        float | None,
+        _clip_option(
+            "Width of the ego lane in metres (default: estimated from the drive, region and "
+            "speed).",
+            metavar="M",
+            ge=1.5,
+            le=6.0,
+        ),
+    ] = None
+    camera_height_m: Annotated[
+        float | None,
+        _clip_option(
+            "Height of the camera above the road in metres (default: estimated from the drive).",
+            metavar="M",
+            ge=0.2,
+            le=5.0,
+        ),
+    ] = None
+
+    @field_validator("sgbm_options", "warning_options", "event_options")
+    @classmethod
+    def _known_parameters(cls, values: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if values and info.field_name == "sgbm_options":
+            from track_range.stereo.matching.sgbm import SgbmSettings  # imports OpenCV
+
+            SgbmSettings.of(values)
+        elif values:
+            chosen_numbers(
+                WarningSettings if info.field_name == "warning_options" else EventSettings, values
+            )
+        return values
+
+    @property
+    def warning_settings(self) -> WarningSettings:
+        """Thresholds of the collision warning."""
+        return chosen_numbers(WarningSettings, self.warning_options)
+
+    @property
+    def event_settings(self) -> EventSettings:
+        """Thresholds of the events."""
+        return chosen_numbers(EventSettings, self.event_options)

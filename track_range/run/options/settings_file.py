@@ -1,0 +1,86 @@
+"""settings.yaml, which contains all settings of a run; `track-range --settings DIR/settings.yaml`
+repeats the run.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from track_range.foundation.errors import ConfigError
+from track_range.foundation.files.output_files import write_text
+from track_range.foundation.files.structured_text import read_yaml, yaml_text
+from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
+from track_range.recording.video.names import VideoName
+from track_range.results.formats.provenance import settings_hash
+from track_range.run.options.anonymity import without_folders
+from track_range.run.options.input import plain_name
+from track_range.run.options.paths import FILES, PATHS
+from track_range.run.options.settings import RunSettings
+
+
+def read_settings(file: Path) -> dict[str, Any]:
+    """Values in a settings.yaml, which are not validated; ConfigError if it cannot be read, or is
+    another file.
+    """
+    document = read_yaml(file, ConfigError, "the settings.yaml of a run")
+    if not isinstance(document, dict) or document.get("track_range_settings") != 1:
+        raise ConfigError(
+            f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'."
+        )
+    run, methods = document.get("run"), document.get("methods")
+    if isinstance(methods, dict) and methods:
+        from track_range.ranging.registry import methods as registered
+
+        known = {method.name for method in registered()}
+        for name in methods.keys() - known:
+            raise ConfigError(
+                f"{file}: expected the ranging method {name!r} ({methods[name]}), but it is not "
+                "registered; install its package, register it before the run, or delete it from "
+                "the section 'methods'."
+            )
+    if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
+        raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")
+    return run
+
+
+def save_settings(
+    settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None
+) -> None:
+    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs
+    under `found`.
+
+    `methods` are the origins of the ranging methods that are not built in.
+    """
+    from track_range.ranging.registry import origins  # imports numpy, which --help does not need
+
+    run, methods = absolute_settings(settings), origins()
+    head = {
+        "track_range_settings": 1,
+        "schema_version": SCHEMA_VERSION,
+        "settings_hash": settings_hash(run, methods),
+    }
+    others = ({"methods": methods} if methods else {}) | (
+        {} if detected is None else {"found": detected}
+    )
+    write_text(path, yaml_text({**head, "run": run, **others}))
+
+
+def absolute_settings(settings: RunSettings) -> dict[str, Any]:
+    """Settings as in settings.yaml: plain values, with absolute paths; file names only if the run
+    is anonymized.
+    """
+    run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
+    for key in FILES & run.keys():
+        if key in PATHS or os.path.exists(run[key]):  # False for a name that is too long
+            run[key] = os.path.realpath(run[key])
+
+    def absolute(video: VideoName) -> str | list[str]:
+        return plain_name(
+            video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path)
+        )
+
+    if settings.stereo:
+        run["stereo"] = [absolute(video) for video in settings.stereo]
+    if settings.mono:
+        run["mono"] = absolute(settings.mono)
+    return without_folders(run) if settings.anonymize else run
