@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.stereo.rig_texts import written
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
 
@@ -49,16 +50,12 @@ def chain(**changes: Any) -> dict[str, Any]:
     return content
 
 
-def written(folder: Path, content: object) -> Path:
-    path = folder / "camchain.yaml"
-    path.write_text(
-        content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8"
-    )
-    return path
+def camchain(folder: Path, content: object) -> Path:
+    return written(folder, content, "camchain.yaml")
 
 
 def test_the_pair_of_a_chain(tmp_path):
-    rig, notes = load_rig(written(tmp_path, CHAIN), size_px=SIZE)
+    rig, notes = load_rig(camchain(tmp_path, CHAIN), size_px=SIZE)
     assert (rig.left.fx_px, rig.left.cy_px, rig.left.distortion) == (
         458.654,
         248.375,
@@ -72,7 +69,7 @@ def test_the_pair_of_a_chain(tmp_path):
 
 def test_cameras_are_ordered_from_left_to_right(tmp_path):
     inverse = np.linalg.inv(np.array(yaml.safe_load(CHAIN)["cam1"]["T_cn_cnm1"]))
-    rig, notes = load_rig(written(tmp_path, chain(T_cn_cnm1=inverse.tolist())), size_px=SIZE)
+    rig, notes = load_rig(camchain(tmp_path, chain(T_cn_cnm1=inverse.tolist())), size_px=SIZE)
     assert rig.left.fx_px == 457.587
     assert rig.baseline_m == pytest.approx(0.110004, abs=1e-5)
     assert "left camera" in notes[0]
@@ -81,18 +78,18 @@ def test_cameras_are_ordered_from_left_to_right(tmp_path):
 def test_one_camera_and_three(tmp_path):
     content = chain()
     del content["cam1"]
-    path = written(tmp_path, content)
+    path = camchain(tmp_path, content)
     assert load_camera(path, size_px=SIZE)[0].fy_px == 457.296
     assert load_calibration(path)[0] == load_camera(path, size_px=SIZE)[0]
     with pytest.raises(RigError, match="cam1"):
         load_rig(path, size_px=SIZE)
-    _, notes = load_rig(written(tmp_path, {**chain(), "cam2": chain()["cam1"]}), size_px=SIZE)
+    _, notes = load_rig(camchain(tmp_path, {**chain(), "cam2": chain()["cam1"]}), size_px=SIZE)
     assert "3 cameras" in notes[0]
 
 
 def test_no_distortion(tmp_path):
     content = chain(cam0_distortion_model="none", cam0_distortion_coeffs=None)
-    assert load_rig(written(tmp_path, content), size_px=SIZE)[0].left.distortion == ()
+    assert load_rig(camchain(tmp_path, content), size_px=SIZE)[0].left.distortion == ()
 
 
 @pytest.mark.parametrize(
@@ -118,7 +115,7 @@ def test_no_distortion(tmp_path):
     ],
 )
 def test_wrong_chains(tmp_path, content, key_word):
-    path = written(tmp_path, content)
+    path = camchain(tmp_path, content)
     with pytest.raises(RigError) as error:
         load_rig(path, size_px=SIZE)
     assert key_word in str(error.value)
@@ -151,7 +148,7 @@ WIDE = {
 @pytest.mark.parametrize("lens", list(WIDE))
 def test_wide_lenses(tmp_path, lens):
     camera, _ = load_camera(
-        written(tmp_path, chain(**{f"cam0_{key}": value for key, value in WIDE[lens].items()})),
+        camchain(tmp_path, chain(**{f"cam0_{key}": value for key, value in WIDE[lens].items()})),
         size_px=SIZE,
     )
     assert camera.lens == lens
@@ -173,7 +170,7 @@ def test_wide_lenses(tmp_path, lens):
 )
 def test_wrong_wide_lenses(tmp_path, lens, changes, key_word):
     block = WIDE[lens] | changes
-    path = written(tmp_path, chain(**{f"cam0_{key}": value for key, value in block.items()}))
+    path = camchain(tmp_path, chain(**{f"cam0_{key}": value for key, value in block.items()}))
     with pytest.raises(RigError) as error:
         load_camera(path, size_px=SIZE)
     assert key_word in str(error.value)

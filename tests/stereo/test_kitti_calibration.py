@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.stereo.rig_texts import SIZE, refused, written
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera, load_rig
-
-SIZE = (1280, 720)
 
 KITTI = """P0: 700 0 640 0 0 700 360 0 0 0 1 0
 P1: 700 0 640 -350 0 700 360 0 0 0 1 0
@@ -20,23 +19,6 @@ P2: 1000 0 650 50 0 1000 350 2 0 0 1 0.004
 P3: 1000 0 650 -450 0 1000 350 3 0 0 1 0.004
 Tr_velo_cam 1 0 0 0 0 1 0 0 0 0 1 0
 """
-
-
-def written(folder: Path, text: str, name: str = "calib.txt") -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
-    """The message of `load_rig`: one sentence with the path."""
-    with pytest.raises(RigError) as error:
-        load_rig(path, size_px=size_px)
-    message = str(error.value)
-    assert str(path) in message
-    assert "\n" not in message
-    assert message.endswith(".")
-    return message
 
 
 def test_kitti_by_hand(tmp_path: Path) -> None:

@@ -8,29 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.stereo.rig_texts import SIZE, refused, written
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.opencv import save_opencv
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera, load_rig
-
-SIZE = (1280, 720)
-
-
-def written(folder: Path, text: str, name: str) -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
-    """The message of `load_rig`: one sentence with the path."""
-    with pytest.raises(RigError) as error:
-        load_rig(path, size_px=size_px)
-    message = str(error.value)
-    assert str(path) in message
-    assert "\n" not in message
-    assert message.endswith(".")
-    return message
 
 
 def opencv_files(

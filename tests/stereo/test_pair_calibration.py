@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.error_messages import error_message
 from tests.support.images.board_scenes import exact_pairs, exact_view, pose, rig
 from track_range.stereo.calibration.board_views import BoardFinder, common_corners
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
@@ -56,10 +57,7 @@ def upside_down(view):
 
 
 def refused(pairs) -> str:
-    with pytest.raises(CalibrationError) as error:
-        calibrate_pair(pairs)
-    assert "\n" not in str(error.value)
-    return str(error.value)
+    return error_message(CalibrationError, calibrate_pair, pairs)
 
 
 def test_swapped_cameras():

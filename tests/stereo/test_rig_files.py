@@ -9,15 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 
+from tests.stereo.rig_texts import SIZE, refused, written
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_rig
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
-
-SIZE = (1280, 720)
 
 KITTI = """P0: 700 0 640 0 0 700 360 0 0 0 1 0
 P1: 700 0 640 -350 0 700 360 0 0 0 1 0
@@ -43,25 +41,6 @@ def rig_content() -> dict[str, Any]:
         "right": dict(camera),
         "right_from_left": {"rotation": identity, "translation_m": [-0.5, 0, 0]},
     }
-
-
-def written(folder: Path, content: object, name: str = "rig.yaml") -> Path:
-    path = folder / name
-    path.write_text(
-        content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8"
-    )
-    return path
-
-
-def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
-    """The message of `load_rig`: one sentence with the path."""
-    with pytest.raises(RigError) as error:
-        load_rig(path, size_px=size_px)
-    message = str(error.value)
-    assert str(path) in message
-    assert "\n" not in message
-    assert message.endswith(".")
-    return message
 
 
 def test_rig_yaml(tmp_path: Path) -> None:

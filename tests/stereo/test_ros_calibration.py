@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.stereo.rig_texts import SIZE, refused
 from tests.support.recordings.calibration_files import calibration_yaml as calibration
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import stereo_rectification
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
-
-SIZE = (1280, 720)
 
 
 def raw_rig() -> StereoRig:
@@ -57,21 +56,10 @@ def messages(rig: StereoRig) -> tuple[dict[str, Any], dict[str, Any]]:
 LEFT, RIGHT = messages(raw_rig())
 
 
-def written(path: Path, *documents: dict[str, Any]) -> Path:
+def camera_info(path: Path, *documents: dict[str, Any]) -> Path:
     path.parent.mkdir(exist_ok=True)
     path.write_text("---\n".join(yaml.safe_dump(document) for document in documents))
     return path
-
-
-def refused(path: Path) -> str:
-    """The message of `load_rig`: one sentence with the path."""
-    with pytest.raises(RigError) as error:
-        load_rig(path, size_px=SIZE)
-    message = str(error.value)
-    assert message.startswith(str(path))
-    assert "\n" not in message
-    assert len(message) - len(str(path)) < 300
-    return message
 
 
 def check(rig: StereoRig, notes: tuple[str, ...]) -> None:
@@ -88,7 +76,7 @@ def check(rig: StereoRig, notes: tuple[str, ...]) -> None:
 )
 def test_file_beside_the_given_one(tmp_path, layout, names):
     left, right = (
-        written(tmp_path / name, layout(content))
+        camera_info(tmp_path / name, layout(content))
         for name, content in zip(names, (LEFT, RIGHT), strict=True)
     )
     for path in (left, right):
@@ -100,7 +88,7 @@ def test_file_beside_the_given_one(tmp_path, layout, names):
 def test_documents_of_one_file(tmp_path, is_swapped):
     pair = (RIGHT, LEFT) if is_swapped else (LEFT, RIGHT)
     repeated = (*pair, {**pair[0], "header": {"stamp": {"sec": 9, "nanosec": 0}}})
-    path = written(tmp_path / "echo.yaml", *repeated)
+    path = camera_info(tmp_path / "echo.yaml", *repeated)
     path.write_text("---\n" + path.read_text() + "---\n")
     rig, notes = load_rig(path, size_px=SIZE)
     check(rig, notes)
@@ -111,13 +99,13 @@ def test_ros1_keys(tmp_path):
     def ros1(message: dict[str, Any]) -> dict[str, Any]:
         return {key.upper() if len(key) == 1 else key: value for key, value in message.items()}
 
-    check(*load_rig(written(tmp_path / "echo.yaml", ros1(LEFT), ros1(RIGHT)), size_px=SIZE))
+    check(*load_rig(camera_info(tmp_path / "echo.yaml", ros1(LEFT), ros1(RIGHT)), size_px=SIZE))
 
 
 def test_folder(tmp_path):
-    written(tmp_path / "a.yaml", RIGHT)
+    camera_info(tmp_path / "a.yaml", RIGHT)
     assert "found 1" in refused(tmp_path)
-    written(tmp_path / "b.yml", LEFT)
+    camera_info(tmp_path / "b.yml", LEFT)
     (tmp_path / "notes.yaml").write_text("speed: 3\n")
     rig, notes = load_rig(tmp_path, size_px=SIZE)
     check(rig, notes)
@@ -128,11 +116,11 @@ def test_folder(tmp_path):
 def test_rectified_images(tmp_path):
     keys = ("image_width", "image_height", "projection_matrix")
     only_p = [{key: calibration(message)[key] for key in keys} for message in (LEFT, RIGHT)]
-    rig, notes = load_rig(written(tmp_path / "p.yaml", *only_p), size_px=SIZE)
+    rig, notes = load_rig(camera_info(tmp_path / "p.yaml", *only_p), size_px=SIZE)
     assert rig.is_rectified
     assert rig.baseline_m == pytest.approx(raw_rig().baseline_m)
     assert "rectified" in notes[0]
-    assert "K" in refused(written(tmp_path / "mixed.yaml", calibration(LEFT), only_p[1]))
+    assert "K" in refused(camera_info(tmp_path / "mixed.yaml", calibration(LEFT), only_p[1]))
 
 
 def changed(message: dict[str, Any], **changes: Any) -> dict[str, Any]:
@@ -164,11 +152,11 @@ def changed(message: dict[str, Any], **changes: Any) -> dict[str, Any]:
     ],
 )
 def test_wrong_files(tmp_path, documents, key_word):
-    assert key_word in refused(written(tmp_path / "rig.yaml", *documents))
+    assert key_word in refused(camera_info(tmp_path / "rig.yaml", *documents))
 
 
 def test_missing_partner_is_named(tmp_path):
-    path = written(tmp_path / "left.yaml", LEFT)
+    path = camera_info(tmp_path / "left.yaml", LEFT)
     assert "right.yaml" in refused(path)
     camera, notes = load_camera(path, size_px=SIZE)
     assert camera == raw_rig().left
@@ -176,7 +164,7 @@ def test_missing_partner_is_named(tmp_path):
 
 
 def test_line_of_a_damaged_second_document(tmp_path):
-    path = written(tmp_path / "echo.yaml", LEFT, RIGHT)
+    path = camera_info(tmp_path / "echo.yaml", LEFT, RIGHT)
     text = path.read_text() + "  bad: [\n"
     path.write_text(text)
     assert f"line {text.count(chr(10))}" in refused(
@@ -190,5 +178,5 @@ def test_fisheye_model(tmp_path, model):
         "distortion_model": model,
         "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.1, 0.01, 0.0, 0.0]},
     }
-    camera, _ = load_camera(written(tmp_path / "camera.yaml", fisheye), size_px=SIZE)
+    camera, _ = load_camera(camera_info(tmp_path / "camera.yaml", fisheye), size_px=SIZE)
     assert (camera.lens, camera.distortion) == ("kannala-brandt", (0.1, 0.01, 0.0, 0.0))

@@ -12,6 +12,7 @@ import pytest
 
 import track_range as tr
 from tests.support.images.films import N_NOISE_FRAMES, level_image, noise, number_of, write_film
+from track_range.simulation.drive import Drive
 
 
 @pytest.fixture(scope="session")
@@ -56,6 +57,13 @@ def run_on_noise(
         return tr.Run.mono(video, **{**given, **options})
 
     return run
+
+
+@pytest.fixture(scope="session")
+def drive_folder(render_drive: Callable[..., Drive]) -> Path:
+    """The folder of a simulated drive of 13 frames of 620x188, long enough for an alignment; for
+    tests that only read it."""
+    return render_drive(seed=0, seconds=1.3).left.parent
 
 
 @pytest.fixture(scope="session")

@@ -22,11 +22,6 @@ from track_range.stereo.rig_formats.rig_yaml import save_rig
 PROJECT = Path(__file__).resolve().parents[3]
 
 
-@pytest.fixture(scope="module")
-def drive(small_drive):
-    return small_drive
-
-
 def recorded(drive, **options):
     return tr.Run.stereo(
         drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options
@@ -34,10 +29,10 @@ def recorded(drive, **options):
 
 
 @pytest.fixture(scope="module")
-def finished(drive, tmp_path_factory):
+def finished(small_drive, tmp_path_factory):
     """A run that was iterated to its end and wrote its files, and its frames."""
     out = tmp_path_factory.mktemp("results")
-    run = recorded(drive, out=out, truth=drive.truth)
+    run = recorded(small_drive, out=out, truth=small_drive.truth)
     return run, list(run), out
 
 
@@ -94,16 +89,16 @@ def test_pandas_frame(finished):
     assert run.to_pandas()["fused_m"].notna().any()
 
 
-def test_run_without_out_writes_nothing(drive, tmp_path, monkeypatch):
+def test_run_without_out_writes_nothing(small_drive, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run = recorded(drive, duration=0.3)
+    run = recorded(small_drive, duration=0.3)
     assert sum(1 for _ in run) > 0
     assert list(tmp_path.iterdir()) == []
     assert run.to_arrow().num_rows > 0
 
 
-def test_run_is_iterated_once(drive):
-    run = recorded(drive, duration=0.3)
+def test_run_is_iterated_once(small_drive):
+    run = recorded(small_drive, duration=0.3)
     with pytest.raises(RuntimeError, match="finished"):
         _ = run.summary
     n_frames = sum(1 for _ in run)
@@ -112,8 +107,8 @@ def test_run_is_iterated_once(drive):
     assert run.summary["frames"] == n_frames
 
 
-def test_leaving_the_loop_keeps_the_rows(drive, tmp_path):
-    run = recorded(drive, out=tmp_path / "out")
+def test_leaving_the_loop_keeps_the_rows(small_drive, tmp_path):
+    run = recorded(small_drive, out=tmp_path / "out")
     for frame in run:
         if frame.index == 2:
             break
@@ -123,18 +118,18 @@ def test_leaving_the_loop_keeps_the_rows(drive, tmp_path):
     assert any("early" in note for note in run.notes)
 
 
-def test_write_processes_all_frames(drive, tmp_path):
-    folder = recorded(drive, duration=0.3).write(tmp_path / "out")
+def test_write_processes_all_frames(small_drive, tmp_path):
+    folder = recorded(small_drive, duration=0.3).write(tmp_path / "out")
     assert {"tracks.csv", "mot.txt", "summary.json", "report.html", "settings.yaml"} <= {
         p.name for p in folder.iterdir()
     }
 
 
 @pytest.mark.slow
-def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
-    first = recorded(drive, duration=0.5)
+def test_write_after_iteration_gives_the_same_rows(small_drive, tmp_path):
+    first = recorded(small_drive, duration=0.5)
     first.write(tmp_path / "while")
-    second = recorded(drive, duration=0.5)
+    second = recorded(small_drive, duration=0.5)
     for _ in second:
         pass
     second.write(tmp_path / "after")
@@ -149,17 +144,21 @@ def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
     assert second.summary["files"] == {}
 
 
-def test_closed_run_is_not_iterated(drive):
-    run = recorded(drive)
+def test_closed_run_is_not_iterated(small_drive):
+    run = recorded(small_drive)
     run.open()
     run.close()
     with pytest.raises(RuntimeError, match="closed"):
         iter(run)
 
 
-def test_second_write_keeps_the_videos(drive, tmp_path):
+def test_second_write_keeps_the_videos(small_drive, tmp_path):
     run = tr.Run.mono(
-        drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out"
+        small_drive.left,
+        focal_px=700,
+        detections=small_drive.detections,
+        duration=0.3,
+        out=tmp_path / "out",
     )
     for _ in run:
         pass
@@ -177,9 +176,9 @@ def test_second_write_keeps_the_videos(drive, tmp_path):
         ({"tracker": "nosuch"}, "tracker"),
     ],
 )
-def test_wrong_options(drive, options, word):
+def test_wrong_options(small_drive, options, word):
     with pytest.raises(tr.ConfigError, match=word):
-        recorded(drive, **options)
+        recorded(small_drive, **options)
 
 
 def test_missing_video(tmp_path):
@@ -188,7 +187,7 @@ def test_missing_video(tmp_path):
         run.open()
 
 
-def test_own_detector_and_tracker_objects(drive):
+def test_own_detector_and_tracker_objects(small_drive):
     seen = []
 
     class MiddleBox:
@@ -212,28 +211,28 @@ def test_own_detector_and_tracker_objects(drive):
             )
 
     run = tr.Run.mono(
-        drive.left, focal_px=700, detector=MiddleBox(), tracker=OneIdentity(), duration=0.3
+        small_drive.left, focal_px=700, detector=MiddleBox(), tracker=OneIdentity(), duration=0.3
     )
     frames = list(run)
     assert len(seen) == len(frames) > 0
     assert all(frame.tracks.track_id.tolist() == [41] for frame in frames)
     assert run.summary["inputs"]["detector"].endswith("MiddleBox")
     with pytest.raises(tr.ConfigError, match="both"):
-        recorded(drive, detector=MiddleBox())
+        recorded(small_drive, detector=MiddleBox())
 
 
-def test_own_detector_with_invalid_boxes(drive):
+def test_own_detector_with_invalid_boxes(small_drive):
     class Percent:
         def detect(self, image):
             return tr.Detections.of([[10, 10, 60, 60]], [90], [2])
 
-    run = tr.Run.mono(drive.left, focal_px=700, detector=Percent(), duration=0.3)
+    run = tr.Run.mono(small_drive.left, focal_px=700, detector=Percent(), duration=0.3)
     with pytest.raises(tr.UserError, match=r"Percent, frame 0: ValueError: score: .*got 90\.0"):
         list(run)
 
 
-def test_parts_range_a_pair(drive):
-    run = recorded(drive, duration=0.2)
+def test_parts_range_a_pair(small_drive):
+    run = recorded(small_drive, duration=0.2)
     frame = next(iter(run))
     run.close()
     assert run.rig is not None
@@ -282,8 +281,8 @@ def test_documented_parts_give_the_distances_of_a_run(shared_data, tmp_path, mon
     assert np.nanmax(np.abs(far_m / names["ranges"].distance_m - 1)) > 0.05
 
 
-def test_rig_files(drive, tmp_path):
-    rig = tr.load_rig(drive.rig)
+def test_rig_files(small_drive, tmp_path):
+    rig = tr.load_rig(small_drive.rig)
     assert rig.baseline_m == pytest.approx(0.54, abs=0.2)
     assert rig.left.width_px > 0
     (tmp_path / "calib.txt").write_text(
@@ -308,11 +307,11 @@ def test_supervision_like_boxes_reach_the_tracker():
     assert tracks.to_supervision().tracker_id.tolist() == [1]
 
 
-def test_evaluations_take_options_by_name(drive, tmp_path):
-    figures = tr.evaluate_stereo(drive.left.parent, matchers=("sgbm",))
+def test_evaluations_take_options_by_name(small_drive, tmp_path):
+    figures = tr.evaluate_stereo(small_drive.left.parent, matchers=("sgbm",))
     assert figures["matchers"]["sgbm"]["median_relative_error_pct"] < 15
     with pytest.raises(tr.UserError, match="matcher"):
-        tr.evaluate_stereo(drive.left.parent, matcher="patch")
+        tr.evaluate_stereo(small_drive.left.parent, matcher="patch")
 
 
 def test_tracks_measured_against_themselves(tmp_path):
@@ -363,12 +362,12 @@ def test_tracks_measured_against_themselves(tmp_path):
         ),
     ],
 )
-def test_docstring_example(drive, tmp_path, monkeypatch, name):
+def test_docstring_example(small_drive, tmp_path, monkeypatch, name):
     for file in ("left.mp4", "right.mp4", "rig.yaml"):
-        (tmp_path / file).symlink_to(drive.left.parent / file)
+        (tmp_path / file).symlink_to(small_drive.left.parent / file)
     save_alignment(Alignment(offset_px=0.4), tmp_path / "align.yaml")
-    (tmp_path / "dashcam.mp4").symlink_to(drive.left)
-    (tmp_path / "drive").symlink_to(drive.left.parent)
+    (tmp_path / "dashcam.mp4").symlink_to(small_drive.left)
+    (tmp_path / "drive").symlink_to(small_drive.left.parent)
     monkeypatch.chdir(tmp_path)
     examples = doctest.DocTestFinder(recurse=False).find(
         getattr(tr, name), name, module=False, globs={}

@@ -22,14 +22,9 @@ from track_range.stereo.rig_formats.rig_yaml import save_rig
 SIZE_PX = (620, 188)
 
 
-@pytest.fixture(scope="module")
-def drive(render_drive):
-    return render_drive(seed=0, seconds=1.3, size_px=SIZE_PX).left.parent
-
-
 @pytest.fixture
-def videos(drive):
-    return "--stereo", drive / "left.mp4", drive / "right.mp4"
+def videos(drive_folder):
+    return "--stereo", drive_folder / "left.mp4", drive_folder / "right.mp4"
 
 
 def near_boxes(drive):
@@ -60,13 +55,13 @@ def test_drive_without_error_is_not_corrected(videos, tmp_path, cli):
 
 
 @pytest.mark.slow
-def test_two_drives_are_combined(drive, tmp_path, cli):
+def test_two_drives_are_combined(drive_folder, tmp_path, cli):
     figures = tmp_path / "figures.json"
     options = (
         "--drive",
-        drive,
+        drive_folder,
         "--drive",
-        drive,
+        drive_folder,
         "--out",
         tmp_path / "align.yaml",
         "--json",
@@ -75,13 +70,15 @@ def test_two_drives_are_combined(drive, tmp_path, cli):
     status, printed, _ = cli("align", *options)
     assert status == 0
     # the names, since the file may be used for another drive
-    assert f"{drive.name}, {drive.name}" in printed
+    assert f"{drive_folder.name}, {drive_folder.name}" in printed
 
 
-def test_label_file_and_folder_agree(drive, videos, tmp_path, cli):
+def test_label_file_and_folder_agree(drive_folder, videos, tmp_path, cli):
     by_folder, by_file = tmp_path / "folder.yaml", tmp_path / "file.yaml"
-    assert cli("align", "--reference", drive, "--out", by_folder)[0] == 0
-    assert cli("align", "--reference", drive / "truth.csv", *videos, "--out", by_file)[0] == 0
+    assert cli("align", "--reference", drive_folder, "--out", by_folder)[0] == 0
+    assert (
+        cli("align", "--reference", drive_folder / "truth.csv", *videos, "--out", by_file)[0] == 0
+    )
     folder, file = load_alignment(by_folder), load_alignment(by_file)
     assert abs(folder.offset_px) < 0.1
     # they differ in the range of distances
@@ -89,9 +86,9 @@ def test_label_file_and_folder_agree(drive, videos, tmp_path, cli):
 
 
 @pytest.mark.slow
-def test_table_of_disparities_with_an_offset(drive, videos, tmp_path, cli):
-    rig, _ = load_rig(drive / "rig.yaml", size_px=SIZE_PX)
-    frame, box, number, depth_m = near_boxes(drive)
+def test_table_of_disparities_with_an_offset(drive_folder, videos, tmp_path, cli):
+    rig, _ = load_rig(drive_folder / "rig.yaml", size_px=SIZE_PX)
+    frame, box, number, depth_m = near_boxes(drive_folder)
     front_px = rig.left.fx_px * rig.baseline_m / (depth_m - 2.0)
     assert len(frame) > 10
     rows = [[*row] for row in np.column_stack([frame, box, front_px + 2.0, number]).tolist()]
@@ -169,26 +166,26 @@ def test_table_is_not_text(videos, tmp_path, cli):
         (("--stereo", "{drive}/right.mp4", "{drive}/left.mp4"), 1, "swapped"),
     ],
 )
-def test_wrong_usage(drive, tmp_path, cli, options, status, word):
-    arguments = [option.format(drive=drive) for option in options]
+def test_wrong_usage(drive_folder, tmp_path, cli, options, status, word):
+    arguments = [option.format(drive=drive_folder) for option in options]
     actual, _, errors = cli("align", *arguments, "--out", tmp_path / "align.yaml")
     assert actual == status, errors
     assert word in errors
 
 
 @pytest.mark.slow
-def test_missing_and_different_rigs(drive, videos, tmp_path, cli):
+def test_missing_and_different_rigs(drive_folder, videos, tmp_path, cli):
     alone = tmp_path / "alone"
     alone.mkdir()
     for side in ("left", "right"):
-        shutil.copy(drive / f"{side}.mp4", alone)
+        shutil.copy(drive_folder / f"{side}.mp4", alone)
     out = ("--out", tmp_path / "align.yaml")
     status, _, errors = cli("align", "--drive", alone, *out)
     assert (status, "--rig" in errors) == (1, True)
-    assert cli("align", "--drive", alone, "--rig", drive / "rig.yaml", *out)[0] == 0
-    rig, _ = load_rig(drive / "rig.yaml", size_px=SIZE_PX)
+    assert cli("align", "--drive", alone, "--rig", drive_folder / "rig.yaml", *out)[0] == 0
+    rig, _ = load_rig(drive_folder / "rig.yaml", size_px=SIZE_PX)
     save_rig(StereoRig.rectified(rig.left, 0.4), alone / "rig.yaml")
-    status, _, errors = cli("align", "--drive", alone, "--drive", drive, *out)
+    status, _, errors = cli("align", "--drive", alone, "--drive", drive_folder, *out)
     assert (status, "different rigs" in errors) == (1, True)
 
 
@@ -203,13 +200,13 @@ def test_too_short_drive_writes_nothing(render_drive, tmp_path, cli):
 
 
 @pytest.mark.slow
-def test_large_offset_is_estimated_and_applied_by_a_run(drive, tmp_path, cli):
-    capture = cv2.VideoCapture(str(drive / "right.mp4"))
+def test_large_offset_is_estimated_and_applied_by_a_run(drive_folder, tmp_path, cli):
+    capture = cv2.VideoCapture(str(drive_folder / "right.mp4"))
     (tmp_path / "right").mkdir()
     for number in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT))):
         image = np.roll(capture.read()[1], 24, axis=1)  # disparities are 24 px too small
         cv2.imwrite(str(tmp_path / "right" / f"{number:06d}.png"), image)
-    pair = drive / "left.mp4", tmp_path / "right"
+    pair = drive_folder / "left.mp4", tmp_path / "right"
     status, printed, _ = cli("align", "--stereo", *pair, "--out", tmp_path / "align.yaml")
     assert status == 0
     assert "px too small, as with shifted images" in " ".join(printed.split())
@@ -224,17 +221,17 @@ def test_large_offset_is_estimated_and_applied_by_a_run(drive, tmp_path, cli):
         assert "--align auto corrects this error" in recording.finding.sentence
 
 
-def test_invalid_output_paths(drive, videos, tmp_path, cli):
+def test_invalid_output_paths(drive_folder, videos, tmp_path, cli):
     (tmp_path / "file").write_text("")
-    before = (drive / "rig.yaml").read_text()
+    before = (drive_folder / "rig.yaml").read_text()
     for out, word in (
         (tmp_path / "file" / "align.yaml", "written"),
         (tmp_path, "folder"),
-        (drive / "rig.yaml", "rig.yaml"),
+        (drive_folder / "rig.yaml", "rig.yaml"),
     ):
         status, _, errors = cli("align", *videos, "--out", out)
         assert (status, word in errors) == (1, True), errors
-    assert (drive / "rig.yaml").read_text() == before
+    assert (drive_folder / "rig.yaml").read_text() == before
     same = ("--out", tmp_path / "a.yaml", "--json", tmp_path / "a.yaml")
     assert "two outputs" in cli("align", *videos, *same)[2]
 

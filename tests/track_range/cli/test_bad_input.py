@@ -13,11 +13,6 @@ import yaml
 TRACK_RANGE = Path(sys.executable).with_name("track-range")
 
 
-@pytest.fixture(scope="module")
-def drive(small_drive):
-    return small_drive
-
-
 @pytest.fixture
 def fails(tmp_path, cli):
     """Runs a command that must fail; returns its error message."""
@@ -47,15 +42,15 @@ def succeeds(tmp_path, cli):
 
 
 @pytest.fixture
-def options(drive):
+def options(small_drive):
     """`options(right=..., rig=...)`: arguments of a valid run, with some replaced."""
 
     def arguments(**changed):
         files = {
-            "left": drive.left,
-            "right": drive.right,
-            "rig": drive.rig,
-            "detections": drive.detections,
+            "left": small_drive.left,
+            "right": small_drive.right,
+            "rig": small_drive.rig,
+            "detections": small_drive.detections,
         } | changed
         rest = [
             part
@@ -94,12 +89,12 @@ def junk(path, content):
     ],
     ids=["missing", "empty", "text", "truncated"],
 )
-def test_videos(fails, options, drive, tmp_path, content, word):
+def test_videos(fails, options, small_drive, tmp_path, content, word):
     video = tmp_path / "v.mp4"
     if content == "half":
         # moov at the end, as cameras write it, so half a file cannot be opened
         remuxed = tmp_path / "plain.mp4"
-        with av.open(str(drive.left)) as source, av.open(str(remuxed), "w") as target:
+        with av.open(str(small_drive.left)) as source, av.open(str(remuxed), "w") as target:
             stream = target.add_stream_from_template(source.streams.video[0])
             for packet in source.demux(video=0):
                 if packet.dts is not None:
@@ -159,8 +154,8 @@ def changed_rig(drive, path, **changes):
     ],
     ids=["zero", "negative", "millimetres", "size", "focal", "word", "unknown"],
 )
-def test_rigs(fails, options, drive, tmp_path, changes, messages):
-    sentence = fails(*options(rig=changed_rig(drive, tmp_path / "rig.yaml", **changes)))
+def test_rigs(fails, options, small_drive, tmp_path, changes, messages):
+    sentence = fails(*options(rig=changed_rig(small_drive, tmp_path / "rig.yaml", **changes)))
     assert all(message in sentence for message in messages), sentence
 
 
@@ -172,45 +167,45 @@ def test_invalid_rig_files(fails, options, tmp_path):
     assert "middle third" in fails(*options(rig=junk(tmp_path / "calib.txt", kitti.encode())))
 
 
-def test_rig_of_twice_the_image_size_is_scaled(succeeds, options, drive, tmp_path):
-    rig = yaml.safe_load(drive.rig.read_text())
+def test_rig_of_twice_the_image_size_is_scaled(succeeds, options, small_drive, tmp_path):
+    rig = yaml.safe_load(small_drive.rig.read_text())
     for side in ("left", "right"):
         rig[side] = {k: v if k == "distortion" else 2 * v for k, v in rig[side].items()}
     big = junk(tmp_path / "big.yaml", yaml.safe_dump(rig).encode())
     assert "scaled" in succeeds(*options(rig=big))
     detected = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
     assert detected["focal_px"] == pytest.approx(
-        yaml.safe_load(drive.rig.read_text())["left"]["fx_px"], rel=1e-3
+        yaml.safe_load(small_drive.rig.read_text())["left"]["fx_px"], rel=1e-3
     )
 
 
-def test_swapped_videos(fails, options, drive):
-    assert "swapped" in fails(*options(left=drive.right, right=drive.left))
+def test_swapped_videos(fails, options, small_drive):
+    assert "swapped" in fails(*options(left=small_drive.right, right=small_drive.left))
 
 
 @pytest.mark.slow
-def test_models(fails, drive, tmp_path):
-    pair = ("--stereo", drive.left, drive.right, "--detector")
+def test_models(fails, small_drive, tmp_path):
+    pair = ("--stereo", small_drive.left, small_drive.right, "--detector")
     assert "none.onnx" in fails(*pair, tmp_path / "none.onnx")
     assert "m.onnx" in fails(*pair, junk(tmp_path / "m.onnx", b"\x08\x07junk"))
 
 
-def test_a_model_with_unknown_outputs(fails, drive, shared_data):
-    pair = ("--stereo", drive.left, drive.right, "--detector")
+def test_a_model_with_unknown_outputs(fails, small_drive, shared_data):
+    pair = ("--stereo", small_drive.left, small_drive.right, "--detector")
     sentence = fails(*pair, shared_data / "models/twinlitenet_360x640.onnx")
     assert "drivable [1, 2, 360, 640]" in sentence
 
 
 @pytest.mark.slow
-def test_truth_detections_and_classes(fails, options, drive, tmp_path):
+def test_truth_detections_and_classes(fails, options, small_drive, tmp_path):
     assert "none.txt" in fails(*options(truth=tmp_path / "none.txt"))
     assert "line 1" in fails(*options(truth=junk(tmp_path / "t.txt", b"1 2 3\n")))
     assert "d.txt" in fails(*options(detections=junk(tmp_path / "d.txt", b"\xff\xfe\x00")))
     assert "'truck'" in fails(*options(classes="trcuk"))
 
 
-def test_nan_boxes_are_skipped(succeeds, options, drive, tmp_path):
-    rows = drive.detections.read_text().splitlines()
+def test_nan_boxes_are_skipped(succeeds, options, small_drive, tmp_path):
+    rows = small_drive.detections.read_text().splitlines()
     plain = [f"{r[0]},{','.join(r[6:10])},{r[17]}" for r in (row.split() for row in rows)]
     boxes = junk(
         tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode()
@@ -225,9 +220,9 @@ def test_unwritable_output_folder(cli, options, tmp_path):
     assert str(blocked / "out") in done.stderr
 
 
-def test_contradicting_options(fails, options, drive):
+def test_contradicting_options(fails, options, small_drive):
     assert "--detections" in fails(*options(), "--detector", "m.onnx", status=2)
-    assert "--mono" in fails("--detections", drive.detections, status=2)
+    assert "--mono" in fails("--detections", small_drive.detections, status=2)
     assert "--threads" in fails(*options(), "--threads", "-2", status=2)
     assert "--threads" in fails(*options(), "--threads", "100000", status=2)
     assert "--device" in fails(*options(), "--device", "abacus", status=2)
@@ -238,15 +233,15 @@ def test_start_after_the_end(fails, options):
 
 
 @pytest.mark.slow
-def test_inputs_are_kept_and_old_results_removed(drive, tmp_path, cli):
+def test_inputs_are_kept_and_old_results_removed(small_drive, tmp_path, cli):
     folder = tmp_path / "one"
     folder.mkdir()
-    video = shutil.copy(drive.left, folder / "overlay.mp4")
-    run = ("--mono", video, "--rig", drive.rig, "--detections", drive.detections)
+    video = shutil.copy(small_drive.left, folder / "overlay.mp4")
+    run = ("--mono", video, "--rig", small_drive.rig, "--detections", small_drive.detections)
     refused = cli(*run, "--out", folder)
     assert refused.status == 1
     assert "overlay.mp4: " in refused.stderr
-    assert video.read_bytes() == drive.left.read_bytes()
+    assert video.read_bytes() == small_drive.left.read_bytes()
     assert cli(*run, "--out", tmp_path / "two").status == 0
     assert (tmp_path / "two/overlay.mp4").is_file()
     assert cli(*run, "--out", tmp_path / "two", "--no-overlay").status == 0
@@ -262,11 +257,11 @@ def test_closed_pipe_keeps_the_results(options, tmp_path):
     assert (tmp_path / "out/report.html").is_file()
 
 
-def test_videos_of_different_rate_length_and_start(succeeds, drive, options, tmp_path):
+def test_videos_of_different_rate_length_and_start(succeeds, small_drive, options, tmp_path):
     """Right video with every other frame and a late start: matching frames are used, the others are
     reported."""
     right = tmp_path / "right.mkv"
-    with av.open(str(drive.right)) as source, av.open(str(right), "w") as target:
+    with av.open(str(small_drive.right)) as source, av.open(str(right), "w") as target:
         stream = target.add_stream("libx264", rate=5)
         stream.width, stream.height, stream.pix_fmt = 620, 188, "yuv420p"
         for number, frame in enumerate(source.decode(video=0)):

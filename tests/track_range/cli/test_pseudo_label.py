@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from tests.detection.training.road_scenes import write_data_set
-from tests.support.damaged_text import MAX_MESSAGE
+from tests.support.error_messages import MAX_MESSAGE
 from tests.support.networks.onnx_models import write_model
 from track_range.detection.training.data_yaml import read_data_yaml
 

@@ -23,11 +23,6 @@ from track_range.stereo.rig_formats.rig_yaml import save_rig
 SIZE_PX = (620, 188)
 
 
-@pytest.fixture(scope="module")
-def drive(render_drive):
-    return render_drive(seed=0, seconds=1.3, size_px=SIZE_PX).left.parent
-
-
 def save_rotated(drive, path, *, pitch_deg=0.0, yaw_deg=0.0, roll_deg=0.0):
     """Write the drive's rig file with a wrong angle of the right camera."""
     rig, _ = load_rig(drive / "rig.yaml", size_px=SIZE_PX)
@@ -43,9 +38,9 @@ def test_a_drive_is_required(cli):
 
 
 @pytest.mark.slow
-def test_table_and_json_of_a_good_rig(drive, tmp_path, cli):
+def test_table_and_json_of_a_good_rig(drive_folder, tmp_path, cli):
     figures = tmp_path / "health.json"
-    status, printed, _ = cli("rig", "check", "--drive", drive, "--json", figures)
+    status, printed, _ = cli("rig", "check", "--drive", drive_folder, "--json", figures)
     assert status == 0
     assert "Expected distance error" in printed
     assert "baseline" in printed
@@ -57,11 +52,11 @@ def test_table_and_json_of_a_good_rig(drive, tmp_path, cli):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("angles", [{"yaw_deg": 0.4}, {"pitch_deg": 0.4}, {"roll_deg": 0.5}])
-def test_runs_correct_a_wrong_rig_file(drive, tmp_path, angles):
+def test_runs_correct_a_wrong_rig_file(drive_folder, tmp_path, angles):
     """The frames of a run, rectified with the correction, have no error beyond the one that is
     added to disparities."""
-    rig = save_rotated(drive, tmp_path / "rig.yaml", **angles)
-    recording = open_recording(drive / "left.mp4", drive / "right.mp4", rig=rig)
+    rig = save_rotated(drive_folder, tmp_path / "rig.yaml", **angles)
+    recording = open_recording(drive_folder / "left.mp4", drive_folder / "right.mp4", rig=rig)
     alignment = recording.calibration.alignment
     assert alignment.health.state == "off"
     again = DriveAlignment(recording.rig)
@@ -105,8 +100,8 @@ def test_the_speed_checks_the_baseline(shared_data, tmp_path, cli, factor):
     assert text in printed.replace("\n", " ")
 
 
-def test_a_reference_has_no_speed(cli, drive, tmp_path):
-    options = ("--reference", drive, "--out", tmp_path / "align.yaml", "--ego-speed", "50")
+def test_a_reference_has_no_speed(cli, drive_folder, tmp_path):
+    options = ("--reference", drive_folder, "--out", tmp_path / "align.yaml", "--ego-speed", "50")
     status, _, errors = cli("align", *options)
     assert status == 2
     assert "--ego-speed" in errors

@@ -17,24 +17,19 @@ from track_range.stereo.rig_formats.reading import load_rig
 N_FRAMES = 12
 
 
-@pytest.fixture(scope="module")
-def drive(small_drive: Drive) -> Drive:
-    return small_drive
-
-
 @pytest.fixture
-def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
+def against(cli: Any, small_drive: Drive, tmp_path: Path) -> Any:
     """`against(truth)`: run on the drive; status, summary (None if it failed), output, error."""
 
     def run(truth: Path) -> tuple[int, Any, str, str]:
         sides = (
             "--stereo",
-            drive.left,
-            drive.right,
+            small_drive.left,
+            small_drive.right,
             "--rig",
-            drive.rig,
+            small_drive.rig,
             "--detections",
-            drive.detections,
+            small_drive.detections,
         )
         quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off", "--verbose")
         out = tmp_path / "out"
@@ -56,8 +51,8 @@ def rewritten(drive: Drive, path: Path, change: Any) -> Path:
     return path
 
 
-def test_truth_csv_of_the_simulation_is_exact(against: Any, drive: Drive) -> None:
-    status, summary, printed, complaint = against(drive.table)
+def test_truth_csv_of_the_simulation_is_exact(against: Any, small_drive: Drive) -> None:
+    status, summary, printed, complaint = against(small_drive.table)
     assert status == 0, complaint
     assert summary["truth"] == CSV_PROTOCOL
     assert summary["methods"]["stereo"]["median_relative_error_pct"] < 2.0
@@ -69,11 +64,13 @@ def test_truth_csv_of_the_simulation_is_exact(against: Any, drive: Drive) -> Non
     assert "Error of the closing speed" in printed
 
 
-def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
+def test_csv_and_kitti_truth_agree_on_cars(small_drive: Drive) -> None:
     """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not
     riders."""
-    rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
-    exact, kitti = (read_truth(path, rig.left, np.zeros(3)) for path in (drive.table, drive.truth))
+    rig, _ = load_rig(small_drive.rig, size_px=(620, 188), is_grey=False)
+    exact, kitti = (
+        read_truth(path, rig.left, np.zeros(3)) for path in (small_drive.table, small_drive.truth)
+    )
     by_key = {
         key: row
         for row, key in enumerate(zip(kitti.frame.tolist(), kitti.track_id.tolist(), strict=True))
@@ -91,10 +88,12 @@ def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
 
 
 @pytest.mark.slow
-def test_csv_with_required_columns_only(against: Any, drive: Drive, tmp_path: Path) -> None:
+def test_csv_with_required_columns_only(against: Any, small_drive: Drive, tmp_path: Path) -> None:
     needed = ("class", "id", "frame", "distance_m", "x1", "y1", "x2", "y2")
     status, summary, printed, complaint = against(
-        rewritten(drive, tmp_path / "lidar.csv", lambda row: {name: row[name] for name in needed})
+        rewritten(
+            small_drive, tmp_path / "lidar.csv", lambda row: {name: row[name] for name in needed}
+        )
     )
     assert status == 0, complaint
     assert summary["methods"]["stereo"]["n"] > 10
@@ -103,10 +102,10 @@ def test_csv_with_required_columns_only(against: Any, drive: Drive, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> None:
-    _, plain, _, _ = against(drive.table)
+def test_truth_of_other_frames(against: Any, small_drive: Drive, tmp_path: Path) -> None:
+    _, plain, _, _ = against(small_drive.table)
     more = tmp_path / "more.csv"
-    rows = drive.table.read_text().splitlines()
+    rows = small_drive.table.read_text().splitlines()
     later = [f"{int(row.split(',', 1)[0]) + N_FRAMES},{row.split(',', 1)[1]}" for row in rows[1:]]
     more.write_text("\n".join([*rows, *later]) + "\n")
     _, longer, printed, _ = against(more)
@@ -135,10 +134,10 @@ def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> No
     ],
 )
 def test_invalid_truth(
-    against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str
+    against: Any, small_drive: Drive, tmp_path: Path, column: str, value: str, message: str
 ) -> None:
     status, _, _, complaint = against(
-        rewritten(drive, tmp_path / "bad.csv", lambda row: {**row, column: value})
+        rewritten(small_drive, tmp_path / "bad.csv", lambda row: {**row, column: value})
     )
     assert status == 1
     assert "bad.csv" in complaint
@@ -146,9 +145,11 @@ def test_invalid_truth(
     assert complaint.count("\n") == 1
 
 
-def test_truth_without_a_column_or_rows(against: Any, drive: Drive, tmp_path: Path) -> None:
+def test_truth_without_a_column_or_rows(against: Any, small_drive: Drive, tmp_path: Path) -> None:
     bad = rewritten(
-        drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"}
+        small_drive,
+        tmp_path / "bad.csv",
+        lambda row: {k: v for k, v in row.items() if k != "distance_m"},
     )
     for message in ("distance_m", "empty"):
         status, _, _, complaint = against(bad)
@@ -157,9 +158,13 @@ def test_truth_without_a_column_or_rows(against: Any, drive: Drive, tmp_path: Pa
         bad.write_text("")
 
 
-def test_hardly_visible_objects_do_not_count(drive: Drive, tmp_path: Path) -> None:
-    rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
-    faint = rewritten(drive, tmp_path / "faint.csv", lambda row: row | {"visible_share": "0.19"})
-    half = rewritten(drive, tmp_path / "half.csv", lambda row: row | {"visible_share": "0.21"})
+def test_hardly_visible_objects_do_not_count(small_drive: Drive, tmp_path: Path) -> None:
+    rig, _ = load_rig(small_drive.rig, size_px=(620, 188), is_grey=False)
+    faint = rewritten(
+        small_drive, tmp_path / "faint.csv", lambda row: row | {"visible_share": "0.19"}
+    )
+    half = rewritten(
+        small_drive, tmp_path / "half.csv", lambda row: row | {"visible_share": "0.21"}
+    )
     assert (read_truth(faint, rig.left, np.zeros(3)).class_id == -1).all()
     assert (read_truth(half, rig.left, np.zeros(3)).class_id >= 0).all()

@@ -208,7 +208,7 @@ def box_of(object_id, frame):
 
 
 @pytest.fixture
-def drive(tmp_path):
+def folders(tmp_path):
     """A drive of 4 s: objects 0, 1, 2 are tracks 11, 12, 13; a contact with 0 at 3 s, warnings on
     11 and 12."""
     run, drive = tmp_path / "run", tmp_path / "drive"
@@ -249,8 +249,8 @@ def evaluated(folder, **options):
     return tr.evaluate_events(folder / "run/events.csv", folder / "drive/contacts.csv", **options)
 
 
-def test_objects_by_boxes(drive):
-    figures = evaluated(drive)
+def test_objects_by_boxes(folders):
+    figures = evaluated(folders)
     assert counts(figures["overall"]) == (1, 0, 1)
     assert figures["overall"]["lead_s"] == [2.3]
     assert figures["overall"]["hours"] == pytest.approx(N_FRAMES / FPS / 3600, abs=1e-6)
@@ -260,8 +260,8 @@ def test_objects_by_boxes(drive):
     assert [row["track_id"] for row in figures["false_warnings"]] == [12]
 
 
-def test_closing_speeds_by_class(drive):
-    closing = evaluated(drive)["closing"]
+def test_closing_speeds_by_class(folders):
+    closing = evaluated(folders)["closing"]
     assert list(closing) == ["car", "truck", "tall vehicles"]
     assert closing["car"]["median_error_mps"] == pytest.approx(0.5)
     assert closing["truck"] == closing["tall vehicles"]
@@ -270,48 +270,50 @@ def test_closing_speeds_by_class(drive):
         f"{frame} 1 Van 0 0 0 {' '.join(f'{edge:g}' for edge in box_of(1, frame))} 2 2 5 0 1.7 20 0\n"
         for frame in range(N_FRAMES)
     ]
-    (drive / "drive/truth.txt").write_text("".join(labels))
-    assert evaluated(drive)["closing"]["tall vehicles"]["n"] == 2 * closing["truck"]["n"]
+    (folders / "drive/truth.txt").write_text("".join(labels))
+    assert evaluated(folders)["closing"]["tall vehicles"]["n"] == 2 * closing["truck"]["n"]
 
 
-def test_hours_of_the_summary(drive):
-    (drive / "run/summary.json").write_text(json.dumps({"events": {"hours": 0.5}, "starts_s": 0.0}))
-    assert evaluated(drive)["overall"]["false_alarms_per_hour"] == 2.0
-    assert evaluated(drive, hours=2.0)["overall"]["false_alarms_per_hour"] == 0.5
-    (drive / "run/summary.json").write_text("{")
-    figures = evaluated(drive)
+def test_hours_of_the_summary(folders):
+    (folders / "run/summary.json").write_text(
+        json.dumps({"events": {"hours": 0.5}, "starts_s": 0.0})
+    )
+    assert evaluated(folders)["overall"]["false_alarms_per_hour"] == 2.0
+    assert evaluated(folders, hours=2.0)["overall"]["false_alarms_per_hour"] == 0.5
+    (folders / "run/summary.json").write_text("{")
+    figures = evaluated(folders)
     assert figures["overall"]["hours"] == pytest.approx(N_FRAMES / FPS / 3600, abs=1e-6)
     assert "summary.json" in figures["notes"][0]
 
 
-def test_contacts_outside_the_processed_part(drive):
-    (drive / "drive/contacts.csv").write_text(
+def test_contacts_outside_the_processed_part(folders):
+    (folders / "drive/contacts.csv").write_text(
         f"{CONTACTS}0,car,3.0\n1,car,3.0\n2,truck,3.5\n2,truck,0.2\n"
     )
-    (drive / "run/summary.json").write_text(
+    (folders / "run/summary.json").write_text(
         json.dumps({"events": {"hours": 2 / 3600}, "starts_s": 0.5})
     )
-    figures = evaluated(drive)
+    figures = evaluated(folders)
     assert [row["object_id"] for row in figures["contacts"]] == [0, 1]  # with warnings
     assert counts(figures["overall"]) == (2, 0, 0)
     assert any(note.startswith("2 of 4 contacts") for note in figures["notes"])
 
 
-def test_options_and_folder(drive):
-    (drive / "run/tracks.csv").rename(drive / "rows.csv")
-    (drive / "drive/truth.csv").rename(drive / "labels.csv")
-    without = evaluated(drive)
+def test_options_and_folder(folders):
+    (folders / "run/tracks.csv").rename(folders / "rows.csv")
+    (folders / "drive/truth.csv").rename(folders / "labels.csv")
+    without = evaluated(folders)
     assert any("--tracks" in note for note in without["notes"])
     given = tr.evaluate_events(
-        drive / "run",
-        drive / "drive/contacts.csv",
-        tracks=drive / "rows.csv",
-        boxes=drive / "labels.csv",
+        folders / "run",
+        folders / "drive/contacts.csv",
+        tracks=folders / "rows.csv",
+        boxes=folders / "labels.csv",
     )
     assert counts(given["overall"]) == (1, 0, 1)
-    assert counts(evaluated(drive, min_lead_s=2.5)["overall"])[0] == 0
+    assert counts(evaluated(folders, min_lead_s=2.5)["overall"])[0] == 0
     with pytest.raises(UsageError, match=r"^hours: "):
-        evaluated(drive, hours=0)
+        evaluated(folders, hours=0)
 
 
 def test_only_the_two_files(tmp_path):
@@ -331,11 +333,11 @@ def test_only_the_two_files(tmp_path):
     assert any("--hours" in note for note in figures["notes"])
 
 
-def test_labelled_events_in_a_file(drive):
-    (drive / "labels.csv").write_text(
+def test_labelled_events_in_a_file(folders):
+    (folders / "labels.csv").write_text(
         "kind,start_s,end_s,class\nforward_collision,0.4,2.0,car\ncut_in,3,4,\n"
     )
-    figures = tr.evaluate_events(drive / "run/events.csv", drive / "labels.csv")
+    figures = tr.evaluate_events(folders / "run/events.csv", folders / "labels.csv")
     assert counts(figures["overall"]) == (1, 1, 1)
     assert "closing" not in figures
 
@@ -354,17 +356,17 @@ def test_files_without_rows(tmp_path):
     assert counts(tr.evaluate_events(events, events)["overall"]) == (0, 0, 0)
 
 
-def test_events_of_another_video(drive):
-    with (drive / "run/events.csv").open("a") as file:
+def test_events_of_another_video(folders):
+    with (folders / "run/events.csv").open("a") as file:
         file.write(
             events_text([event(start_s=99, warning_s=99.0, end_s=100)]).splitlines()[1] + "\n"
         )
-    assert any(note.startswith("1 of 3 events") for note in evaluated(drive)["notes"])
+    assert any(note.startswith("1 of 3 events") for note in evaluated(folders)["notes"])
 
 
-def test_labels_of_another_drive(drive):
-    (drive / "drive/contacts.csv").write_text(f"{CONTACTS}77,car,3.0\n")
-    figures = evaluated(drive)
+def test_labels_of_another_drive(folders):
+    (folders / "drive/contacts.csv").write_text(f"{CONTACTS}77,car,3.0\n")
+    figures = evaluated(folders)
     assert counts(figures["overall"]) == (0, 1, 2)
     assert any("77" in note for note in figures["notes"])
 
@@ -384,21 +386,21 @@ def test_labels_of_another_drive(drive):
         ("kind,start_s,end_s\ncrash,1,2\n", "kinds"),
     ],
 )
-def test_bad_truth(drive, content, word):
-    path = drive / "truth.csv"
+def test_bad_truth(folders, content, word):
+    path = folders / "truth.csv"
     path.write_text(content)
     with pytest.raises(EventFileError, match=rf"truth.csv.*{word}"):
-        tr.evaluate_events(drive / "run/events.csv", path)
+        tr.evaluate_events(folders / "run/events.csv", path)
 
 
-def test_events_without_warnings_column(drive):
-    (drive / "run/events.csv").write_text("kind,start_s,end_s\n")
+def test_events_without_warnings_column(folders):
+    (folders / "run/events.csv").write_text("kind,start_s,end_s\n")
     with pytest.raises(EventFileError, match="warning_s"):
-        evaluated(drive)
+        evaluated(folders)
     with pytest.raises(UserError, match="no such file"):
-        tr.evaluate_events(drive / "none.csv", drive / "drive/contacts.csv")
+        tr.evaluate_events(folders / "none.csv", folders / "drive/contacts.csv")
     with pytest.raises(UserError, match="no such file"):
-        tr.evaluate_events(drive / "run/events.csv", drive / "none.csv")
+        tr.evaluate_events(folders / "run/events.csv", folders / "none.csv")
 
 
 def test_contacts_of_a_file(tmp_path):
@@ -408,28 +410,28 @@ def test_contacts_of_a_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run/events.csv", "drive/contacts.csv"])
-def test_inputs_are_not_replaced(drive, name):
-    before = (drive / name).read_bytes()
+def test_inputs_are_not_replaced(folders, name):
+    before = (folders / name).read_bytes()
     done = run_command(
-        "evaluate", "events", "--events", drive / "run", "--truth", drive / "drive/contacts.csv", "--json",
-        drive / name,
+        "evaluate", "events", "--events", folders / "run", "--truth", folders / "drive/contacts.csv", "--json",
+        folders / name,
     )  # fmt: skip
     assert done.status != 0
     assert name in done.stderr
-    assert (drive / name).read_bytes() == before
+    assert (folders / name).read_bytes() == before
 
 
-def test_command(drive):
+def test_command(folders):
     done = run_command(
-        "evaluate", "events", "--events", drive / "run", "--truth", drive / "drive/contacts.csv", "--json",
-        drive / "scores.json",
+        "evaluate", "events", "--events", folders / "run", "--truth", folders / "drive/contacts.csv", "--json",
+        folders / "scores.json",
     )  # fmt: skip
     assert done.status == 0, done.stderr
-    figures = json.loads((drive / "scores.json").read_text())
+    figures = json.loads((folders / "scores.json").read_text())
     assert set(figures["overall"]) == {
         *("hits", "misses", "false_alarms", "hours", "false_alarms_per_hour", "lead_s")
     }
     assert figures["by_kind"]["forward_collision"] == figures["overall"]
     assert np.isfinite(figures["overall"]["lead_s"]).all()
     assert "forward_collision" in done.stdout
-    assert read_events(drive / "run/events.csv")[0].track_id == 11
+    assert read_events(folders / "run/events.csv")[0].track_id == 11

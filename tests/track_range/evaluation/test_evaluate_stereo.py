@@ -31,7 +31,7 @@ def evaluate(cli, folder, tmp_path, *more):
 
 
 @pytest.fixture(scope="module")
-def drive(render_drive):
+def four_frames(render_drive):
     """The folder of four small frames of a simulated drive."""
     return render_drive(seed=1, seconds=0.4).left.parent
 
@@ -118,8 +118,8 @@ def test_alignment_file_is_applied(cli, tmp_path):
     assert figures["alignment"]["offset_px"] == 1.0
 
 
-def test_simulated_drive(drive, cli, tmp_path):
-    figures, printed = evaluate(cli, drive, tmp_path, "--matcher", "patch")
+def test_simulated_drive(four_frames, cli, tmp_path):
+    figures, printed = evaluate(cli, four_frames, tmp_path, "--matcher", "patch")
     row = figures["matchers"]["patch"]
     assert figures["n_pairs"] == 4
     assert row["n"] == figures["n_objects"] >= 12
@@ -128,9 +128,9 @@ def test_simulated_drive(drive, cli, tmp_path):
     assert "bootstrap" in printed
 
 
-def test_objects_of_a_drive(drive):
-    pairs = list(read_drive(drive))
-    with (drive / "truth.csv").open(newline="") as file:
+def test_objects_of_a_drive(four_frames):
+    pairs = list(read_drive(four_frames))
+    with (four_frames / "truth.csv").open(newline="") as file:
         visible = [row for row in csv.DictReader(file) if float(row["visible_share"]) >= 0.5]
     assert 0 < sum(len(pair.true_px) for pair in pairs) <= len(visible)
     for number, pair in enumerate(pairs):
@@ -148,8 +148,8 @@ def test_objects_of_a_drive(drive):
         )
 
 
-def test_drive_with_kitti_labels_only(drive, tmp_path):
-    for file in drive.iterdir():
+def test_drive_with_kitti_labels_only(four_frames, tmp_path):
+    for file in four_frames.iterdir():
         if file.name != "truth.csv":
             (tmp_path / file.name).symlink_to(file)
     exact, boxed = (
@@ -160,7 +160,7 @@ def test_drive_with_kitti_labels_only(drive, tmp_path):
                 pair.track_id.tolist(), pair.rig.distance_m(pair.true_px).tolist(), strict=True
             )
         }
-        for folder in (drive, tmp_path)
+        for folder in (four_frames, tmp_path)
     )
     ratio = np.array([boxed[key] / exact[key] for key in exact.keys() & boxed.keys()])
     assert len(ratio) > 10
@@ -211,24 +211,26 @@ def test_wrong_usage(cli, tmp_path, options, word):
 
 
 @pytest.mark.slow
-def test_invalid_drives(drive, cli, tmp_path):
-    status, _, errors = cli("evaluate", "stereo", "--pairs", drive, "--align", "leave-two-out")
+def test_invalid_drives(four_frames, cli, tmp_path):
+    status, _, errors = cli(
+        "evaluate", "stereo", "--pairs", four_frames, "--align", "leave-two-out"
+    )
     assert (status, "single pairs" in errors) == (2, True)
     for missing, word in (("right.mp4", "no such file"), ("truth", "truth.csv")):
         folder = tmp_path / missing
         folder.mkdir()
-        for file in drive.iterdir():
+        for file in four_frames.iterdir():
             if missing not in (file.name, file.stem):
                 (folder / file.name).symlink_to(file)
         status, _, errors = cli("evaluate", "stereo", "--pairs", folder, "--matcher", "patch")
         assert (status, word in errors) == (1, True), errors
-    (tmp_path / "right.mp4/right.mp4").symlink_to(drive / "right.mp4")
+    (tmp_path / "right.mp4/right.mp4").symlink_to(four_frames / "right.mp4")
     (tmp_path / "right.mp4/rig.yaml").unlink()
     status, _, errors = cli(
         "evaluate", "stereo", "--pairs", tmp_path / "right.mp4", "--matcher", "patch"
     )
     assert (status, "--rig" in errors) == (1, True)
-    rig = drive / "rig.yaml"
+    rig = four_frames / "rig.yaml"
     figures, _ = evaluate(cli, tmp_path / "right.mp4", tmp_path, "--matcher", "patch", "--rig", rig)
     assert figures["n_pairs"] == 4
 

@@ -19,7 +19,7 @@ EGO_MPS, LEAD_MPS, N_FRAMES = 10.0, 6.0, 45
 
 
 @pytest.fixture
-def drive(tmp_path):
+def labels_calib_poses(tmp_path):
     """A parked car 3 m beside the path, and one ahead that drives at 6 m/s, from a camera at 10
     m/s, without turns."""
     for name in ("labels", "calib", "poses"):
@@ -36,8 +36,8 @@ def drive(tmp_path):
     return tmp_path / "labels", tmp_path / "calib", tmp_path / "poses"
 
 
-def test_true_motion_is_that_of_the_drive(drive):
-    truth = kitti_motion(*drive)
+def test_true_motion_is_that_of_the_drive(labels_calib_poses):
+    truth = kitti_motion(*labels_calib_poses)
     is_parked = truth.boxes.track_id == 1
     inner = (truth.boxes.frame >= 3) & (truth.boxes.frame < N_FRAMES - 3)
     assert (np.isfinite(truth.closing_mps) == inner).all()  # at least 0.3 s before and after
@@ -53,10 +53,10 @@ def test_true_motion_is_that_of_the_drive(drive):
     assert truth.duration_s == pytest.approx(N_FRAMES * FRAME_STEP_S)
 
 
-def test_yaw_of_the_camera_is_no_speed_of_objects(drive):
+def test_yaw_of_the_camera_is_no_speed_of_objects(labels_calib_poses):
     """The camera stands and turns to the right by 0.1 rad/s: a standing car moves in its frame, but
     not over ground."""
-    labels, calib, poses = drive
+    labels, calib, poses = labels_calib_poses
     angles = 0.1 * FRAME_STEP_S * np.arange(N_FRAMES)
     rows, pose = [], []
     for frame, a in enumerate(angles):
@@ -74,8 +74,8 @@ def test_yaw_of_the_camera_is_no_speed_of_objects(drive):
     assert truth.closing_mps[early] == pytest.approx(-0.1 * truth.boxes.x_m[early], abs=2e-3)
 
 
-def test_exact_boxes_give_the_true_motion(drive, cli, tmp_path):
-    labels, calib, poses = drive
+def test_exact_boxes_give_the_true_motion(labels_calib_poses, cli, tmp_path):
+    labels, calib, poses = labels_calib_poses
     arguments = (
         "--labels",
         labels,
@@ -109,11 +109,11 @@ def test_exact_boxes_give_the_true_motion(drive, cli, tmp_path):
     assert "Time to collision" in printed
 
 
-def test_look_ahead_answers_more(drive):
+def test_look_ahead_answers_more(labels_calib_poses):
     """With 2 px of noise: later frames give the first ones a closing speed, with smaller errors."""
     import track_range as tr
 
-    labels, calib, poses = drive
+    labels, calib, poses = labels_calib_poses
     # with seed 0, only the parked car is answered
     given = {"calib": calib, "poses": poses, "noise_px": 2.0, "seed": 1}
     bands = {
@@ -172,10 +172,10 @@ def test_errors_of_ttc_as_tsttc_defines_them():
     )
 
 
-def test_false_alarms_by_cause(drive):
+def test_false_alarms_by_cause(labels_calib_poses):
     """Alarms for the car ahead, and for the parked one beside the path, with right and with wrong
     distances."""
-    truth = kitti_motion(*drive)
+    truth = kitti_motion(*labels_calib_poses)
     boxes = truth.boxes
     true_m, closing = boxes.distance_m.copy(), truth.closing_mps.copy()
     nan = np.full(len(boxes), np.nan)
@@ -192,8 +192,8 @@ def test_false_alarms_by_cause(drive):
     assert motion_figures(truth, found)["warnings"]["by_cause"] == {"box error": 2, "scale": 1}
 
 
-def test_messages_name_the_option_and_the_file(drive, cli):
-    labels, calib, poses = drive
+def test_messages_name_the_option_and_the_file(labels_calib_poses, cli):
+    labels, calib, poses = labels_calib_poses
     status, _, error = cli("evaluate", "motion", "--labels", labels, "--calib", calib)
     assert status == 2
     assert "--poses" in error
@@ -205,10 +205,10 @@ def test_messages_name_the_option_and_the_file(drive, cli):
         kitti_motion(labels, calib, poses)
 
 
-def test_unknown_methods(drive):
+def test_unknown_methods(labels_calib_poses):
     import track_range as tr
 
-    labels, calib, poses = drive
+    labels, calib, poses = labels_calib_poses
     with pytest.raises(UsageError, match=r"stereo.*mono"):
         tr.evaluate_motion(labels, calib=calib, poses=poses, method="stereo")
 

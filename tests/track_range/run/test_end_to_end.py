@@ -43,15 +43,21 @@ def track_range(cli):
 
 
 @pytest.fixture(scope="session")
-def drive(render_drive):
+def simulated_drive(render_drive):
     return render_drive(seed=3, seconds=1.6)
 
 
 @pytest.fixture(scope="session")
-def simulated_run(drive, track_range, tmp_path_factory):
+def simulated_run(simulated_drive, track_range, tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "out"
-    stereo = ("--stereo", drive.left, drive.right, "--detections", drive.detections)
-    printed = track_range(*stereo, "--truth", drive.truth, "--align", "off", "--out", out)
+    stereo = (
+        "--stereo",
+        simulated_drive.left,
+        simulated_drive.right,
+        "--detections",
+        simulated_drive.detections,
+    )
+    printed = track_range(*stereo, "--truth", simulated_drive.truth, "--align", "off", "--out", out)
     return out, printed, json.loads((out / "summary.json").read_text())
 
 
@@ -111,13 +117,13 @@ def test_errors_on_the_exact_world(simulated_run):
 
 
 @pytest.mark.slow
-def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_path):
+def test_truth_is_not_read_by_methods(simulated_drive, simulated_run, track_range, tmp_path):
     """The same files without the truth, in a folder where there is none: every measurement stays
     the same."""
     names = ("left", "right", "rig", "detections", "ego_speed")
     for name in names:
-        shutil.copy(getattr(drive, name), tmp_path)
-    left, right, rig, boxes, _ = (tmp_path / getattr(drive, name).name for name in names)
+        shutil.copy(getattr(simulated_drive, name), tmp_path)
+    left, right, rig, boxes, _ = (tmp_path / getattr(simulated_drive, name).name for name in names)
     track_range(
         "--stereo",
         left,
@@ -142,17 +148,17 @@ def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_pat
 
 
 def test_what_happened_is_printed_and_tables_with_verbose(
-    simulated_run, drive, track_range, tmp_path
+    simulated_run, simulated_drive, track_range, tmp_path
 ):
     brief = simulated_run[1]
     inputs = (
         "--stereo",
-        drive.left,
-        drive.right,
+        simulated_drive.left,
+        simulated_drive.right,
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--truth",
-        drive.truth,
+        simulated_drive.truth,
     )
     verbose = track_range(
         *inputs,
@@ -190,10 +196,10 @@ def test_settings_repeat_the_run(simulated_run, track_range, tmp_path):
     assert not (tmp_path / "again" / "overlay.mp4").exists()
 
 
-def test_one_camera_with_classes_and_a_time_window(drive, track_range, tmp_path):
+def test_one_camera_with_classes_and_a_time_window(simulated_drive, track_range, tmp_path):
     options = (
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--classes",
         "car",
         "--start",
@@ -201,7 +207,7 @@ def test_one_camera_with_classes_and_a_time_window(drive, track_range, tmp_path)
         "--duration",
         "0.6",
     )
-    track_range("--mono", drive.left, *options, "--out", tmp_path / "out")
+    track_range("--mono", simulated_drive.left, *options, "--out", tmp_path / "out")
     columns = read_tracks_csv(tmp_path / "out" / "tracks.csv")
     assert set(columns["class"]) == {"car"}
     assert (columns["frame"].min(), columns["frame"].max()) == (5, 10)
@@ -212,13 +218,13 @@ def test_one_camera_with_classes_and_a_time_window(drive, track_range, tmp_path)
     assert summary["methods"]["mono"]["bias_pct"] is None
 
 
-def test_default_output_folder(drive, track_range, tmp_path):
+def test_default_output_folder(simulated_drive, track_range, tmp_path):
     stereo = (
         "--stereo",
-        drive.left,
-        drive.right,
+        simulated_drive.left,
+        simulated_drive.right,
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--no-sgbm",
         "--no-overlay",
     )
@@ -228,13 +234,13 @@ def test_default_output_folder(drive, track_range, tmp_path):
 
 
 @pytest.mark.slow
-def test_image_folder_equals_video(drive, track_range, tmp_path):
-    write_images(drive, tmp_path)
+def test_image_folder_equals_video(simulated_drive, track_range, tmp_path):
+    write_images(simulated_drive, tmp_path)
     options = (
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--rig",
-        drive.rig,
+        simulated_drive.rig,
         "--no-sgbm",
         "--no-overlay",
         "--align",
@@ -243,7 +249,14 @@ def test_image_folder_equals_video(drive, track_range, tmp_path):
     track_range(
         "--stereo", tmp_path / "left", tmp_path / "right", *options, "--out", tmp_path / "images"
     )
-    track_range("--stereo", drive.left, drive.right, *options, "--out", tmp_path / "video")
+    track_range(
+        "--stereo",
+        simulated_drive.left,
+        simulated_drive.right,
+        *options,
+        "--out",
+        tmp_path / "video",
+    )
     images, video = (
         read_tracks_csv(tmp_path / name / "tracks.csv") for name in ("images", "video")
     )
@@ -263,21 +276,24 @@ def write_images(drive, folder):
 
 
 @pytest.fixture(scope="session")
-def long_drive(drive, tmp_path_factory):
+def long_drive(simulated_drive, tmp_path_factory):
     """The images of the drive 60 times over, so that a run does not end before it is stopped, on a
     busy machine too."""
-    folder, n, n_rounds = tmp_path_factory.mktemp("long"), n_frames_of(drive.left), 60
-    write_images(drive, folder)
+    folder, n, n_rounds = tmp_path_factory.mktemp("long"), n_frames_of(simulated_drive.left), 60
+    write_images(simulated_drive, folder)
     for side in ("left", "right"):
         for number in range(n, n * n_rounds):
             os.link(folder / side / f"{number % n:06d}.png", folder / side / f"{number:06d}.png")
-    rows = [line.split(maxsplit=1) for line in drive.detections.read_text().splitlines()]
+    rows = [line.split(maxsplit=1) for line in simulated_drive.detections.read_text().splitlines()]
     shifted = [
         f"{int(frame) + n * turn} {rest}" for turn in range(n_rounds) for frame, rest in rows
     ]
     (folder / "detections.txt").write_text("\n".join(shifted))
     return replace(
-        drive, left=folder / "left", right=folder / "right", detections=folder / "detections.txt"
+        simulated_drive,
+        left=folder / "left",
+        right=folder / "right",
+        detections=folder / "detections.txt",
     )
 
 
@@ -481,25 +497,25 @@ def scaled_labels(truth, scale, n_rounds=10):
 
 
 @pytest.mark.slow
-def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
+def test_fitted_curves_in_a_run(simulated_drive, track_range, cli, tmp_path):
     """`fit` on labels, and runs with its curves: of a drive, and of one in which everything is 1.2
     times as large."""
     (tmp_path / "calib").mkdir()
-    (tmp_path / "calib/0000.txt").write_text(drive.rig.read_text())
+    (tmp_path / "calib/0000.txt").write_text(simulated_drive.rig.read_text())
     run = (
         "--mono",
-        drive.left,
+        simulated_drive.left,
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--truth",
-        drive.truth,
+        simulated_drive.truth,
         "--no-overlay",
     )
     distances_m = []
     for scale in (1.0, 1.2):
         labels = tmp_path / f"labels{scale}"
         labels.mkdir()
-        (labels / "0000.txt").write_text("\n".join(scaled_labels(drive.truth, scale)))
+        (labels / "0000.txt").write_text("\n".join(scaled_labels(simulated_drive.truth, scale)))
         fit = ("fit", "--labels", labels, "--calib", tmp_path / "calib", "--out")
         assert "car" in track_range(*fit, tmp_path / f"curves{scale}.json")
         track_range(
@@ -524,23 +540,23 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
 
 
 @pytest.mark.slow
-def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
+def test_boxes_of_a_raw_video_are_rectified(simulated_drive, track_range, tmp_path):
     """With lens distortion, boxes in pixels of the video are converted to undistorted pixels."""
-    rig = yaml.safe_load(drive.rig.read_text())
+    rig = yaml.safe_load(simulated_drive.rig.read_text())
     rig["left"]["distortion"] = [-0.3, 0.1, 0, 0, 0]
     (tmp_path / "lens.yaml").write_text(yaml.safe_dump(rig))
     run = (
         "--mono",
-        drive.left,
+        simulated_drive.left,
         "--detections",
-        drive.detections,
+        simulated_drive.detections,
         "--no-overlay",
         "--duration",
         "0.5",
         "--out",
     )
     track_range(*run, tmp_path / "raw", "--rig", tmp_path / "lens.yaml")
-    track_range(*run, tmp_path / "ideal", "--rig", drive.rig)
+    track_range(*run, tmp_path / "ideal", "--rig", simulated_drive.rig)
     raw, ideal = (
         read_tracks_csv(tmp_path / name / "tracks.csv")["x2_px"] for name in ("raw", "ideal")
     )
@@ -548,16 +564,16 @@ def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
     assert raw.max() > ideal.max() + 10
 
 
-def test_boxes_of_another_video(drive, track_range, tmp_path):
-    rows = [line.split(maxsplit=1) for line in drive.detections.read_text().splitlines()]
+def test_boxes_of_another_video(simulated_drive, track_range, tmp_path):
+    rows = [line.split(maxsplit=1) for line in simulated_drive.detections.read_text().splitlines()]
     (tmp_path / "late.txt").write_text(
         "\n".join(f"{int(frame) + 500} {rest}" for frame, rest in rows)
     )
     run = (
         "--mono",
-        drive.left,
+        simulated_drive.left,
         "--rig",
-        drive.rig,
+        simulated_drive.rig,
         "--detections",
         tmp_path / "late.txt",
         "--no-overlay",

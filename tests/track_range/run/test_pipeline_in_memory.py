@@ -43,7 +43,7 @@ def _without_telemetry(drive: Drive, folder: Path) -> Drive:
 
 
 @pytest.fixture(scope="module")
-def drive(render_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+def plain_drive(render_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """A drive of 1.2 s whose speed is not known."""
     return _without_telemetry(render_drive(), tmp_path_factory.mktemp("drive"))
 
@@ -68,20 +68,20 @@ def test_rows_are_those_of_a_run_with_the_same_alignment(long_drive: Drive) -> N
     assert pipeline.events() == events
 
 
-def test_mono_rows_are_those_of_a_run(drive: Drive) -> None:
+def test_mono_rows_are_those_of_a_run(plain_drive: Drive) -> None:
     options = {**OPTIONS, "camera_height_m": 1.65}
-    run = tr.Run.mono(drive.left, focal_px=360, **options)
+    run = tr.Run.mono(plain_drive.left, focal_px=360, **options)
     n_frames = len(list(run))
     with tr.Pipeline.mono(focal_px=360, **options) as pipeline:
-        results = [pipeline.step(left.image, left.time_s) for left, _ in images(drive)]
+        results = [pipeline.step(left.image, left.time_s) for left, _ in images(plain_drive)]
     assert len(results) == n_frames
     assert pipeline.to_arrow().equals(run.to_arrow())
     assert pipeline.alignment is None
 
 
-def test_frozen_right_camera_has_no_stereo(drive: Drive) -> None:
-    pairs = images(drive)
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+def test_frozen_right_camera_has_no_stereo(plain_drive: Drive) -> None:
+    pairs = images(plain_drive)
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
         for i, (left, right) in enumerate(pairs):
             image = right.image if i < 6 else pairs[5][1].image
             result = pipeline.step(left.image, image, left.time_s)
@@ -149,18 +149,24 @@ def test_automatic_alignment_is_unknown_first_and_then_that_of_a_run(long_drive:
     assert pipeline.alignment.measured.is_measured
 
 
-def test_rigs_in_memory(drive: Drive) -> None:
-    rig = tr.load_rig(drive.rig)
-    run = tr.Run.stereo(drive.left, drive.right, rig=rig, align="off", **OPTIONS)
+def test_rigs_in_memory(plain_drive: Drive) -> None:
+    rig = tr.load_rig(plain_drive.rig)
+    run = tr.Run.stereo(plain_drive.left, plain_drive.right, rig=rig, align="off", **OPTIONS)
     n_frames = len(list(run))
-    by_file = tr.Run.stereo(drive.left, drive.right, rig=drive.rig, align="off", **OPTIONS)
+    by_file = tr.Run.stereo(
+        plain_drive.left,
+        plain_drive.right,
+        rig=plain_drive.rig,
+        align="off",
+        **OPTIONS,
+    )
     assert len(list(by_file)) == n_frames
     assert run.to_arrow().equals(by_file.to_arrow())
     with tr.Pipeline.stereo(rig, align="off", **OPTIONS) as pipeline:
-        assert len(list(stepped(pipeline, drive))) == n_frames
+        assert len(list(stepped(pipeline, plain_drive))) == n_frames
     assert pipeline.to_arrow().equals(run.to_arrow())
     with tr.Pipeline.mono(rig=rig.left, **OPTIONS) as mono:
-        left, _ = images(drive)[0]
+        left, _ = images(plain_drive)[0]
         assert mono.step(left.image, 0.0).index == 0
 
 
@@ -176,11 +182,11 @@ BAD_FRAMES = {
 }
 
 
-def test_bad_frames_change_nothing(drive: Drive) -> None:
+def test_bad_frames_change_nothing(plain_drive: Drive) -> None:
     tables = []
     for bad in ((), BAD_FRAMES):
-        with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-            for left, right in images(drive):
+        with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
+            for left, right in images(plain_drive):
                 pipeline.step(left.image, right.image, left.time_s)
                 for name in bad if left.time_s > 0.05 else ():
                     one, other, time_s = BAD_FRAMES[name](left.image, right.image)
@@ -192,19 +198,19 @@ def test_bad_frames_change_nothing(drive: Drive) -> None:
     assert tables[0].equals(tables[1])
 
 
-def test_a_first_frame_that_does_not_fit_the_rig_is_refused(drive: Drive) -> None:
-    left, right = images(drive)[0]
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+def test_a_first_frame_that_does_not_fit_the_rig_is_refused(plain_drive: Drive) -> None:
+    left, right = images(plain_drive)[0]
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
         with pytest.raises(tr.RigError):
             pipeline.step(left.image[:, :300].copy(), right.image[:, :300].copy(), 0.0)
         assert pipeline.step(left.image, right.image, 0.0).index == 0
 
 
-def test_swapped_images_are_refused_every_time(drive: Drive) -> None:
+def test_swapped_images_are_refused_every_time(plain_drive: Drive) -> None:
     """From the frame on with which it is known: seven pairs that show motion are enough, here in
     1.1 s."""
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-        *first, last = images(drive)
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
+        *first, last = images(plain_drive)
         for left, right in first:
             result = pipeline.step(right.image, left.image, left.time_s)
             # the first pair looks wrong
@@ -217,10 +223,10 @@ def test_swapped_images_are_refused_every_time(drive: Drive) -> None:
         assert pipeline.to_arrow().num_rows == n_rows
 
 
-def test_a_closed_pipeline_takes_no_frame(drive: Drive) -> None:
-    left, right = images(drive)[0]
+def test_a_closed_pipeline_takes_no_frame(plain_drive: Drive) -> None:
+    left, right = images(plain_drive)[0]
     for n_before in (0, 1):
-        pipeline = tr.Pipeline.stereo(drive.rig, **OPTIONS)
+        pipeline = tr.Pipeline.stereo(plain_drive.rig, **OPTIONS)
         for index in range(n_before):
             pipeline.step(left.image, right.image, float(index))
         rows = pipeline.to_arrow()
@@ -231,11 +237,11 @@ def test_a_closed_pipeline_takes_no_frame(drive: Drive) -> None:
         assert pipeline.to_arrow().equals(rows)
 
 
-def test_options_are_checked(drive: Drive) -> None:
+def test_options_are_checked(plain_drive: Drive) -> None:
     with pytest.raises(tr.ConfigError, match=r"lane_width_m: .*1\.5"):
-        tr.Pipeline.stereo(drive.rig, lane_width_m=0.1)
+        tr.Pipeline.stereo(plain_drive.rig, lane_width_m=0.1)
     with pytest.raises(tr.ConfigError, match="unknown option"):
-        tr.Pipeline.stereo(drive.rig, out="here")  # type: ignore[call-arg]
+        tr.Pipeline.stereo(plain_drive.rig, out="here")  # type: ignore[call-arg]
     with pytest.raises(tr.ConfigError, match="either focal_px or rig"):
         tr.Pipeline.mono()
     with pytest.raises(tr.ConfigError, match=r"focal_px: .*positive"):
@@ -251,17 +257,17 @@ def test_options_are_checked(drive: Drive) -> None:
         with pytest.raises(tr.ConfigError, match=r"rig: expected"):
             tr.Pipeline.stereo(bad_rig)
     with pytest.raises(tr.ConfigError, match=r"align: expected"):
-        tr.Pipeline.stereo(drive.rig, align=5)
+        tr.Pipeline.stereo(plain_drive.rig, align=5)
     with pytest.raises(tr.RigError, match=r"missing\.yaml"):
         tr.Pipeline.stereo("missing.yaml")
     with pytest.raises(tr.RigError, match=r"missing\.yaml"):
-        tr.Pipeline.stereo(drive.rig, align="missing.yaml")
+        tr.Pipeline.stereo(plain_drive.rig, align="missing.yaml")
 
 
-def test_times_on_any_clock_and_grey_images(drive: Drive) -> None:
-    pairs = images(drive)
+def test_times_on_any_clock_and_grey_images(plain_drive: Drive) -> None:
+    pairs = images(plain_drive)
     epoch_s = 1.8e9
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
         grey = [np.asarray(left.image[:, :, 1]) for left, _ in pairs]
         results = [
             pipeline.step(image, right.image, epoch_s + left.time_s)
@@ -273,8 +279,8 @@ def test_times_on_any_clock_and_grey_images(drive: Drive) -> None:
     assert results[0].left.shape == pairs[0][0].image.shape
 
 
-def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
-    left, _ = images(drive)[0]
+def test_numbers_of_numpy_and_names_of_arguments(plain_drive: Drive) -> None:
+    left, _ = images(plain_drive)[0]
     with tr.Pipeline.mono(focal_px=np.float32(360), **OPTIONS) as pipeline:
         assert (
             pipeline.step(left.image, np.float64(0.0), ego_speed_mps=np.float32(10)).ego_mps == 10.0
@@ -293,9 +299,9 @@ def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
         assert pipeline.step(left.image, 0.2).index == 2
 
 
-def test_ways_to_call_step(drive: Drive) -> None:
-    left, right = (frame.image for frame in images(drive)[0])
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as stereo:
+def test_ways_to_call_step(plain_drive: Drive) -> None:
+    left, right = (frame.image for frame in images(plain_drive)[0])
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as stereo:
         assert stereo.step(left, right, 0.0).index == 0
         assert stereo.step(left, right, time_s=0.1, ego_speed_mps=5.0).index == 1
         assert stereo.step(left=left, right=right, time_s=0.2).index == 2
@@ -316,20 +322,20 @@ def test_ways_to_call_step(drive: Drive) -> None:
     assert tr.StereoPipeline is tr.MonoPipeline is tr.Pipeline
 
 
-def test_speed_of_each_step(drive: Drive) -> None:
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-        results = list(stepped(pipeline, drive, ego_speed_mps=10.25))
+def test_speed_of_each_step(plain_drive: Drive) -> None:
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
+        results = list(stepped(pipeline, plain_drive, ego_speed_mps=10.25))
     assert [result.ego_mps for result in results] == [10.25] * len(results)
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-        measured = [result.ego_mps for result in stepped(pipeline, drive)]
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
+        measured = [result.ego_mps for result in stepped(pipeline, plain_drive)]
     assert np.isfinite(measured[2:]).all()
     assert 10.25 not in measured
 
 
-def test_a_speed_in_another_unit_is_doubted_and_not_used(drive: Drive) -> None:
+def test_a_speed_in_another_unit_is_doubted_and_not_used(plain_drive: Drive) -> None:
     """36 km/h are 10 m/s, given as 36 m/s: the images show 10."""
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-        results = list(stepped(pipeline, drive, ego_speed_mps=36.0))
+    with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
+        results = list(stepped(pipeline, plain_drive, ego_speed_mps=36.0))
     doubt = results[-1].scale_doubt
     assert doubt is not None
     assert doubt.causes[0][0] == "speed"
@@ -337,19 +343,23 @@ def test_a_speed_in_another_unit_is_doubted_and_not_used(drive: Drive) -> None:
     assert results[-1].ego_mps == pytest.approx(10.0, rel=0.1)
 
 
-def test_a_rig_in_memory_is_written_beside_the_results(drive: Drive, tmp_path: Path) -> None:
+def test_a_rig_in_memory_is_written_beside_the_results(plain_drive: Drive, tmp_path: Path) -> None:
     options = {**OPTIONS, "align": "off", "overlay": False, "duration": 0.6}
     video = tmp_path / "videos/left.mp4"
     video.parent.mkdir()
-    shutil.copy(drive.left, video)  # no rig.yaml lies beside the copy
+    shutil.copy(plain_drive.left, video)  # no rig.yaml lies beside the copy
     run = tr.Run.stereo(
-        video, drive.right, rig=tr.load_rig(drive.rig), out=tmp_path / "out", **options
+        video,
+        plain_drive.right,
+        rig=tr.load_rig(plain_drive.rig),
+        out=tmp_path / "out",
+        **options,
     )
     list(run)
     assert tmp_path / "out/rig.yaml" in run.files
     settings = yaml.safe_load((tmp_path / "out/settings.yaml").read_text(encoding="utf-8"))["run"]
     assert settings["rig"] == str(tmp_path / "out/rig.yaml")
-    again = tr.Run.stereo(video, drive.right, rig=settings["rig"], **options)
+    again = tr.Run.stereo(video, plain_drive.right, rig=settings["rig"], **options)
     list(again)
     assert again.to_arrow().equals(run.to_arrow())
 
@@ -383,7 +393,7 @@ def test_rows_and_events_are_kept_for_a_time() -> None:
     assert pipeline.events() == ()
 
 
-def test_a_detector_that_fails_leaves_the_tracks_as_they_were(drive: Drive) -> None:
+def test_a_detector_that_fails_leaves_the_tracks_as_they_were(plain_drive: Drive) -> None:
     class Failing(OneCar):
         fails = False
 
@@ -391,9 +401,9 @@ def test_a_detector_that_fails_leaves_the_tracks_as_they_were(drive: Drive) -> N
             return None if self.fails else super().detect(image)
 
     detector = Failing()
-    left, right = images(drive)[0]
+    left, right = images(plain_drive)[0]
     with tr.Pipeline.stereo(
-        drive.rig, align="off", detector=detector, tracker=Nothing(), **OPTIONS
+        plain_drive.rig, align="off", detector=detector, tracker=Nothing(), **OPTIONS
     ) as pipeline:
         pipeline.step(left.image, right.image, 0.0)
         detector.fails = True
@@ -403,27 +413,33 @@ def test_a_detector_that_fails_leaves_the_tracks_as_they_were(drive: Drive) -> N
         assert pipeline.step(left.image, right.image, 0.1).index == 1
 
 
-def test_nothing_in_the_process_changes(drive: Drive) -> None:
+def test_nothing_in_the_process_changes(plain_drive: Drive) -> None:
     before = process_state()
-    with tr.Pipeline.stereo(drive.rig) as pipeline:
+    with tr.Pipeline.stereo(plain_drive.rig) as pipeline:
         assert process_state() == before
-        assert_unchanged_by(stepped(pipeline, drive))
+        assert_unchanged_by(stepped(pipeline, plain_drive))
     assert process_state() == before
 
 
 @pytest.mark.slow
-def test_alignment_files_and_objects(drive: Drive, tmp_path: Path) -> None:
+def test_alignment_files_and_objects(plain_drive: Drive, tmp_path: Path) -> None:
     file = tmp_path / "align.yaml"
     alignment = tr.load_alignment(_saved(file))
     sources: tuple[Any, ...] = (file, str(file), alignment)
     tables = []
     for align in sources:
-        with tr.Pipeline.stereo(drive.rig, align=align, **OPTIONS) as pipeline:
-            list(stepped(pipeline, drive))
+        with tr.Pipeline.stereo(plain_drive.rig, align=align, **OPTIONS) as pipeline:
+            list(stepped(pipeline, plain_drive))
         tables.append(pipeline.to_arrow())
         assert pipeline.alignment is not None
         assert pipeline.alignment.applied.offset_px == pytest.approx(0.4)
-    run = tr.Run.stereo(drive.left, drive.right, rig=drive.rig, align=file, **OPTIONS)
+    run = tr.Run.stereo(
+        plain_drive.left,
+        plain_drive.right,
+        rig=plain_drive.rig,
+        align=file,
+        **OPTIONS,
+    )
     list(run)
     assert all(table.equals(run.to_arrow()) for table in tables)
 

@@ -14,11 +14,6 @@ from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.rig_formats.reading import load_rig
 
 
-@pytest.fixture(scope="module")
-def drive(small_drive):
-    return small_drive
-
-
 @pytest.fixture
 def run(cli, tmp_path):
     """Run on a pair: columns of tracks.csv, summary.json, and the printed text."""
@@ -45,23 +40,25 @@ def pair(drive):
 
 
 @pytest.mark.slow
-def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
-    for video in (drive.left, drive.right):
+def test_pair_without_a_rig_is_scaled_by_sizes(small_drive, run, tmp_path):
+    for video in (small_drive.left, small_drive.right):
         shutil.copy(video, tmp_path / video.name)
     bare = (
         "--stereo",
         tmp_path / "left.mp4",
         tmp_path / "right.mp4",
         "--detections",
-        drive.detections,
+        small_drive.detections,
     )
-    columns, summary, printed = run(*bare, "--truth", drive.truth, "--disparity", "--no-overlay")
+    columns, summary, printed = run(
+        *bare, "--truth", small_drive.truth, "--disparity", "--no-overlay"
+    )
     assert summary["calibration"] == "estimated"
     assert "alignment" not in summary
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
     assert scale["n_tracks"] >= 5
     assert 0.1 < scale["relative_sigma"] < 0.35
-    rig, _ = load_rig(drive.rig, size_px=(620, 188))
+    rig, _ = load_rig(small_drive.rig, size_px=(620, 188))
     expected = rig.left.fx_px * rig.baseline_m
     assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(
         expected, rel=2 * scale["relative_sigma"]
@@ -96,13 +93,13 @@ def test_real_drives_without_their_rig(shared_data, run, tmp_path):
 
 
 @pytest.mark.slow
-def test_alignment_file_changes_every_distance(drive, run, tmp_path):
+def test_alignment_file_changes_every_distance(small_drive, run, tmp_path):
     save_alignment(
         Alignment(offset_px=2.0, residual_px=0.1, source="a test"), tmp_path / "align.yaml"
     )
-    plain, without, _ = run(*pair(drive), "--no-overlay", "--align", "off", name="off")
+    plain, without, _ = run(*pair(small_drive), "--no-overlay", "--align", "off", name="off")
     moved, with_file, printed = run(
-        *pair(drive), "--no-overlay", "--align", tmp_path / "align.yaml", name="file"
+        *pair(small_drive), "--no-overlay", "--align", tmp_path / "align.yaml", name="file"
     )
     assert (without["alignment"]["is_applied"], with_file["alignment"]["is_applied"]) == (
         False,
@@ -111,7 +108,7 @@ def test_alignment_file_changes_every_distance(drive, run, tmp_path):
     assert with_file["alignment"]["offset_px"] == 2.0
     assert "a test" in printed
     assert with_file["calibration"] == "rig"
-    rig, _ = load_rig(drive.rig, size_px=(620, 188))
+    rig, _ = load_rig(small_drive.rig, size_px=(620, 188))
     focal_baseline = rig.left.fx_px * rig.baseline_m
     for method in ("stereo_m", "sgbm_m"):
         both = np.isfinite(plain[method]) & np.isfinite(moved[method])
@@ -123,14 +120,14 @@ def test_alignment_file_changes_every_distance(drive, run, tmp_path):
 
 
 @pytest.mark.slow
-def test_disparity_video_with_options_from_a_file(drive, run, tmp_path):
+def test_disparity_video_with_options_from_a_file(small_drive, run, tmp_path):
     plain = {
         "track_range_settings": 1,
         "run": {"sgbm_options": {"mode": "sgbm", "block_size": 7}, "align": "off"},
     }
     (tmp_path / "dense.yaml").write_text(yaml.safe_dump(plain))
     _, summary, printed = run(
-        *pair(drive), "--settings", tmp_path / "dense.yaml", "--disparity", "--no-overlay"
+        *pair(small_drive), "--settings", tmp_path / "dense.yaml", "--disparity", "--no-overlay"
     )
     assert summary["files"] == {"disparity": "disparity.mp4"}
     assert "disparity.mp4, report.html" in printed

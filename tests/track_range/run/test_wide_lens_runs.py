@@ -21,7 +21,7 @@ LENS = PinholeCamera(260.0, 260.0, 319.5, 159.5, 640, 320, (0.01, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def wide_drive(tmp_path_factory):
     return write_drive(
         tmp_path_factory.mktemp("wide"), seed=5, seconds=1.0, rig=StereoRig.rectified(LENS, 0.54)
     )
@@ -38,18 +38,18 @@ def size_px(video):
 
 
 @pytest.mark.slow
-def test_stereo_run(cli, drive, tmp_path):
+def test_stereo_run(cli, wide_drive, tmp_path):
     options = (
         "--detections",
-        drive.detections,
+        wide_drive.detections,
         "--truth",
-        drive.table,
+        wide_drive.table,
         "--align",
         "off",
         "--no-sgbm",
     )
     outputs = ("--write", "csv,recorded", "--overlay-recorded", "--out", tmp_path)
-    status, printed, errors = cli("--stereo", drive.left, drive.right, *options, *outputs)
+    status, printed, errors = cli("--stereo", wide_drive.left, wide_drive.right, *options, *outputs)
     assert status == 0, errors
     assert "The lens sees 1" in printed
     assert size_px(tmp_path / "overlay.mp4") == (640, 320)
@@ -74,10 +74,17 @@ def test_stereo_run(cli, drive, tmp_path):
 
 
 @pytest.mark.slow
-def test_one_camera_with_a_field_of_view(cli, drive, tmp_path):
+def test_one_camera_with_a_field_of_view(cli, wide_drive, tmp_path):
     save_camera(LENS, tmp_path / "camera.yaml")
-    options = ("--rig", tmp_path / "camera.yaml", "--fov-deg", 80, "--detections", drive.detections)
-    status, printed, errors = cli("--mono", drive.left, *options, "--out", tmp_path / "run")
+    options = (
+        "--rig",
+        tmp_path / "camera.yaml",
+        "--fov-deg",
+        80,
+        "--detections",
+        wide_drive.detections,
+    )
+    status, printed, errors = cli("--mono", wide_drive.left, *options, "--out", tmp_path / "run")
     assert status == 0, errors
     assert "80 x" in printed
     camera = Undistorter(LENS, fov_deg=80).camera
@@ -85,7 +92,7 @@ def test_one_camera_with_a_field_of_view(cli, drive, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_views(cli, drive, tmp_path):
+def test_several_views(cli, wide_drive, tmp_path):
     save_camera(LENS, tmp_path / "camera.yaml")
     options = (
         "--rig",
@@ -93,12 +100,12 @@ def test_several_views(cli, drive, tmp_path):
         "--fov-deg",
         60,
         "--detections",
-        drive.detections,
+        wide_drive.detections,
         "--no-overlay",
     )
     out = tmp_path / "out"
     status, printed, errors = cli(
-        "--mono", drive.left, *options, "--views=40,-40,0", "--write", "csv", "--out", out
+        "--mono", wide_drive.left, *options, "--views=40,-40,0", "--write", "csv", "--out", out
     )
     assert status == 0, errors
     assert "views.csv" in printed
@@ -109,7 +116,7 @@ def test_several_views(cli, drive, tmp_path):
     assert [int(row["frame"]) for row in rows] == sorted(int(row["frame"]) for row in rows)
     n_single = sum(len(recorded_boxes(out / f"view{name}")) for name in ("-40", "+0", "+40"))
     assert len(rows) < n_single  # objects in two views have one row
-    with drive.table.open(newline="") as file:
+    with wide_drive.table.open(newline="") as file:
         truth = [row for row in csv.DictReader(file) if float(row["visible_share"]) > 0.8]
     undistorter = Undistorter(LENS)
     edges = np.array([[float(row[name]) for name in ("x1", "y1", "x2", "y2")] for row in truth])
@@ -137,7 +144,7 @@ def test_wrong_views(cli, small_drive, tmp_path, views):
 
 
 @pytest.mark.slow
-def test_impossible_direction_is_found_before_the_first_run(cli, drive, tmp_path):
+def test_impossible_direction_is_found_before_the_first_run(cli, wide_drive, tmp_path):
     save_camera(LENS, tmp_path / "camera.yaml")
     options = (
         "--rig",
@@ -145,15 +152,22 @@ def test_impossible_direction_is_found_before_the_first_run(cli, drive, tmp_path
         "--fov-deg",
         60,
         "--detections",
-        drive.detections,
+        wide_drive.detections,
         "--no-overlay",
     )
     out = tmp_path / "out"
-    status, _, errors = cli("--mono", drive.left, *options, "--views=0,115", "--out", out)
+    status, _, errors = cli("--mono", wide_drive.left, *options, "--views=0,115", "--out", out)
     assert (status, "--yaw-deg 115" in errors) == (1, True), errors
     assert not list(out.glob("view*"))
     status, _, errors = cli(
-        "--mono", drive.left, *options, "--views=0,40", "--table", tmp_path / "t.md", "--out", out
+        "--mono",
+        wide_drive.left,
+        *options,
+        "--views=0,40",
+        "--table",
+        tmp_path / "t.md",
+        "--out",
+        out,
     )
     assert (status, "--table" in errors) == (2, True), errors
 

@@ -24,7 +24,7 @@ SMALL = kitti_like_rig(width_px=310, height_px=94)
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def drive_and_calls(tmp_path_factory):
     calls = []
     folder = tmp_path_factory.mktemp("drive") / "new"
     written = write_drive(
@@ -37,13 +37,13 @@ def drive(tmp_path_factory):
     return written, calls
 
 
-def test_progress_counts_every_frame(drive):
-    assert drive[1] == [(1, 4), (2, 4), (3, 4), (4, 4)]
+def test_progress_counts_every_frame(drive_and_calls):
+    assert drive_and_calls[1] == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
-def test_videos_show_the_scene(drive):
+def test_videos_show_the_scene(drive_and_calls):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
-    for path, side in ((drive[0].left, "left"), (drive[0].right, "right")):
+    for path, side in ((drive_and_calls[0].left, "left"), (drive_and_calls[0].right, "right")):
         frames = list(open_video(path))
         np.testing.assert_allclose(
             [frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4
@@ -54,16 +54,16 @@ def test_videos_show_the_scene(drive):
         assert np.abs(image.mean(axis=2) - expected.mean(axis=2)).mean() < 3.0
 
 
-def test_rig_round_trip(drive):
-    rig, _ = load_rig(drive[0].rig, size_px=(310, 94))
+def test_rig_round_trip(drive_and_calls):
+    rig, _ = load_rig(drive_and_calls[0].rig, size_px=(310, 94))
     assert rig.left == SMALL.left
     assert rig.baseline_m == pytest.approx(0.54)
     assert rig.is_rectified
 
 
 @pytest.mark.slow
-def test_truth_round_trip(drive):
-    labels = read_kitti(drive[0].truth)
+def test_truth_round_trip(drive_and_calls):
+    labels = read_kitti(drive_and_calls[0].truth)
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     frames = [
         visible_objects(
@@ -83,31 +83,33 @@ def test_truth_round_trip(drive):
     assert set(labels.frame.tolist()) == {0, 1, 2, 3}
 
 
-def test_detections_round_trip(drive):
-    detections = read_kitti(drive[0].detections)
+def test_detections_round_trip(drive_and_calls):
+    detections = read_kitti(drive_and_calls[0].detections)
     assert len(detections) > 10
     assert np.isfinite(detections.score).all()
     assert not detections.has_3d_box.any()
-    words = drive[0].detections.read_text().split("\n")[0].split()
+    words = drive_and_calls[0].detections.read_text().split("\n")[0].split()
     assert words[3:6] == ["-1", "-1", "-10"]
     assert words[10:17] == ["-1", "-1", "-1", "-1000", "-1000", "-1000", "-10"]
 
 
 @pytest.mark.slow
-def test_same_seed_gives_the_same_bytes(drive, tmp_path):
+def test_same_seed_gives_the_same_bytes(drive_and_calls, tmp_path):
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
     for name in ("truth", "table", "ego_speed", "detections", "rig", "left", "right"):
-        assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes(), name
+        assert (
+            getattr(again, name).read_bytes() == getattr(drive_and_calls[0], name).read_bytes()
+        ), name
     other = label_scene(make_scene(4, seconds=0.4), [0.0], camera=SMALL.left)
-    assert kitti_text(other) not in drive[0].truth.read_text()
+    assert kitti_text(other) not in drive_and_calls[0].truth.read_text()
 
 
 @pytest.mark.slow
-def test_files_do_not_depend_on_the_number_of_threads(drive, tmp_path, monkeypatch):
+def test_files_do_not_depend_on_the_number_of_threads(drive_and_calls, tmp_path, monkeypatch):
     monkeypatch.setattr("track_range.simulation.drive.N_THREADS", 1 if N_THREADS > 1 else 3)
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
     for name in ("left", "right", "truth", "table"):
-        assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes()
+        assert getattr(again, name).read_bytes() == getattr(drive_and_calls[0], name).read_bytes()
 
 
 def test_alpha_is_heading_minus_bearing():
@@ -124,8 +126,8 @@ def test_alpha_is_heading_minus_bearing():
     assert np.abs(alpha).max() <= np.pi + 1e-6
 
 
-def test_ego_speed_round_trip(drive):
-    speed = open_ego_speed(str(drive[0].ego_speed))
+def test_ego_speed_round_trip(drive_and_calls):
+    speed = open_ego_speed(str(drive_and_calls[0].ego_speed))
     np.testing.assert_allclose(speed.time_s, [0.0, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(speed.speed_mps, 10.0)
 

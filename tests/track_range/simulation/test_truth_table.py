@@ -88,15 +88,15 @@ def test_ray_through_a_hole_is_replaced_by_the_nearest():
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def city_drive(tmp_path_factory):
     return write_drive(
         tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, scenario="city"
     )
 
 
 @pytest.fixture(scope="module")
-def rows(drive):
-    with drive.table.open(newline="") as file:
+def rows(city_drive):
+    with city_drive.table.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
@@ -145,10 +145,10 @@ def test_lanes_classes_and_ids(rows):
     assert len({(row["frame"], row["id"]) for row in rows}) == len(rows)
 
 
-def test_boxes_equal_those_of_the_kitti_file(drive, rows):
+def test_boxes_equal_those_of_the_kitti_file(city_drive, rows):
     kitti = {
         tuple(line.split()[:2]): [float(word) for word in line.split()[6:10]]
-        for line in drive.truth.read_text().splitlines()
+        for line in city_drive.truth.read_text().splitlines()
         if "DontCare" not in line
     }
     assert len(kitti) == len(rows)

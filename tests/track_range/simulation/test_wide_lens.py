@@ -90,14 +90,14 @@ def test_night_and_rain_are_seen_through_the_lens():
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def wide_drive(tmp_path_factory):
     return write_drive(tmp_path_factory.mktemp("wide"), seed=3, seconds=0.4, rig=RIG)
 
 
-def test_files_of_a_drive(drive):
-    rig, _ = load_rig(drive.rig, size_px=(320, 160))
+def test_files_of_a_drive(wide_drive):
+    rig, _ = load_rig(wide_drive.rig, size_px=(320, 160))
     assert rig.left == LENS
-    truth, detections = read_kitti(drive.truth), read_kitti(drive.detections)
+    truth, detections = read_kitti(wide_drive.truth), read_kitti(wide_drive.detections)
     pinhole = Undistorter(LENS).camera
     assert truth.xyxy_px[:, 2].max() <= pinhole.width_px - 1
     assert (detections.xyxy_px >= 0).all()

@@ -33,7 +33,7 @@ DATE = datetime.fromtimestamp(START_S, UTC).isoformat()
 
 
 @pytest.fixture
-def drive(tmp_path, film):
+def video(tmp_path, film):
     """A video of 3 s and recorded boxes."""
     (tmp_path / "in").mkdir()
     film(tmp_path / "in/drive.mp4", TIMES_S)
@@ -67,23 +67,23 @@ def run(cli, video, *options, out="out", succeeds=True):
     return summary, printed + errors, [row[column] for row in rows[1:]]
 
 
-def test_nothing_found(cli, drive):
-    summary, printed, speeds = run(cli, drive)
+def test_nothing_found(cli, video):
+    summary, printed, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
     assert "Ego speed" not in printed
-    without = run(cli, drive, "--ego-speed", "off", out="off")
+    without = run(cli, video, "--ego-speed", "off", out="off")
     assert without[2] == speeds
-    assert (drive.parents[1] / "out/tracks.csv").read_bytes() == (
-        drive.parents[1] / "off/tracks.csv"
+    assert (video.parents[1] / "out/tracks.csv").read_bytes() == (
+        video.parents[1] / "off/tracks.csv"
     ).read_bytes()
 
 
-def test_gpx_beside_the_video(cli, drive):
-    (drive.parent / "drive.gpx").write_text(
+def test_gpx_beside_the_video(cli, video):
+    (video.parent / "drive.gpx").write_text(
         gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
     )
-    summary, printed, speeds = run(cli, drive)
+    summary, printed, speeds = run(cli, video)
     assert summary["ego_speed"]["source"] == "drive.gpx"
     assert summary["ego_speed"]["median_mps"] == 8.0
     assert summary["ego_speed"]["coverage"] == 1.0
@@ -92,30 +92,30 @@ def test_gpx_beside_the_video(cli, drive):
     assert summary["ego_speed"]["offset_s"] is None
 
 
-def test_region_of_the_positions(cli, drive):
-    assert run(cli, drive, out="without")[0]["region"] == "unknown"
-    (drive.parent / "drive.gpx").write_text(
+def test_region_of_the_positions(cli, video):
+    assert run(cli, video, out="without")[0]["region"] == "unknown"
+    (video.parent / "drive.gpx").write_text(
         gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
     )
-    assert run(cli, drive, out="europe")[0]["region"] == "europe"
-    assert run(cli, drive, "--region", "east-asia", out="given")[0]["region"] == "east-asia"
-    assert run(cli, drive, "--region", "unknown", out="unknown")[0]["region"] == "unknown"
+    assert run(cli, video, out="europe")[0]["region"] == "europe"
+    assert run(cli, video, "--region", "east-asia", out="given")[0]["region"] == "east-asia"
+    assert run(cli, video, "--region", "unknown", out="unknown")[0]["region"] == "unknown"
 
 
-def test_order_of_preference(drive):
+def test_order_of_preference(video):
     def source():
-        with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
+        with closing(open_recording(video, focal_px=60, start_utc=DATE)) as recording:
             return open_speed("auto", recording).ego
 
-    (drive.parent / "drive.gpx").write_text(
+    (video.parent / "drive.gpx").write_text(
         gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
     )
-    (drive.parent / "drive.NMEA").write_text("\n".join(rmc(i, 10) for i in range(5)))
+    (video.parent / "drive.NMEA").write_text("\n".join(rmc(i, 10) for i in range(5)))
     assert source().source == "drive.gpx"
-    (drive.parent / "ego_speed.csv").write_text("time_s,speed_mps\n0,5\n10,5\n")
+    (video.parent / "ego_speed.csv").write_text("time_s,speed_mps\n0,5\n10,5\n")
     assert source().source == "ego_speed.csv"
-    (drive.parent / "ego_speed.csv").unlink()
-    (drive.parent / "drive.gpx").write_text("broken")
+    (video.parent / "ego_speed.csv").unlink()
+    (video.parent / "drive.gpx").write_text("broken")
     assert source().source == "drive.NMEA"
     assert source().at(1.0) == pytest.approx(5.144, abs=1e-3)
 
@@ -135,10 +135,10 @@ def test_order_of_preference(drive):
         ("ego_speed.csv", "frame,x\n0,1\n", "columns"),
     ],
 )
-def test_unusable_telemetry_is_a_note(drive, name, text, word):
-    path = drive.parent / name
+def test_unusable_telemetry_is_a_note(video, name, text, word):
+    path = video.parent / name
     path.write_text(text)
-    with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
+    with closing(open_recording(video, focal_px=60, start_utc=DATE)) as recording:
         source = open_speed("auto", recording)
         assert source.ego is None
         assert len(source.notes) == 1
@@ -149,13 +149,13 @@ def test_unusable_telemetry_is_a_note(drive, name, text, word):
             open_speed(str(path), recording)
 
 
-def test_unusable_telemetry_does_not_stop_a_run(cli, drive):
-    (drive.parent / "drive.gpx").write_text("not XML")
-    summary, printed, speeds = run(cli, drive)
+def test_unusable_telemetry_does_not_stop_a_run(cli, video):
+    (video.parent / "drive.gpx").write_text("not XML")
+    summary, printed, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
     assert "Telemetry is not used" in printed
-    errors = run(cli, drive, "--ego-speed", drive.parent / "drive.gpx", succeeds=False)
+    errors = run(cli, video, "--ego-speed", video.parent / "drive.gpx", succeeds=False)
     assert "drive.gpx" in errors
     assert "Traceback" not in errors
 
@@ -183,32 +183,32 @@ def texts_of(folder: Path) -> str:
     )
 
 
-def test_positions_only_if_requested(cli, drive):
-    (drive.parent / "drive.gpx").write_text(
+def test_positions_only_if_requested(cli, video):
+    (video.parent / "drive.gpx").write_text(
         gpx_text([8.0] * 10, start_s=START_S - 2, field="speed")
     )
-    run(cli, drive, "--write", "csv,mot,parquet,kitti", out="plain")
-    shown = texts_of(drive.parents[1] / "plain")
-    assert not (drive.parents[1] / "plain/telemetry.csv").exists()
+    run(cli, video, "--write", "csv,mot,parquet,kitti", out="plain")
+    shown = texts_of(video.parents[1] / "plain")
+    assert not (video.parents[1] / "plain/telemetry.csv").exists()
     for position in (f"{LATITUDE:.3f}", f"{LONGITUDE:.3f}", "latitude", "longitude"):
         assert position not in shown
-    run(cli, drive, "--keep-gps", out="kept")
-    lines = (drive.parents[1] / "kept/telemetry.csv").read_text().splitlines()
+    run(cli, video, "--keep-gps", out="kept")
+    lines = (video.parents[1] / "kept/telemetry.csv").read_text().splitlines()
     assert lines[0] == "time_s,latitude_deg,longitude_deg,speed_mps,course_deg"
     assert [float(line.split(",")[0]) for line in lines[1:]] == [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0]
     assert lines[1].split(",")[2] == f"{LONGITUDE:.7f}"
-    run(cli, drive, out="kept")
-    assert not (drive.parents[1] / "kept/telemetry.csv").exists()
+    run(cli, video, out="kept")
+    assert not (video.parents[1] / "kept/telemetry.csv").exists()
 
 
-def test_positions_without_telemetry(cli, drive):
-    summary, _, _ = run(cli, drive, "--keep-gps")
+def test_positions_without_telemetry(cli, video):
+    summary, _, _ = run(cli, video, "--keep-gps")
     assert any("--keep-gps" in note for note in summary["notes"])
-    assert not (drive.parents[1] / "out/telemetry.csv").exists()
+    assert not (video.parents[1] / "out/telemetry.csv").exists()
 
 
-def test_positions_and_anonymization(cli, drive):
-    status, _, errors = cli("--mono", drive, "--keep-gps", "--anonymize")
+def test_positions_and_anonymization(cli, video):
+    status, _, errors = cli("--mono", video, "--keep-gps", "--anonymize")
     assert status == 2
     assert "--keep-gps" in errors
 
@@ -220,11 +220,11 @@ def test_missing_package(monkeypatch, tmp_path):
         read_sidecar(tmp_path / "a.nmea", "a.mp4", 0.0)
 
 
-def test_telemetry_belongs_to_a_clip_of_a_fleet(drive):
-    clip = Clip("a", str(drive))
+def test_telemetry_belongs_to_a_clip_of_a_fleet(video):
+    clip = Clip("a", str(video))
     assert set(clip.files()) == {"left"}
-    (drive.parent / "drive.gpx").write_text("")
-    (drive.parent / "ego_speed.csv").write_text("")
+    (video.parent / "drive.gpx").write_text("")
+    (video.parent / "ego_speed.csv").write_text("")
     files = clip.files()
     assert [Path(files[f"telemetry_{i}"]).name for i in range(2)] == ["ego_speed.csv", "drive.gpx"]
-    assert set(Clip("a", str(drive), settings={"ego_speed": "off"}).files()) == {"left"}
+    assert set(Clip("a", str(video), settings={"ego_speed": "off"}).files()) == {"left"}
