@@ -28,7 +28,8 @@ from track_range.detection.formats.tables.table_checks import (
     other_labels_note,
 )
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.detection.formats.video_labels.mot import mot_rows, read_number_rows
+from track_range.detection.formats.video_labels.mot import mot_rows
+from track_range.detection.formats.video_labels.number_rows import read_number_rows
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.array_files import read_array
 from track_range.foundation.files.csv_tables import read_csv_table

@@ -16,7 +16,7 @@ from track_range.detection.formats.video_labels import text_tables
 from track_range.detection.formats.video_labels.coco import read_coco, write_coco
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
-from track_range.detection.formats.video_labels.mot import is_number_row
+from track_range.detection.formats.video_labels.number_rows import is_number_row
 from track_range.detection.formats.video_labels.tool_labels import LAYOUTS, read_layout, start_of
 from track_range.detection.formats.video_labels.yolo_tracks import (
     is_yolo_folder,

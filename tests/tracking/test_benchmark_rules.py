@@ -80,9 +80,7 @@ def mot(*rows):
     mot_class, x, score = (np.array(column, float) for column in zip(*rows, strict=True))
     zero = np.zeros(n)
     boxes = np.stack([x, zero, x + 40, zero + 40], axis=1)
-    return MotRows(
-        np.zeros(n, np.int64), np.arange(n), boxes, score, mot_class.astype(np.int64), np.ones(n)
-    )
+    return MotRows(np.zeros(n, np.int64), np.arange(n), boxes, score, mot_class.astype(np.int64))
 
 
 def test_mot17_by_hand():

@@ -97,4 +97,4 @@ def rows_of(
 ) -> MotRows:
     n = len(frame)
     ids = (np.asarray(column, np.int64) for column in (frame, track_id))
-    return MotRows(*ids, xyxy_px, score, np.zeros(n, np.int64), np.full(n, np.nan))
+    return MotRows(*ids, xyxy_px, score, np.zeros(n, np.int64))

@@ -56,7 +56,6 @@ def test_ground_truth_of_mot16(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows.xyxy_px[0], [3.0, 0.0, 6.0, 10.0])
     assert rows.score.tolist() == [1.0, 0.0]
     assert rows.mot_class.tolist() == [1, 7]
-    assert rows.visibility.tolist() == [0.25, 1.0]
 
 
 def test_mot15_world_coordinates_are_not_a_class(tmp_path: Path) -> None:
@@ -64,7 +63,6 @@ def test_mot15_world_coordinates_are_not_a_class(tmp_path: Path) -> None:
     path.write_text("1,1,212,204,20,57,0,-3.1784,16.34,0.45739\n")
     rows = read_mot(path)
     assert rows.mot_class.tolist() == [0]
-    assert np.isnan(rows.visibility).all()
 
 
 def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
@@ -113,7 +111,7 @@ def test_files_that_are_not_text(tmp_path: Path) -> None:
 def test_columns_of_different_lengths() -> None:
     ids = np.zeros(2, np.int64)
     with pytest.raises(ValueError, match=r"score.*shape"):
-        MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))
+        MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids)
 
 
 # -- layouts that look alike
