@@ -11,7 +11,6 @@ import pytest
 
 from tests.support.command_line import Finished, run_command
 from tests.support.drive_cache import DriveCache
-from track_range.ranging import registry
 from track_range.simulation.drive import Drive
 
 pytest_plugins = ["tests.tiers"]
@@ -66,7 +65,7 @@ def small_drive(render_drive: Callable[..., Drive]) -> Drive:
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Path]]:
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
     """Installs a package with entry points, and gives the folder of its metadata.
 
     `install("track_range.trackers", greedy="tests.toys.toy_tracker:GreedyIouTracker")`
@@ -74,7 +73,6 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     folder = tmp_path / "site-packages"
     folder.mkdir()
     monkeypatch.syspath_prepend(str(folder))
-    registry._installed.cache_clear()  # ranging methods are those of the start of the process
 
     def installed(group: str, **entry_points: str) -> Path:
         name = f"package{len(list(folder.iterdir()))}"
@@ -85,5 +83,4 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
         return info
 
-    yield installed
-    registry._installed.cache_clear()
+    return installed

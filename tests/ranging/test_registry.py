@@ -166,6 +166,6 @@ def test_entry_points(install, monkeypatch, tmp_path):
     install("track_range.ranging_methods", **targets)
     assert names(registry.methods())[6:] == ["radar", "sonar"]
     assert registry.origins()["radar"] == "radar_package:RADAR (package0 1.0)"
-    notes = registry.method_notes()
+    notes = registry.METHODS.notes
     assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "typo", "unknown"]
     assert all("\n" not in note for note in notes)

@@ -20,7 +20,7 @@ from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
-from track_range.ranging.registry import create_rangers, method_notes
+from track_range.ranging.registry import METHODS, create_rangers
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -119,7 +119,7 @@ def open_pipeline(
         ),
         world=WorldStage(camera),
         alarming=AlarmStage(camera, warning),
-        notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
+        notes=(*appearance_notes, *METHODS.notes, *(() if is_ahead else (_SIDE_VIEW,))),
     )
 
 
