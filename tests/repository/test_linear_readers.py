@@ -26,8 +26,9 @@ from tests.repository.patterns import (
 from tests.track_range.recording.telemetry.mp4_files import MadeTrack, box, mp4
 from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, read_labels
+from track_range.detection.formats.label_formats import LABEL_FORMATS, read_labels
 from track_range.detection.formats.tables.box_table import VideoFacts
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.yolo.metadata import ModelOptions, read_metadata
 from track_range.fleet.inputs.manifest import manifest_clips
@@ -167,7 +168,7 @@ READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module
     },
     **{
         f"labels {form.name}": (partial(of_labels, form), ".txt", own_module(form.read))
-        for form in LABEL_FORMATS.values()
+        for form in LABEL_FORMATS.usable.values()
     },
     **{
         f"sidecar {number} {sidecar.suffixes[0]}": (

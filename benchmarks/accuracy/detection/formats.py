@@ -18,8 +18,9 @@ import numpy as np
 
 from benchmarks.harness import Figures, option, workload
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat
+from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.tables.label_format import LabelFormat
 
 _N_TRACKS = 10
 _SIZE_PX = (1242, 375)
@@ -31,7 +32,7 @@ def formats(options: Namespace) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         return {
             name: _figures(table, label_format, Path(folder) / name)
-            for name, label_format in LABEL_FORMATS.items()
+            for name, label_format in LABEL_FORMATS.usable.items()
             if label_format.write is not None
         }
 

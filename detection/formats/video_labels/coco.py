@@ -34,6 +34,7 @@ from track_range.detection.formats.tables.box_table import (
     image_name,
 )
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_DISTANCE_M,
@@ -414,3 +415,15 @@ def _lines(items: Iterable[_Object]) -> Iterator[str]:
 
 def _json(value: object) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+COCO = LabelFormat(
+    name="coco",
+    title="COCO",
+    recognises=lambda start: start.first.startswith(("{", "[")),
+    priority=-10,  # any JSON
+    read=read_coco,
+    write=write_coco,
+    is_general=True,
+    precision_px=0.0005,
+)

@@ -40,6 +40,7 @@ from track_range.detection.formats.tables.box_table import (
     frames_listed,
 )
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_DISTANCE_M,
@@ -481,3 +482,15 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
 
 def _text(text: str) -> str:
     return escape(_NOT_XML.sub("?", text))
+
+
+CVAT = LabelFormat(
+    name="cvat",
+    title="CVAT for video 1.1",
+    recognises=lambda start: start.first.startswith("<"),
+    priority=-10,  # any XML
+    read=read_cvat,
+    write=write_cvat,
+    is_general=True,
+    precision_px=0.0005,
+)

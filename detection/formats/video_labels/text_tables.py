@@ -9,15 +9,24 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts, Written
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import (
+    PARQUET_MARK,
+    LabelFormat,
+    LabelStart,
+)
 from track_range.detection.formats.tables.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
 from track_range.detection.formats.tables.table_checks import (
     check_identities,
     ignored_note,
     omitted_regions_note,
 )
-from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, read_csv_labels
+from track_range.detection.formats.video_labels.csv_labels import (
+    DONT_CARE,
+    has_label_columns,
+    read_csv_labels,
+)
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
-from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
+from track_range.detection.formats.video_labels.mot import is_number_row, mot_lines, read_mot
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
@@ -210,3 +219,52 @@ def _write_frames(
             frames.tolist(), np.split(np.arange(len(table)), starts[1:]), strict=False
         ):
             file.writelines(lines_of(table.select(rows), frame))
+
+
+def _is_kitti(start: LabelStart) -> bool:
+    is_number = start.first != "" and is_number_row(start.first)
+    return "," not in start.first and not is_number
+
+
+MOT = LabelFormat(
+    name="mot",
+    title="MOTChallenge",
+    recognises=lambda start: True,
+    priority=-40,
+    read=read_mot_table,
+    write=write_mot_table,
+    has_classes=False,
+    precision_px=0.01,
+)
+KITTI = LabelFormat(
+    name="kitti",
+    title="KITTI",
+    recognises=_is_kitti,
+    priority=-30,
+    read=read_kitti_table,
+    write=write_kitti_table,
+    precision_px=0.005,
+)
+TRACKS = LabelFormat(
+    name="tracks",
+    title="a tracks.csv",
+    recognises=lambda start: start.first.startswith("frame,time_s,"),
+    priority=-20,
+    read=read_tracks_table,
+    is_of_run=True,
+)
+CSV = LabelFormat(
+    name="csv",
+    title="a CSV of labels",
+    recognises=lambda start: "," in start.first and has_label_columns(start.path),
+    priority=-10,
+    read=read_csv_table_of_labels,
+)
+PARQUET = LabelFormat(
+    name="parquet",
+    title="a tracks.parquet",
+    recognises=lambda start: start.first.startswith(PARQUET_MARK),
+    read=read_parquet_table,
+    is_general=True,
+    is_of_run=True,
+)

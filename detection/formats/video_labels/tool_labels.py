@@ -29,6 +29,12 @@ from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.formats.tables import table_checks
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import (
+    START_BYTES,
+    LabelFormat,
+    LabelStart,
+    label_files,
+)
 from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
     MAX_FRAME,
@@ -44,9 +50,6 @@ from track_range.foundation.files.xml_events import parse_xml
 _MAX_BYTES = 250_000_000  # of a file
 _MAX_BOXES = 2_000_000  # also of interpolated ones
 _MAX_FILES = 200_000  # of a folder with one for each image
-_START_BYTES = 65_536
-# in which tools put one file for each image
-_FOLDERS = ("", "ann", "Annotations", "annotations", "labels")
 _FRAME_NAMES = (
     "frame",
     "frame_index",
@@ -396,43 +399,6 @@ LAYOUTS: Mapping[str, Layout] = {
 """Layouts by name; their order has no meaning, since at most one layout fits a file."""
 
 
-def start_of(path: Path) -> str:
-    """The first 64 kB of a file, or of the first file in a folder with one file for each image; ""
-    if there is none.
-    """
-    files = label_files(path) if path.is_dir() else [path]
-    if not files:
-        return ""
-    with (
-        open_regular(files[0], LabelFileError, "labels") as file,
-        readable(files[0], LabelFileError),
-    ):
-        return file.read(_START_BYTES).decode("utf-8-sig", errors="replace")
-
-
-def label_files(folder: Path) -> list[Path]:
-    """The JSON or XML files of a folder, or of its subfolder for annotations, sorted by name."""
-    for name in _FOLDERS:
-        with readable(folder, LabelFileError):
-            inside = folder / name
-            entries = sorted(inside.iterdir()) if inside.is_dir() else []
-        files = [
-            file
-            for file in entries
-            if file.suffix in (".json", ".xml") and file.name != "meta.json"
-        ]
-        if files:
-            return files
-    return []
-
-
-def read_layout(name: str) -> Callable[[Path, VideoFacts], BoxTable]:
-    """Reader of a layout. It raises LabelFileError if a file cannot be read, is invalid or is too
-    large.
-    """
-    return lambda path, video: _read(path, LAYOUTS[name], video)
-
-
 def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
     is_folder = path.is_dir()
     files = label_files(path) if is_folder else [path]
@@ -508,7 +474,7 @@ def _content(file: Path, title: str) -> Any:
         open_regular(file, LabelFileError, f"labels of {title}") as opened,
         readable(file, LabelFileError),
     ):
-        first = opened.read(_START_BYTES).decode("utf-8-sig", errors="replace").lstrip()[:1]
+        first = opened.read(START_BYTES).decode("utf-8-sig", errors="replace").lstrip()[:1]
     if first in ("{", "["):
         return read_json(file, LabelFileError, f"labels of {title}", max_bytes=_MAX_BYTES)
     if first == "<":
@@ -606,3 +572,21 @@ def _size_px(size: tuple[object, object] | None) -> tuple[int, int] | None:
         math.isfinite(side) and 1 <= side <= MAX_SIDE_PX for side in sides
     )
     return (int(sides[0]), int(sides[1])) if is_size else None
+
+
+def _format(name: str, layout: Layout) -> LabelFormat:
+    def recognises(start: LabelStart) -> bool:
+        is_possible = layout.is_folder or not start.is_folder
+        return is_possible and layout.mark.match(start.text) is not None
+
+    return LabelFormat(
+        name=name,
+        title=layout.title,
+        recognises=recognises,
+        read=lambda path, video: _read(path, layout, video),
+        is_general=True,
+        is_folder=layout.is_folder,
+    )
+
+
+FORMATS = tuple(_format(name, layout) for name, layout in LAYOUTS.items())

@@ -34,6 +34,7 @@ from track_range.detection.formats.tables.box_table import (
 )
 from track_range.detection.formats.tables.class_names import names_for_folder
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.detection.formats.tables.limits import MAX_FRAME, MAX_ID, MAX_SIDE_PX
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.images import IMAGE_SUFFIXES, header_size_px
@@ -329,3 +330,15 @@ def write_yolo(table: BoxTable, path: Path) -> Written:
     n_outside = int((~is_visible & ~table.is_region).sum())
     notes = (f"Boxes outside the image are not written: {n_outside}.",) if n_outside else ()
     return Written(len(written), (*notes, *table_checks.omitted_regions_note(table)))
+
+
+YOLO = LabelFormat(
+    name="yolo",
+    title="YOLO",
+    recognises=lambda start: start.is_folder and is_yolo_folder(start.path),
+    priority=-10,  # any folder of texts with numbers
+    read=read_yolo_folder,
+    write=write_yolo,
+    is_general=True,
+    is_folder=True,
+)

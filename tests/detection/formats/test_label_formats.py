@@ -17,7 +17,9 @@ from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.titles import GENERAL_TITLES, READ_TITLES
 
 VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)
-WRITTEN = [name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None]
+WRITTEN = [
+    name for name, label_format in LABEL_FORMATS.usable.items() if label_format.write is not None
+]
 YOLO_PX = 2e-5
 """Largest error of an edge in YOLO labels of 8 decimals, for an image of 1242 px."""
 
@@ -52,7 +54,7 @@ def tables(draw: st.DrawFn) -> BoxTable:
 
 def written(table: BoxTable, name: str, folder: Path) -> BoxTable:
     """A table that was written in a format and read again."""
-    label_format = LABEL_FORMATS[name]
+    label_format = LABEL_FORMATS.usable[name]
     path = folder / f"{name}{len(list(folder.iterdir()))}"
     assert label_format.write is not None
     label_format.write(table, path)
@@ -76,7 +78,7 @@ def test_pairs_of_formats_and_back(
     used = {first, second}
     table, back = by_box(table), by_box(back)
     np.testing.assert_array_equal(back.frame, table.frame)
-    error_px = sum(LABEL_FORMATS[name].precision_px or YOLO_PX for name in (first, second))
+    error_px = sum(LABEL_FORMATS.usable[name].precision_px or YOLO_PX for name in (first, second))
     np.testing.assert_allclose(back.xyxy_px, table.xyxy_px, rtol=0, atol=error_px + 1e-9)
     if "mot" not in used:
         np.testing.assert_array_equal(back.class_id, table.class_id)
@@ -97,7 +99,7 @@ def test_second_write_is_the_same_file(
 ) -> None:
     for name in ("mot", "kitti", "coco", "cvat"):
         folder = tmp_path_factory.mktemp(name)
-        label_format = LABEL_FORMATS[name]
+        label_format = LABEL_FORMATS.usable[name]
         assert label_format.write is not None
         label_format.write(table, folder / "first")
         label_format.write(label_format.read(folder / "first", VIDEO), folder / "second")
@@ -107,7 +109,7 @@ def test_second_write_is_the_same_file(
 @pytest.mark.parametrize("name", WRITTEN)
 def test_no_boxes(tmp_path: Path, name: str) -> None:
     empty = BoxTable.of([], [], [], [], video=VIDEO)
-    label_format = LABEL_FORMATS[name]
+    label_format = LABEL_FORMATS.usable[name]
     assert label_format.write is not None
     assert label_format.write(empty, tmp_path / "empty") == (0, ())
     if name in ("mot", "kitti"):
@@ -123,8 +125,8 @@ def test_pycocotools_reads_an_export(tmp_path: Path) -> None:
     coco = pytest.importorskip("pycocotools.coco")
     boxes = [[9.5, 19.5, 29.5, 39.5], [0.5, 1.5, 3.5, 9.5]]
     table = BoxTable.of([0, 3], [1, 2], ["car", "bus"], boxes, score=[0.5, 0.25], video=VIDEO)
-    assert LABEL_FORMATS["coco"].write is not None
-    LABEL_FORMATS["coco"].write(table, tmp_path / "labels.json")
+    assert LABEL_FORMATS.usable["coco"].write is not None
+    LABEL_FORMATS.usable["coco"].write(table, tmp_path / "labels.json")
     data = coco.COCO(str(tmp_path / "labels.json"))
     assert len(data.getImgIds()) == 40
     (image_id,) = data.getImgIds(catIds=data.getCatIds(catNms=["bus"]))
@@ -168,7 +170,7 @@ def test_regions(tmp_path: Path, name: str) -> None:
     table = BoxTable.of(
         [0, 0], [5, -1], ["car", "person"], boxes, is_region=[False, True], video=VIDEO
     )
-    label_format = LABEL_FORMATS[name]
+    label_format = LABEL_FORMATS.usable[name]
     assert label_format.write is not None
     n_written, notes = label_format.write(table, tmp_path / "out")
     back = read_labels(tmp_path / "out", VIDEO)
@@ -185,8 +187,8 @@ def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
     )
     folder = tmp_path / "a/b/c"
     folder.mkdir(parents=True)
-    assert LABEL_FORMATS["yolo"].write is not None
-    LABEL_FORMATS["yolo"].write(table, folder / "yolo")
+    assert LABEL_FORMATS.usable["yolo"].write is not None
+    LABEL_FORMATS.usable["yolo"].write(table, folder / "yolo")
     files = [file for file in tmp_path.rglob("*") if file.is_file()]
     assert {file.parent for file in files} == {folder / "yolo", folder / "yolo/labels"}
     assert len(read_labels(folder / "yolo")) == 1
@@ -194,7 +196,7 @@ def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["a b", "a\nb", "a\u2003b\u2028", "a,b", "<b>&'\"", "#", "x" * 90])
 def test_odd_class_names(tmp_path: Path, name: str) -> None:
-    for label_format in (LABEL_FORMATS[key] for key in ("kitti", "coco", "cvat", "yolo")):
+    for label_format in (LABEL_FORMATS.usable[key] for key in ("kitti", "coco", "cvat", "yolo")):
         table = BoxTable.of(
             [0, 0], [1, 2], [name, "car"], [[10, 10, 20, 20], [5, 5, 9, 9]], video=VIDEO
         )
@@ -208,8 +210,8 @@ def test_odd_class_names(tmp_path: Path, name: str) -> None:
 def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
     boxes = np.tile([10.0, 10.0, 20.0, 20.0], (3, 1))
     table = BoxTable.of([0, 1, 2], [5, 5, 5], ["car", "truck", "car"], boxes, video=VIDEO)
-    assert LABEL_FORMATS["cvat"].write is not None
-    notes = LABEL_FORMATS["cvat"].write(table, tmp_path / "a.xml").notes
+    assert LABEL_FORMATS.usable["cvat"].write is not None
+    notes = LABEL_FORMATS.usable["cvat"].write(table, tmp_path / "a.xml").notes
     back = read_labels(tmp_path / "a.xml")
     assert back.class_name.tolist() == ["car", "truck", "car"]
     assert back.track_id.tolist() == [5, 6, 5]
@@ -225,6 +227,6 @@ def test_columns_have_one_value_for_each_box() -> None:
 
 
 def test_titles_of_help_pages():
-    formats = LABEL_FORMATS.values()
+    formats = LABEL_FORMATS.usable.values()
     assert ", ".join(form.title for form in formats) == READ_TITLES
     assert ", ".join(form.title for form in formats if form.is_general) == GENERAL_TITLES

@@ -38,7 +38,7 @@ def test_reference_file(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["coco", "cvat", "kitti", "mot", "yolo"])
 def test_written_reference(tmp_path: Path, name: str) -> None:
     table = read_labels(make(tmp_path, "coco"))
-    label_format = LABEL_FORMATS[name]
+    label_format = LABEL_FORMATS.usable[name]
     assert label_format.write is not None
     label_format.write(table, tmp_path / "out")
     if name == "mot":
@@ -151,8 +151,8 @@ def test_keyframes_of_an_export_suffice(tmp_path: Path) -> None:
     boxes = np.stack([left, 0 * left + 5, left + 20, 0 * left + 30], axis=1)
     table = BoxTable.of(frame, 0 * frame, ["car"] * 60, boxes, distance_m=80.0 - frame, video=SIZE)
     path = tmp_path / "run.xml"
-    assert LABEL_FORMATS["cvat"].write is not None
-    LABEL_FORMATS["cvat"].write(table, path)
+    assert LABEL_FORMATS.usable["cvat"].write is not None
+    LABEL_FORMATS.usable["cvat"].write(table, path)
     text = path.read_text()
     blocks = text.split("    <box ")
     kept = [block for block in blocks if 'keyframe="0"' not in block]

@@ -60,7 +60,7 @@ def test_reference_file(tmp_path: Path, name: str) -> None:
 def test_all_layouts_have_a_reference() -> None:
     names = {name.partition(" ")[0] for name in NAMES}
     assert set(tool_labels.LAYOUTS) <= names
-    assert set(tool_labels.LAYOUTS) <= set(LABEL_FORMATS)
+    assert set(tool_labels.LAYOUTS) <= set(LABEL_FORMATS.usable)
 
 
 def test_interpolation_of_label_studio(tmp_path: Path) -> None:

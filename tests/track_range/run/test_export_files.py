@@ -298,7 +298,7 @@ def test_label_files_as_input(
     assert cli("export", exported[first], "--to", second, "--out", out)[0] == 0
     table = read_labels(out)
     assert table.frame.tolist() == [0, 1, 2]
-    assert LABEL_FORMATS[second].has_classes == (table.class_id == 2).all()
+    assert LABEL_FORMATS.usable[second].has_classes == (table.class_id == 2).all()
 
 
 def test_yolo_needs_an_image_size(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:

@@ -21,7 +21,7 @@ from track_range.detection.formats.tables.table_checks import names_with_counts,
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import MOT_CLASSES, read_mot
 from track_range.evaluation.sequences import find
-from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvaluationSettings
+from track_range.evaluation.sequences.settings import TrackEvaluationSettings, truth_formats
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
@@ -136,7 +136,7 @@ def _form_of(path: Path) -> str:
     if is_blank(path, "ground truth"):
         return "kitti"
     name = label_format_of(path, "ground truth").name
-    if name not in TRUTH_FORMATS:
+    if name not in truth_formats():
         raise LabelFileError(f"{path}: expected ground truth, found the rows of a run.")
     return name
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
 from track_range.detection.formats.label_formats import LABEL_FORMATS
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import (
     AnchorsField,
@@ -21,7 +22,11 @@ from track_range.run.options.detection import (
     TrackerField,
 )
 
-TRUTH_FORMATS = {name: form for name, form in LABEL_FORMATS.items() if not form.is_of_run}
+
+def truth_formats() -> dict[str, LabelFormat]:
+    """The label formats of ground truth, by name."""
+    return {name: form for name, form in LABEL_FORMATS.usable.items() if not form.is_of_run}
+
 
 LabelFormatField = Annotated[
     str | None,
@@ -114,7 +119,7 @@ class TrackEvaluationSettings(Options):
         Path,
         option(
             "Ground truth: a file or folder of "
-            f"{', '.join(form.title for form in TRUTH_FORMATS.values())}; or a folder of sequences "
+            f"{', '.join(form.title for form in truth_formats().values())}; or a folder of sequences "
             "NAME.txt or NAME/gt/gt.txt."
         ),
     ]
@@ -128,11 +133,11 @@ class TrackEvaluationSettings(Options):
     truth_format: Annotated[
         str | None,
         option(
-            f"Format of the ground truth: {', '.join(TRUTH_FORMATS)} (default: detected from its "
+            f"Format of the ground truth: {', '.join(truth_formats())} (default: detected from its "
             "content).",
             flag="--format",
             metavar="NAME",
-            choices=TRUTH_FORMATS.keys,
+            choices=truth_formats,
         ),
     ] = None
     road_class: Annotated[

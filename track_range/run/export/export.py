@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
-from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
+from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of
 from track_range.detection.formats.tables.box_table import (
     BoxTable,
     Written,
@@ -23,6 +23,7 @@ from track_range.detection.formats.tables.box_table import (
     image_name,
 )
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import LabelFormat
 from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError
@@ -64,7 +65,11 @@ _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder tha
 def export_formats() -> tuple[str, ...]:
     """Names of the formats that are written: label formats, then formats of the rows of a run."""
     return (
-        *(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None),
+        *(
+            name
+            for name, label_format in LABEL_FORMATS.usable.items()
+            if label_format.write is not None
+        ),
         *MARKS,
     )
 
@@ -123,7 +128,7 @@ def export(settings: ExportSettings) -> Exported:
     """
     run, camera = open_run(settings.source) if is_run(settings.source) else (None, None)
     _check(settings, run)
-    label_format = LABEL_FORMATS.get(settings.to)
+    label_format = LABEL_FORMATS.usable.get(settings.to)
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, run, camera)
     if run is None:
@@ -137,7 +142,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     """Check the options, and that the output is neither an input nor in the folder of a run in
     progress.
     """
-    if settings.to not in LABEL_FORMATS and settings.to not in WRITERS.names:
+    if settings.to not in LABEL_FORMATS.usable and settings.to not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
