@@ -8,6 +8,7 @@ from pathlib import Path
 
 from track_range.detection.formats.tables.box_table import NO_FACTS, BoxTable, VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import PARQUET_MARK, LabelFormat, LabelStart
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 from track_range.foundation.registry import Registry
 
