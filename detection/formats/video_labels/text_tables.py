@@ -26,7 +26,8 @@ from track_range.detection.formats.video_labels.csv_labels import (
     read_csv_labels,
 )
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
-from track_range.detection.formats.video_labels.mot import is_number_row, mot_lines, read_mot
+from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
+from track_range.detection.formats.video_labels.number_rows import is_number_row
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
