@@ -37,85 +37,70 @@ class Room:
 
     passes: str
     may_import: tuple[str, ...]
-    words: str = "all rooms above"
+    words: str
 
 
 def _rooms() -> dict[str, Room]:
     rooms: dict[str, Room] = {}
 
     def add(
-        name: str,
-        passes: str,
-        may_import: tuple[str, ...] | None = None,
-        words: str = "all rooms above",
+        name: str, passes: str, *, only: tuple[str, ...] = (), but: tuple[str, ...] = ()
     ) -> None:
-        rooms[name] = Room(passes, tuple(rooms) if may_import is None else may_import, words)
+        names = only or tuple(room for room in rooms if room not in but)
+        words = f"all rooms above but {', '.join(but)}" if but else "all rooms above"
+        rooms[name] = Room(passes, names, ", ".join(only) or words)
 
-    add(
-        "foundation",
-        "arrays, errors, options, registry, threads, files, robust statistics",
-        (),
-        "no other room",
+    rooms["foundation"] = Room(
+        "arrays, errors, options, registry, threads, files, robust statistics", (), "no other room"
     )
-    add(
-        "detection",
-        "images -> boxes, classes, lane lines; models; training",
-        ("foundation",),
-        "foundation",
-    )
+    add("detection", "images -> boxes, classes, lane lines; models; training", only=("foundation",))
     add(
         "stereo",
         "cameras, rigs, rectification, disparity, alignment, odometry",
-        ("foundation",),
-        "foundation",
+        only=("foundation",),
     )
-    add(
-        "tracking",
-        "boxes -> identities; metrics",
-        ("foundation", "detection"),
-        "foundation, detection",
-    )
+    add("tracking", "boxes -> identities; metrics", only=("foundation", "detection"))
     add("ranging", "tracks, geometry -> distances with sigma; fusion, filters, warning")
     add(
         "recording",
         "files, bags, streams, telemetry, calibration files -> frames",
-        ("foundation", "stereo"),
-        "foundation, stereo",
+        only=("foundation", "stereo"),
     )
     add("calibration", "boards and drives -> rigs, alignment files, focal lengths")
-    add("pipeline", "`Frame` -> `FrameResult`")
-    add("results", "`FrameResult` -> columns, files of each format, events; finished run folders")
-    add("views", "overlay, event clips, report, live view, anonymization, video files")
+    apart = ("recording", "calibration")
+    add("pipeline", "`Frame` -> `FrameResult`", but=apart)
+    add(
+        "results",
+        "`FrameResult` -> columns, files of each format, events; finished run folders",
+        but=apart,
+    )
+    add(
+        "views",
+        "overlay, event clips, report, live view, anonymization, video files",
+        but=("tracking", "calibration"),
+    )
     add("run", "settings; recording + pipeline + results + views: `Run`, `Pipeline`, export")
-    below = tuple(rooms)
-    not_each_other = "the rooms from `foundation` to `run`"
-    add("evaluation", "labelled data -> figures", below, not_each_other)
-    add("simulation", "worlds -> drives with exact truth", below, not_each_other)
+    add("evaluation", "labelled data -> figures", but=("views",))
+    add(
+        "simulation",
+        "worlds -> drives with exact truth",
+        but=("tracking", "calibration", "pipeline", "results", "run", "evaluation"),
+    )
     add(
         "fleet",
         "many recordings -> one data set",
-        tuple(name for name in below if name not in ("tracking", "calibration")),
-        f"{not_each_other} but tracking and calibration",
+        but=("tracking", "calibration", "evaluation", "simulation"),
     )
-    uses = (*rooms,)
-    add("api", "the names of the Python API", uses, "all")
-    add("cli", "the command line, one file per command", (*uses, "api"), "all")
+    add("api", "the names of the Python API")
+    add("cli", "the command line, one file per command")
     return rooms
 
 
 ROOMS: Mapping[str, Room] = _rooms()
 """All rooms; each imports only rooms before it."""
 
-KNOTS_LEFT = (
-    "cli",
-    "ranging",
-    "results",
-    "run",
-    "simulation",
-    "stereo",
-    "views",
-)
-"""Rooms in which folders still import each other in a circle."""
+FRONT_ROOMS = ("api", "cli")
+"""Rooms that may import all others, whether they do so or not."""
 
 FRONT_DOOR = {"track_range", "track_range.__main__"}
 """Modules in no room: the lazy names of `import track_range`, and `python -m track_range`."""
@@ -233,14 +218,6 @@ def forbidden(graph: Mapping[str, frozenset[str]]) -> Iterator[str]:
         for other in others:
             if allowed is not None and room_of(other) not in allowed:
                 yield f"{module} imports {other}"
-
-
-def cycles(graph: Mapping[str, frozenset[str]]) -> list[list[str]]:
-    """Modules of more than one folder that import each other in a circle: strongly connected
-    components."""
-    return [
-        group for group in _strong(graph) if len({name.rpartition(".")[0] for name in group}) > 1
-    ]
 
 
 def _strong(graph: Mapping[str, Collection[str]]) -> list[list[str]]:
