@@ -60,7 +60,7 @@ N_CALIBRATION = 60  # number of images for calibration of the value ranges of th
 # images on which the rounding noise of every tensor is measured before the calibration
 _N_NOISE_BLOBS = 4
 
-_MAX_NOISE_RATIO = 0.1
+MAX_NOISE_RATIO = 0.1
 """Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most
 0.05 for all tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and
 0.26) whose quantization halves its average precision."""
@@ -79,6 +79,8 @@ def quantize_int8(
     *,
     blobs: Iterable[FloatArray32],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
+    max_noise_ratio: float = MAX_NOISE_RATIO,
+    corrects_biases: bool = True,
 ) -> None:
     """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
@@ -86,7 +88,9 @@ def quantize_int8(
     random order, which are read once, one by one; the first blobs also determine which layers stay
     in float, and the corrections of the biases, for which the network is run once per convolution
     (a minute for YOLOv5n at 640 x 640). `progress` is called with the number of convolutions whose
-    bias is corrected, and their total number.
+    bias is corrected, and their total number. `max_noise_ratio`: largest ratio of the noise of
+    quantization to the variance of a tensor that is quantised; `corrects_biases`: whether mean
+    outputs become those of the original.
 
     ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of
     the wrong shape.
@@ -104,7 +108,7 @@ def quantize_int8(
     with atomic_output(out) as folder:
         with silent_conversion(path, "quantised"):
             prepared = _prepared(model, folder)
-        names = _quantisable(prepared, first, folder)
+        names = _quantisable(prepared, first, folder, max_noise_ratio)
         if not names:
             raise ModelError(
                 f"{path}: no convolution can be quantised without losing accuracy; "
@@ -113,7 +117,8 @@ def quantize_int8(
         reader = _BlobReader(session, itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
-        _correct_biases(prepared, result, reader.first, folder, progress)
+        if corrects_biases:
+            _correct_biases(prepared, result, reader.first, folder, progress)
         _save(result, model, folder / out.name)
 
 
@@ -267,7 +272,9 @@ def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
     return prepared
 
 
-def _quantisable(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> list[str]:
+def _quantisable(
+    model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path, max_noise_ratio: float
+) -> list[str]:
     """Names of the convolutions to quantise and of the operators between them that can be
     quantised.
 
@@ -287,7 +294,7 @@ def _quantisable(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path
     noise = np.mean(
         [[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0
     )
-    noisy = {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
+    noisy = {name for name, ratio in zip(tensors, noise, strict=True) if ratio > max_noise_ratio}
     quiet = {node.name for node in nodes if not noisy.intersection([*node.input, *node.output])}
     chosen = {node.name for node in inner} & quiet
     between = before_convolutions & _after(model.graph, chosen) & quiet

@@ -168,12 +168,11 @@ def test_heads_stay_in_float(int8):
     ] == []
 
 
-def test_noisy_tensor_stays_in_float(tmp_path, monkeypatch):
+def test_noisy_tensor_stays_in_float(tmp_path):
     path = yolo_network(tmp_path / "uneven.onnx", quiet_gain=0.005)
     out, inaccurate = tmp_path / "accurate.onnx", tmp_path / "inaccurate.onnx"
     quantize_int8(path, out, blobs=blobs(12))
-    monkeypatch.setattr(quantize, "_MAX_NOISE_RATIO", np.inf)
-    quantize_int8(path, inaccurate, blobs=blobs(12))
+    quantize_int8(path, inaccurate, blobs=blobs(12), max_noise_ratio=np.inf)
     inputs = blobs(4, seed=9)
     error_px, large_error_px = (mean_errors(path, copy, inputs)[0] for copy in (out, inaccurate))
     assert 0.01 < error_px < large_error_px / 3
@@ -196,16 +195,15 @@ def mean_shift(path, other, tensor, folder):
     return np.abs(means[0] - means[1]).mean()
 
 
-def test_mean_output_is_that_of_the_original(network, int8, tmp_path, monkeypatch):
-    monkeypatch.setattr(quantize, "_correct_biases", lambda *_: None)
+def test_mean_output_is_that_of_the_original(network, int8, tmp_path):
     uncorrected = tmp_path / "uncorrected.onnx"
-    quantize_int8(network, uncorrected, blobs=iter(blobs(12)))
+    quantize_int8(network, uncorrected, blobs=iter(blobs(12)), corrects_biases=False)
     assert mean_shift(network, int8, "head", tmp_path) < 0.1 * mean_shift(
         network, uncorrected, "head", tmp_path
     )
 
 
-def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
+def test_shared_biases_are_corrected_separately(tmp_path):
     rng = np.random.default_rng(2)
     weights = [weight(rng, f"w_{name}", 4, 3 if name == "a" else 4, 3, 3) for name in "abcd"]
     nodes = [
@@ -216,8 +214,7 @@ def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
     path = saved(tmp_path / "net.onnx", nodes, [*weights, bias], outputs=["d"])
     corrected, uncorrected = tmp_path / "corrected.onnx", tmp_path / "uncorrected.onnx"
     quantize_int8(path, corrected, blobs=blobs(12))
-    monkeypatch.setattr(quantize, "_correct_biases", lambda *_: None)
-    quantize_int8(path, uncorrected, blobs=blobs(12))
+    quantize_int8(path, uncorrected, blobs=blobs(12), corrects_biases=False)
     for tensor in "abcd":
         shifts = [mean_shift(path, file, tensor, tmp_path) for file in (corrected, uncorrected)]
         assert shifts[0] < 0.2 * shifts[1], tensor

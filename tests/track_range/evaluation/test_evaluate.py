@@ -256,18 +256,15 @@ def test_quantize_needs_two_images(rectangles, cli):
     assert (status, "at least 2 images" in errors) == (1, True)
 
 
-def test_figures_after_an_interrupt(rectangles, monkeypatch):
-    detector = YoloDetector(rectangles / "finder.onnx")
-    candidate = Candidate("finder", detector)
+def test_figures_after_an_interrupt(rectangles):
+    class InterruptedDetector(YoloDetector):
+        def decode(self, outputs):
+            if len(candidate.detections) == 4:
+                raise KeyboardInterrupt
+            return super().decode(outputs)
+
+    candidate = Candidate("finder", InterruptedDetector(rectangles / "finder.onnx"))
     frames = LabelledSource(images=rectangles / "images", labels=rectangles / "labels").open()
-    decode = detector.decode
-
-    def interrupted(outputs):
-        if len(candidate.detections) == 4:
-            raise KeyboardInterrupt
-        return decode(outputs)
-
-    monkeypatch.setattr(detector, "decode", interrupted)
     figures = evaluate_frames([candidate], frames, min_score=None)
     assert (figures["n_images"], figures["is_complete"]) == (4, False)
     assert figures["models"]["finder"]["classes"]["car"]["recall"] == 1.0

@@ -125,10 +125,17 @@ def test_request_without_any_picture_fails() -> None:
 
 def test_stalled_viewer_does_not_block_the_run(view: LiveView) -> None:
     view.begin(lambda shown: shown.frame.left)
-    with ask(view, "/stream.mjpg"):
-        noise = np.random.default_rng(1).integers(0, 255, (600, 800, 3), np.uint8)
+    noise = np.random.default_rng(1).integers(0, 255, (600, 800, 3), np.uint8)
+
+    def offer() -> None:
         for _ in range(200):
             view.offer(result([], image=noise))
+
+    with ask(view, "/stream.mjpg"):
+        run = threading.Thread(target=offer, daemon=True)
+        run.start()
+        run.join(20)
+        assert not run.is_alive()
 
 
 def test_only_loopback_names_are_answered(view: LiveView) -> None:
@@ -301,14 +308,11 @@ def test_hostile_requests(
         (b"GET /state HTTP/1.1\nHost: localhost\n\n", b"200"),
     ],
 )
-def test_answer_comes_without_waiting_for_more(
-    monkeypatch: pytest.MonkeyPatch, request_bytes: bytes, status: bytes
-) -> None:
+def test_answer_comes_without_waiting_for_more(request_bytes: bytes, status: bytes) -> None:
     """A request that cannot become valid is refused before its end, and a blank line ends the
     others."""
-    monkeypatch.setattr(server, "_TIMEOUT_S", 60.0)
     with (
-        LiveView("127.0.0.1", 0) as view,
+        LiveView("127.0.0.1", 0, timeout_s=60.0) as view,
         socket.create_connection(("127.0.0.1", port_of(view))) as connection,
     ):
         connection.settimeout(20.0)
@@ -316,11 +320,10 @@ def test_answer_comes_without_waiting_for_more(
         assert connection.recv(65536).split()[1] == status
 
 
-def test_unfinished_request_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unfinished_request_is_dropped() -> None:
     """A client that sends a byte at a time has no more time than one that sends nothing."""
-    monkeypatch.setattr(server, "_TIMEOUT_S", 0.3)
     with (
-        LiveView("127.0.0.1", 0) as view,
+        LiveView("127.0.0.1", 0, timeout_s=0.3) as view,
         socket.create_connection(("127.0.0.1", port_of(view))) as connection,
     ):
         connection.settimeout(0.05)
@@ -362,10 +365,12 @@ def test_connections_are_limited(view: LiveView) -> None:
     assert get(view, "/state") == (200, b"live")
 
 
-def test_viewer_that_reads_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_TIMEOUT_S", 0.2)
+def test_viewer_that_reads_nothing_is_dropped() -> None:
     noise = np.random.default_rng(1).integers(0, 255, (600, 800, 3), np.uint8)
-    with LiveView("127.0.0.1", 0, n_viewers=1) as view, ask(view, "/stream.mjpg"):
+    with (
+        LiveView("127.0.0.1", 0, n_viewers=1, timeout_s=0.2) as view,
+        ask(view, "/stream.mjpg"),
+    ):
         view.begin(lambda shown: shown.frame.left)
 
         def is_free() -> bool:

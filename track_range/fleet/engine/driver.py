@@ -93,6 +93,17 @@ class Attempts:
         return len(kinds) < (_N_ATTEMPTS_ELSEWHERE if is_elsewhere else _N_ATTEMPTS)
 
 
+def failure_of_lost_worker(
+    verdict: tuple[ErrorKind, str] | None, *, is_node_lost: bool
+) -> tuple[ErrorKind, str] | None:
+    """Kind and reason of the failed attempt of a worker that was cancelled for the reason of its
+    verdict, or died by itself; None = the attempt is not counted, since the node was lost.
+    """
+    if verdict is not None or is_node_lost:
+        return verdict
+    return "crash", "the process of the worker died (killed, or a crash in a library)."
+
+
 def time_limit_s(
     time_factor: float, video_s: float, fetch_bytes: float = 0.0, n_frames: int = 0
 ) -> float:
@@ -266,14 +277,10 @@ class Driver:
         present = row.get("status"), row.get("settings_hash"), row.get("attempts")
         if present == ("done", self._plan.settings_hash, task.attempt):
             self._done(row)
-        elif slot.verdict is not None:
-            self._repeat_or_fail(task, *slot.verdict)
-        elif is_node_lost:
-            self._todo.append(task)
+        elif failure := failure_of_lost_worker(slot.verdict, is_node_lost=is_node_lost):
+            self._repeat_or_fail(task, *failure)
         else:
-            self._repeat_or_fail(
-                task, "crash", "the process of the worker died (killed, or a crash in a library)."
-            )
+            self._todo.append(task)
 
     def _finished(self, task: ClipTask, outcome: ClipOutcome) -> None:
         if outcome.fatal:

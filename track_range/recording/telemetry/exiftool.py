@@ -53,7 +53,7 @@ _MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 _Document = tuple[int, int]  # numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)
 
 
-def read_with_exiftool(path: Path) -> TelemetryTrack | None:
+def read_with_exiftool(path: Path, *, timeout_s: float = TIMEOUT_S) -> TelemetryTrack | None:
     """Telemetry that ExifTool finds; None = it is not installed, or finds none. Raises
     TelemetryError at a timeout.
     """
@@ -76,12 +76,12 @@ def read_with_exiftool(path: Path) -> TelemetryTrack | None:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.DEVNULL,
-                timeout=TIMEOUT_S,
+                timeout=timeout_s,
                 check=False,  # it fails with partial output, too
             )
         except subprocess.TimeoutExpired as error:
             raise TelemetryError(
-                f"{path}: exiftool did not finish within {TIMEOUT_S:.0f} s."
+                f"{path}: exiftool did not finish within {timeout_s:.0f} s."
             ) from error
         except OSError:
             return None

@@ -52,13 +52,14 @@ def motion_of(
     start_s: float,
     folder_fps: float,
     span_s: float = SPAN_S,
+    max_images: int | None = None,
 ) -> MotionSeries:
     """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot
     be read.
 
     In a file with frequent key frames, only key frames and the frames 0.1 s later are decoded;
-    otherwise all frames are. `camera` is its approximate camera. For large images, less than
-    `span_s` is read (`_MAX_DECODED_PX`).
+    otherwise all frames are. `camera` is its approximate camera. Of large images, less than
+    `span_s` is read: `max_images`, by default so many that they have `_MAX_DECODED_PX`.
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
@@ -70,7 +71,10 @@ def motion_of(
             centre_px = (size_px[0] - 1) / 2, (size_px[1] - 1) / 2
             camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, *size_px)
         estimator = ImageMotionEstimator(camera)
-        with closing(reader), closing(_images(video, reader, start_s, span_s)) as images:
+        with (
+            closing(reader),
+            closing(_images(video, reader, start_s, span_s, max_images)) as images,
+        ):
             for time_s, image in images:
                 motion = estimator.update(image, time_s)
                 if motion.is_known:
@@ -88,10 +92,15 @@ def motion_of(
 
 
 def _images(
-    video: RecordedName, reader: RecordedVideo, start_s: float, span_s: float
+    video: RecordedName,
+    reader: RecordedVideo,
+    start_s: float,
+    span_s: float,
+    max_images: int | None,
 ) -> Generator[tuple[float, Image], None, None]:
     """Times in seconds from the first frame, and images."""
-    n_left = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)
+    usual = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)
+    n_left = usual if max_images is None else max_images
     from_s = reader.first_time_s + start_s
     length_s = min(span_s, reader.n_frames / reader.fps if reader.n_frames else span_s)
     if (

@@ -42,7 +42,7 @@ DEFAULT_VIEWERS = 16  # largest number of streams at a time
 # connections served at a time in addition to the streams; each has a thread
 _SPARE_CONNECTIONS = 32
 # for a client to send its request, or to accept a picture; then its connection is closed
-_TIMEOUT_S = 5.0
+TIMEOUT_S = 5.0
 # largest size of a request: twice the longest line that `http.server` accepts
 _MAX_REQUEST_BYTES = 1 << 17
 # about one picture: a slow viewer must not request pictures that it sees late
@@ -89,7 +89,8 @@ class LivePage(ThreadingHTTPServer):
     Each connection has a thread; connections beyond the limit are closed with status 503.
     `next_picture` is called from one thread per connection; port 0 = any free port; `n_viewers` is
     the largest number of streams at a time, the next one is refused with status 503; `boxes`
-    returns the content of /boxes, empty = none. `url`: address of the page on this machine.
+    returns the content of /boxes, empty = none; `timeout_s` is how long a client may take to send a
+    request or to accept a picture. `url`: address of the page on this machine.
     `url_elsewhere`: probable address on other machines if all interfaces are served; else None.
 
     Raises PageError: the port is in use, or the address does not belong to this machine.
@@ -107,8 +108,9 @@ class LivePage(ThreadingHTTPServer):
         host: str = LOOPBACK,
         n_viewers: int = DEFAULT_VIEWERS,
         boxes: Callable[[], bytes] = bytes,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
-        self.next_picture, self.boxes = next_picture, boxes
+        self.next_picture, self.boxes, self.timeout_s = next_picture, boxes, timeout_s
         self.is_private = _is_loopback(host)
         self.n_viewers = n_viewers
         self.free_streams = threading.BoundedSemaphore(n_viewers)
@@ -181,9 +183,9 @@ class _RequestReader(io.RawIOBase):
     every few seconds.
     """
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, timeout_s: float) -> None:
         self._connection, self._n_bytes_left = connection, _MAX_REQUEST_BYTES
-        self._end_s = time.monotonic() + _TIMEOUT_S
+        self._timeout_s, self._end_s = timeout_s, time.monotonic() + timeout_s
 
     def readable(self) -> bool:
         return True
@@ -196,7 +198,7 @@ class _RequestReader(io.RawIOBase):
             raise HTTPException  # `http.server` answers with status 431
         self._connection.settimeout(left_s)
         n_bytes = self._connection.recv_into(buffer)
-        self._connection.settimeout(_TIMEOUT_S)
+        self._connection.settimeout(self._timeout_s)
         self._n_bytes_left -= n_bytes
         return n_bytes
 
@@ -209,7 +211,7 @@ class _Handler(BaseHTTPRequestHandler):
     def setup(self) -> None:
         super().setup()
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        self.rfile = io.BufferedReader(_RequestReader(self.connection))
+        self.rfile = io.BufferedReader(_RequestReader(self.connection, self.server.timeout_s))
 
     def do_GET(self) -> None:
         page, hosts = self.server, self.headers.get_all("Host", [])
@@ -304,7 +306,7 @@ class _Handler(BaseHTTPRequestHandler):
             with suppress(BlockingIOError):  # connected, and nothing more received
                 if not self.connection.recv(1, socket.MSG_PEEK):
                     raise ConnectionAbortedError
-            self.connection.settimeout(_TIMEOUT_S)
+            self.connection.settimeout(self.server.timeout_s)
         return picture
 
 

@@ -22,7 +22,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.views.live_view.server import DEFAULT_VIEWERS, LOOPBACK, LivePage
+from track_range.views.live_view.server import DEFAULT_VIEWERS, LOOPBACK, TIMEOUT_S, LivePage
 
 _QUALITY = 80  # JPEG quality in per cent; at 100 a picture is three times as large
 _ADDRESS = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
@@ -37,7 +37,13 @@ class LiveView:
     """
 
     def __init__(
-        self, host: str, port: int, *, opens_browser: bool = False, n_viewers: int = DEFAULT_VIEWERS
+        self,
+        host: str,
+        port: int,
+        *,
+        opens_browser: bool = False,
+        n_viewers: int = DEFAULT_VIEWERS,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self._opens_browser = opens_browser
         self._picture: Callable[[FrameResult], Image] = lambda result: result.frame.left
@@ -47,7 +53,12 @@ class LiveView:
         self._drawing, self._drawn = threading.Lock(), (b"", 0)
         self._video: str | None = None
         self.page = LivePage(
-            self.next_picture, port, host=host, n_viewers=n_viewers, boxes=self.boxes
+            self.next_picture,
+            port,
+            host=host,
+            n_viewers=n_viewers,
+            boxes=self.boxes,
+            timeout_s=timeout_s,
         )
 
     def __enter__(self) -> Self:

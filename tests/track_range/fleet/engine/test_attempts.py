@@ -1,14 +1,8 @@
 """Which clips are attempted again."""
 
-from collections import deque
-from types import SimpleNamespace
-
 import pytest
 
-from track_range.fleet.engine import driver
-from track_range.fleet.engine.driver import Attempts, Driver, Slot, time_limit_s
-from track_range.fleet.engine.plan import ClipTask
-from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.engine.driver import Attempts, failure_of_lost_worker, time_limit_s
 
 
 def failed(attempts, clip, *kinds):
@@ -42,39 +36,21 @@ def test_limits_are_not_excused_by_crashes(kind):
     assert not attempts.is_repeated("a")
 
 
-@pytest.fixture
-def fleet(monkeypatch):
-    """A driver without workers, whose journal is empty."""
-    monkeypatch.setattr(driver, "journal_rows", lambda out, names: {})
-    driver_ = Driver.__new__(Driver)
-    driver_._todo, driver_._attempts, driver_._out = deque(), Attempts(), None
-    driver_._plan = SimpleNamespace(settings_hash="hash")
-    return driver_
+TIMEOUT = ("timeout", "the clip took too long.")
 
 
-def lost(fleet, name, **state):
-    task = ClipTask(Clip(name, "left.mp4"))
-    fleet._lost(Slot(0, task, verdict=state.pop("verdict", None)), **state)
-    return fleet._attempts.n_failed(name)
-
-
-def test_lost_node_is_not_counted(fleet):
-    assert lost(fleet, "a", is_node_lost=True) == 0
-    assert [task.clip.name for task in fleet._todo] == ["a"]
-
-
-def test_lost_node_does_not_excuse_others(fleet):
-    lost(fleet, "b", is_node_lost=True)
-    assert not failed(fleet._attempts, "a", "crash", "crash").is_repeated("a")
-
-
-def test_timeout_on_lost_node_is_counted(fleet):
-    assert lost(fleet, "a", verdict=("timeout", "the clip took too long."), is_node_lost=True) == 1
-
-
-def test_death_of_a_worker_is_counted(fleet):
-    assert lost(fleet, "a") == 1
-    assert failed(fleet._attempts, "b", "crash", "crash").is_repeated("b")
+@pytest.mark.parametrize(
+    ("verdict", "is_node_lost", "kind"),
+    [
+        (None, True, None),  # neither counted, nor an excuse of other clips
+        (TIMEOUT, True, "timeout"),
+        (TIMEOUT, False, "timeout"),
+        (None, False, "crash"),
+    ],
+)
+def test_failures_of_lost_workers(verdict, is_node_lost, kind):
+    failure = failure_of_lost_worker(verdict, is_node_lost=is_node_lost)
+    assert (failure and failure[0]) == kind
 
 
 def test_time_limit_grows_with_length_and_frames():

@@ -7,7 +7,6 @@ import os
 import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import part
-from track_range.recording.telemetry import exiftool
 from track_range.recording.telemetry.exiftool import read_with_exiftool, track_of_records
 from track_range.recording.telemetry.found import candidates, named_telemetry
 from track_range.recording.telemetry.tracks.track import TelemetryError
@@ -86,11 +85,10 @@ def test_output_without_telemetry(program, video, lines):
     assert telemetry is None or not (telemetry.speed_mps >= 0).any()
 
 
-def test_program_that_hangs(program, video, monkeypatch):
-    monkeypatch.setattr(exiftool, "TIMEOUT_S", 0.3)
+def test_program_that_hangs(program, video):
     program("exec sleep 30")
     with pytest.raises(TelemetryError, match="did not finish"):
-        read_with_exiftool(video)
+        read_with_exiftool(video, timeout_s=0.3)
 
 
 @pytest.mark.parametrize(
