@@ -18,8 +18,8 @@ K = [70.0, 0.0, 31.5, 0.0, 70.0, 23.5, 0.0, 0.0, 1.0]
 R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def projection(offset_m: float) -> list[float]:
-    return [*K[:3], K[0] * offset_m, *K[3:6], 0.0, *K[6:], 0.0]
+def projection(k: list[float], offset_m: float) -> list[float]:
+    return [*k[:3], k[0] * offset_m, *k[3:6], 0.0, *k[6:], 0.0]
 
 
 def jpeg(image: np.ndarray) -> bytes:
@@ -43,6 +43,7 @@ def ros_messages(
     topic: str,
     encoding: str = "",
     info: str = "camera_info",
+    k: list[float] = K,
 ) -> list[tuple[int, str, str, Any]]:
     """(time, topic, type, message) of images and calibrations; raw images if `encoding` is
     given."""
@@ -70,9 +71,10 @@ def ros_messages(
             recorded_ns = stamp_ns + 20_000_000
             messages.append((recorded_ns, f"{name}/{topic}", kind, message))
             roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            matrices = ([0.0] * 5, k, R, projection(k, offset_m))
             calibration = types["sensor_msgs/msg/CameraInfo"](
-                header, 48, 64, "plumb_bob", *(np.array(v) for v in ([0.0] * 5, K, R, projection(offset_m))), 0, 0, roi
-            )  # fmt: skip
+                header, 48, 64, "plumb_bob", *map(np.array, matrices), 0, 0, roi
+            )
             messages.append(
                 (recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration)
             )
@@ -119,13 +121,20 @@ def write_ros1(
     return path
 
 
-def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: Any) -> Path:
+def write_foxglove(
+    path: Path,
+    names: Sequence[str],
+    images: Images,
+    *,
+    is_raw: bool = False,
+    start_ns: int = START_NS,
+    **options: Any,
+) -> Path:
     """An MCAP file with Foxglove's messages, encoded by foxglove-sdk and written with the library
     mcap."""
     from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
     from mcap.writer import Writer
 
-    is_raw = options.pop("is_raw", False)
     with path.open("wb") as file:
         writer: Any = Writer(file, **{"chunk_size": 2000, **options})
         writer.start()
@@ -139,7 +148,7 @@ def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: 
             writer.add_message(channels[topic], time_ns, message.encode(), time_ns)
 
         for number, shown in enumerate(images):
-            time_ns = START_NS + number * STEP_NS
+            time_ns = start_ns + number * STEP_NS
             stamp = Timestamp(time_ns // 10**9, time_ns % 10**9)
             for side, (name, offset_m) in enumerate(cameras(names)):
                 image = shown if isinstance(shown, np.ndarray) else shown[side]
@@ -160,7 +169,7 @@ def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: 
                 add(
                     f"{name}/calibration",
                     CameraCalibration(
-                        timestamp=stamp, width=64, height=48, K=K, R=R, P=projection(offset_m)
+                        timestamp=stamp, width=64, height=48, K=K, R=R, P=projection(K, offset_m)
                     ),
                     time_ns,
                 )

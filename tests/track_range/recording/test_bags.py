@@ -181,11 +181,8 @@ def test_baseline_between_cameras_of_another_origin() -> None:
     )
 
 
-def test_uncalibrated_camera_has_no_calibration(
-    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tests.track_range.recording.bag_writers.K", [0.0] * 9)
-    bag = write(tmp_path / "drive", "mcap", ("/cam",), images[:2])
+def test_uncalibrated_camera_has_no_calibration(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "drive", "mcap", ("/cam",), images[:2], k=[0.0] * 9)
     reader = open_video(bag)
     assert isinstance(reader, BagVideo)
     assert reader.camera is None
@@ -228,12 +225,9 @@ def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]
         assert len(str(raised.value)) < 300 + len(str(bag))
 
 
-def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeypatch: Any) -> None:
-    monkeypatch.setattr(
-        "tests.track_range.recording.bag_writers.K",
-        [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0],
-    )
-    bag = write(tmp_path / "bag", "sqlite3", BOTH, images)
+def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray]) -> None:
+    k = [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0]
+    bag = write(tmp_path / "bag", "sqlite3", BOTH, images, k=k)
     recording = open_recording(
         bag,
         bag,
@@ -394,16 +388,12 @@ def test_rotated_raw_pair() -> None:
     assert rig.left.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_bag_in_several_files(
-    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray]) -> None:
     folder = tmp_path / "trip"
     folder.mkdir()
     for number in range(2):
-        monkeypatch.setattr(
-            "tests.track_range.recording.bag_writers.START_NS", START_NS + number * 1_200_000_000
-        )
-        write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
+        start_ns = START_NS + number * 1_200_000_000
+        write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images, start_ns=start_ns)
     reader = open_video(BagTopic(folder, "/cam/image"))
     assert [frame.index for frame in reader] == list(range(24))
     assert reader.n_frames == 24
