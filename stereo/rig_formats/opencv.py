@@ -4,7 +4,7 @@
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
     cv::fisheye        one of the above with fisheye_model: 1, as calibration.cpp writes it
 
-They are read by `matrices.py`, without OpenCV: its parser overflows the stack on nested lists,
+They are read by `dialects.py`, without OpenCV: its parser overflows the stack on nested lists,
 writes outside its memory on damaged JSON, and does not return from some base64 data. A camera
 without distortion coefficients is refused: stereo_calib always writes them, and distances would be
 wrong if a distorted camera were treated as an ideal one.
@@ -23,7 +23,7 @@ from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig
-from track_range.stereo.rig_formats.matrices import FORMATS
+from track_range.stereo.rig_formats.dialects import FORMATS
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 
 

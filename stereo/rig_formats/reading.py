@@ -20,9 +20,9 @@ from track_range.stereo.geometry.rig_checks import (
 )
 from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
+from track_range.stereo.rig_formats.dialects import FORMATS
 from track_range.stereo.rig_formats.kalibr import KALIBR
 from track_range.stereo.rig_formats.kitti import KITTI
-from track_range.stereo.rig_formats.matrices import FORMATS
 from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
 from track_range.stereo.rig_formats.rig_yaml import RIG_YAML

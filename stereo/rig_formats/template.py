@@ -9,9 +9,10 @@ import numpy as np
 
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.matrices import camera_values, partial_motion
 from track_range.stereo.rig_formats.reading import read_calibration
-from track_range.stereo.rig_formats.values.quantities import read_quantities
+from track_range.stereo.rig_formats.values.cameras import stated_camera
+from track_range.stereo.rig_formats.values.draft import read_draft
+from track_range.stereo.rig_formats.values.resolution import stated_motion
 
 _KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
 _HINTS = {
@@ -41,9 +42,9 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
             raise
         reason, cameras, motion = str(error), [{}, {}], None
         with contextlib.suppress(RigError):
-            given = read_quantities(path)
-            partial_cameras = [camera_values(given, number) for number in (0, 1)]
-            motion = partial_motion(given, path)
+            draft = read_draft(path)
+            partial_cameras = [stated_camera(draft, index) for index in (0, 1)]
+            motion = stated_motion(draft)
             cameras = partial_cameras  # both or none: a motion with wrong numbers is an error
     advice = (
         "fill in the blanks, in pixels and metres, and remove what a single camera does not have"

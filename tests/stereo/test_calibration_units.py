@@ -1,11 +1,25 @@
 """Units of lengths, and parts of cameras, from the quantities of a calibration."""
 
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
+from track_range.stereo.rig_formats.dialects import DIALECTS
+from track_range.stereo.rig_formats.values.aliases import QUANTITIES, meaning
 from track_range.stereo.rig_formats.values.cameras import distortion_of, of_scalars, stated_size
-from track_range.stereo.rig_formats.values.quantities import quantities_of
-from track_range.stereo.rig_formats.values.units import Unit, unit_of
+from track_range.stereo.rig_formats.values.dialect import Dialect, Unit
+from track_range.stereo.rig_formats.values.draft import RigDraft, draft_of
+from track_range.stereo.rig_formats.values.units import unit_of
+
+CITYSCAPES = next(dialect for dialect in DIALECTS if dialect.name == "cityscapes")
+
+
+def draft(content: dict[str, Any]) -> RigDraft:
+    return draft_of(content, Path("a.yml"))
 
 
 @pytest.mark.parametrize(
@@ -21,21 +35,27 @@ from track_range.stereo.rig_formats.values.units import Unit, unit_of
         ({"T": [-12, 0, 0], "units": "in"}, 12.0, 0.0254, "inches as the file states"),
         ({"T": [-12, 0, 0], "unit": "Metres"}, 12.0, 1.0, "metres as the file states"),
         ({"translation_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
+        ({"T_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
+        ({"t_cm": [-2, 0, 0]}, 2.0, 0.01, "centimetres by the name of T"),
+        ({"T_m": [-4, 0, 0]}, 4.0, 1.0, "metres by the name of T"),
+        ({"cam2": {"T_mm": [-12, 0, 0]}}, 12.0, 0.001, "millimetres by the name of T"),
+        ({"B_mm": 120}, 120.0, 0.001, "millimetres by the name of baseline"),
         # 12 units are 12.1 cm, so the unit is the centimetre
         ({"T": [-12, 0, 0], "baseline_mm": 121}, 12.0, 0.01, "centimetres by the name of baseline"),
     ],
 )
 def test_unit_of_lengths(content, length, metres, reason):
-    unit = unit_of(quantities_of(content, "a.yml"), length)
+    unit = unit_of(draft(content), length)
     assert (unit.metres, unit.is_doubtful) == (metres, False)
     assert reason in unit.reason
 
 
 def test_a_length_between_metres_and_centimetres_is_in_doubt():
-    given = quantities_of({"T": [-4, 0, 0]}, "a.yml")
+    given = draft({"T": [-4, 0, 0]})
     assert unit_of(given, 4.0).is_doubtful
     usual = Unit(0.001, "as usual")
-    assert unit_of(given, 4.0, usual) == usual
+    dialect = Dialect(name="a", title="a", pattern=re.compile(""), usual_unit=usual)
+    assert unit_of(replace(given, dialect=dialect), 4.0) == usual
 
 
 @pytest.mark.parametrize(
@@ -51,17 +71,60 @@ def test_a_length_between_metres_and_centimetres_is_in_doubt():
     ],
 )
 def test_distortion_in_the_order_of_opencv(content, expected):
-    distortion = distortion_of(quantities_of(content, "a.yml"), None)
+    distortion = distortion_of(draft(content), None)
     assert (None if distortion is None else distortion.tolist()) == expected
 
 
 def test_camera_matrix_of_scalars():
     content = {"focal_length": 700, "cx": 320, "cy": 180}
-    assert of_scalars(quantities_of(content, "a.yml"), None).tolist() == [700, 700, 320, 180]
-    assert of_scalars(quantities_of({"focal_length": 700, "cx": 320}, "a.yml"), None) is None
+    assert of_scalars(draft(content), None).tolist() == [700, 700, 320, 180]
+    assert of_scalars(draft({"focal_length": 700, "cx": 320}), None) is None
 
 
 @pytest.mark.parametrize("size", [[1280, 720], [720, 1280]])  # or rows and columns
 def test_size_in_the_order_of_the_principal_point(size):
-    given = quantities_of({"image_size": size}, "a.yml")
+    given = draft({"image_size": size})
     assert stated_size(given, None, np.array([641.0, 355.0])).tolist() == [1280, 720]
+
+
+def test_every_value_knows_its_file_and_key():
+    given = draft({"left": {"K": list(range(9))}, "T_mm": [-120, 0, 0]})
+    assert (given.stated["left", "K"].path, given.stated["left", "K"].key) == (
+        Path("a.yml"),
+        "left.K",
+    )
+    assert given.stated[None, "T"].metres == 0.001
+    size = draft_of({}, Path("a.yml"), CITYSCAPES).stated[None, "size"]
+    assert size.is_assumed
+    assert size.value.tolist() == [2048, 1024]
+
+
+@pytest.mark.parametrize(
+    ("key", "n_values", "side", "quantity", "metres"),
+    [
+        ("K1", 9, 1, "K", None),
+        ("left_camera_matrix", 9, "left", "K", None),
+        ("distR", 5, "right", "D", None),
+        ("R_left", 9, "left", "rect", None),
+        ("k1", 1, None, "k1", None),  # a coefficient
+        ("k1", 9, 1, "K", None),  # a matrix
+        ("left_T_mm", 3, "left", "T", 0.001),
+        ("baselineCm", 1, None, "baseline", 0.01),
+        ("square_size_m", 1, None, "square", 1.0),
+    ],
+)
+def test_meaning_of_a_key(key, n_values, side, quantity, metres):
+    found = meaning((key,), n_values)
+    assert found is not None
+    assert (found.side, found.quantity.name, found.metres) == (side, quantity, metres)
+
+
+@pytest.mark.parametrize("key", ["E", "retval", "focal_length_mm", "image_width_mm", "K_m"])
+def test_keys_of_no_quantity(key):
+    """Only lengths have units: a focal length in millimetres is none in pixels."""
+    assert meaning((key,), 1) is None
+
+
+def test_no_alias_of_two_quantities():
+    aliases = [alias for row in QUANTITIES for alias in row.aliases.split()]
+    assert len(aliases) == len(set(aliases))

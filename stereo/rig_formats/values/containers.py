@@ -72,7 +72,6 @@ _WORD = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
 # of FoundationStereo
 K_AND_BASELINE = re.compile(rf"\A\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")
 VIRTUAL_KITTI = re.compile(r"\A\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
-_VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -116,8 +115,7 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
     if VIRTUAL_KITTI.match(text):
         rows = [line.split() for line in text.splitlines() if line.strip()][1:2]
         names = ("frame", "camera", "fx", "fy", "cx", "cy")
-        words = {name: word for row in rows for name, word in zip(names, row, strict=False)}
-        return {"baseline": _VIRTUAL_BASELINE_M} | words
+        return {name: word for row in rows for name, word in zip(names, row, strict=False)}
     if start == "<":
         return _xml_values(text, path, expected)
     if start == "{":

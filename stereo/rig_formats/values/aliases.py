@@ -1,0 +1,162 @@
+"""The names of the quantities of a calibration in the files of programs and people, and their units.
+
+    K  camera matrix, or fx fy cx cy     D  distortion coefficients, or k1 k2 p1 p2 k3 ...     size  of the images
+    R, T  x2 = R x1 + T                  rect, P  rotation to the rectified frame, projection in it
+    baseline, bf  their scalars          second_from_first, first_from_second  4 x 4 transforms
+
+Names are compared without case and punctuation, with the side before or behind them (`K1`,
+`left_camera_matrix`, `mtxR`) or around them (`cam1: {K: ...}`, `LEFT.K`). Sides are left and right,
+or numbers in their order. The name of a length may end with its unit (`T_mm`, `baseline_cm`).
+"""
+
+import re
+from typing import Literal, NamedTuple
+
+Side = str | int | None  # "left", "right", a number, or None for both cameras
+
+
+class Quantity(NamedTuple):
+    """A quantity of a calibration: one row of `QUANTITIES`."""
+
+    name: str
+    aliases: str  # its names in files, in lower case without punctuation
+    counts: tuple[int, ...] = (1,)  # possible numbers of values; () = a text
+    is_length: bool = False  # whether the name may end with the unit of its values
+    # where the side of its camera stands: in the name, else in the block around it; only in the block
+    side_in: Literal["name", "block", "nothing"] = "name"
+
+
+class Meaning(NamedTuple):
+    """What the keys of a value state about it."""
+
+    side: Side
+    quantity: Quantity
+    metres: float | None = None  # per unit of its values; None = not stated
+
+
+QUANTITIES = (
+    Quantity("K", "k m a camera cameramatrix cammatrix cameramat cammat cam cammats mtx matrix mat intrinsic"
+             " intrinsics kmat kk cm intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters"
+             " cameraintrinsics cameraintrinsic kmatrix projectionparameters", (9, 4)),
+    Quantity("D", "d dist distcoeffs distcoeff distcoefs distcoef distortion distortioncoefficients"
+             " distortioncoefficient kc coeffs distortioncoeffs distortioncoeff distortioncoefs distcoefficients"
+             " cameradistcoeff cameradistcoeffs dcoeffs distortionvector distortionmatrix distmatrix"
+             " distortionparameters distortionparams", (0, 1, 2, 4, 5, 8, 12, 14)),
+    Quantity("radial", "radialdistortion", (2, 3)),
+    Quantity("tangential", "tangentialdistortion", (2,)),
+    Quantity("R", "r rot rotation rotationmatrix rotmat rotmatrix rmat rmatrix rvec rotationvector om stereor"
+             " stereorotation relativerotation rotationbetweencameras rlefttoright", (9, 3)),
+    Quantity("T", "t trans transl translation translationvector translationmatrix transvec tvec tvector tmat stereot"
+             " trns stereotranslation relativetranslation tlefttoright", (3,), is_length=True),
+    Quantity("T", "translationofcamera2", (3,), is_length=True, side_in="nothing"),  # MATLAB's
+    Quantity("R_transposed", "rotationofcamera2", (9,), side_in="nothing"),
+    Quantity("rect", "rect rrect recttrans recttransform rectify rectification rectificationmatrix rectrotation"
+             " rectifiedrotation", (9,)),
+    Quantity("P", "p proj projection projectionmatrix projmat projmats projmatrix prect", (12, 9)),
+    Quantity("Q", "q disparitytodepth disptodepth disptodepthmatrix disptodepthmat reprojection reprojectionmatrix",
+             (16,), side_in="block"),
+    Quantity("second_from_first", "tc2c1 trl t21 trightleft rightfromleft tcncnm1 lefttoright extrinsic extrinsics",
+             (16, 12), side_in="block"),
+    Quantity("first_from_second", "tc1c2 tlr t12 tleftright leftfromright righttoleft", (16, 12), side_in="block"),
+    Quantity("baseline", "baseline b stereob stereobaseline", is_length=True, side_in="block"),
+    Quantity("bf", "bf camerabf stereobf", side_in="block"),
+    Quantity("fx", "fx f focal focallength focallengthpx focallengthx focalx fxpx fu gamma1 fc", (1, 2)),
+    Quantity("fy", "fy focallengthy focaly fypx fv gamma2"),
+    Quantity("cx", "cx u0 ppx pu cu cxpx principalpointx centerx opticalcenterx"),
+    Quantity("cy", "cy v0 ppy pv cv cypx principalpointy centery opticalcentery"),
+    Quantity("centre", "cc principalpoint opticalcenter opticalcentre", (2,)),
+    Quantity("width", "width imagewidth imgwidth imagewidthpx widthpx cols w nx"),
+    Quantity("height", "height imageheight imgheight imageheightpx heightpx rows h ny"),
+    Quantity("size", "size imagesize imgsize imsize resolution imageshape imgshape shape imageresolution wh", (2, 3)),
+    Quantity("square", "squaresize squarelength squarewidth square chessboardsquaresize checkersize",
+             is_length=True, side_in="block"),
+    Quantity("fisheye", "fisheyemodel isfisheye", side_in="block"),
+    Quantity("depth_scale", "depthmapfactor", side_in="block"),  # of a camera whose second image is depth
+    Quantity("unit", "worldunits units unit lengthunit", (), side_in="block"),
+    Quantity("model", "cameratype distortionmodel modeltype model cameramodel type", ()),
+    *(Quantity(name, name, side_in="block") for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")),
+)  # fmt: skip
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order
+UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}  # by the ending of a name
+
+_BY_ALIAS = {alias: quantity for quantity in QUANTITIES for alias in quantity.aliases.split()}
+_SEPARATORS = re.compile(r"[^a-z0-9]")
+_UNIT_ENDING = re.compile(r"(?:_|(?<=.{4}))(mm|cm|m)$")
+_SIDES = r"left|right|l|r|\d{1,3}"
+_AROUND = re.compile(  # a key whose values are of one camera
+    rf"(?:cam|camera|camerainfo|sensor|view|infrared|infra|ir|mono|intrinsics?|params|calib)?({_SIDES})"
+    r"(?:cam|camera|camerainfo|image|img|infrared|ir|intrinsics?|params|parameters|sensor|calib|calibration|lens)?"
+    rf"|cameraparameters(\d)"
+)
+# a key whose values are between two cameras or streams
+_BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")
+_AFFIXES = {  # before or behind the name of a quantity -> the side
+    form.format(word): word
+    for word in ("left", "right", "l", "r", *map(str, range(10)))
+    for form in ("{}", "cam{}", "camera{}", "{}cam", "{}camera", "of{}", "ofcamera{}")
+}
+
+
+def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
+    """What the keys of a value, from the outside in, state about it; None if they name no quantity."""
+    words = [_plain(key) for key in keys]
+    # camera_matrix: {left: ...}
+    if len(words) > 1 and words[-2] in _BY_ALIAS and re.fullmatch(_SIDES, words[-1]):
+        return Meaning(_side(words[-1]), _BY_ALIAS[words[-2]])
+    around: Side = None
+    for word in words[:-1]:
+        around = around if (side := _side_of_block(word)) is None else side
+    found = _by_name(words[-1], around, n_values)
+    ending = _UNIT_ENDING.search(keys[-1].lower())
+    if found is not None or ending is None:
+        return found
+    found = _by_name(_plain(keys[-1].lower()[: ending.start()]), around, n_values)
+    if found is None or not found.quantity.is_length:
+        return None
+    return found._replace(metres=UNITS_M[ending[1]])
+
+
+def _plain(key: str) -> str:
+    return _SEPARATORS.sub("", key.lower())
+
+
+def _by_name(name: str, around: Side, n_values: int) -> Meaning | None:
+    """The meaning of a name, which may begin or end with its side, in a block of the side `around`."""
+    quantity = _BY_ALIAS.get(name)
+    if quantity is not None and (name not in COEFFICIENTS or n_values == 1):
+        return Meaning(None if quantity.side_in == "nothing" else around, quantity)
+    for affix, word in _AFFIXES.items():
+        for stem in (name.removeprefix(affix), name.removesuffix(affix)):
+            quantity = _BY_ALIAS.get(stem)
+            if stem == name or quantity is None:
+                continue
+            if quantity.side_in != "name":
+                break
+            # a rotation of one camera by its name is that of the rectification
+            is_rectification = quantity.name == "R" and n_values == 9
+            return Meaning(_side(word), _BY_ALIAS["rect"] if is_rectification else quantity)
+    return None
+
+
+def direction(keys: tuple[str, ...]) -> int | None:
+    """Direction of the transform in a block between two cameras: 1 = from the first to the second,
+    -1 = reverse, 0 = between others; None = no such block.
+    """
+    for key in keys[:-1]:
+        if match := _BETWEEN.fullmatch(_plain(key)):
+            first, second = map(_side_of_block, match.groups())
+            if first is None or second is None or isinstance(first, str) != isinstance(second, str):
+                return 0
+            return 1 if str(first) < str(second) else -1
+    return None
+
+
+def _side_of_block(word: str) -> Side:
+    match = _AROUND.fullmatch(word)
+    return None if match is None else _side(next(filter(None, match.groups())))
+
+
+def _side(word: str) -> Side:
+    if word.isdecimal():
+        return int(word)
+    return {"l": "left", "r": "right"}.get(word, word)

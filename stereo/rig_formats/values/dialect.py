@@ -1,0 +1,37 @@
+"""Dialect: a kind of file with values by name, how it is recognised, and what its files do not state."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    """Metres per unit of the lengths in a file."""
+
+    metres: float
+    reason: str  # for messages
+    is_doubtful: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dialect:
+    """A kind of file with values by name: one row of `dialects.DIALECTS`."""
+
+    name: str  # for messages and the table of formats
+    title: str
+    pattern: re.Pattern[str]  # in the text
+    expected: str = "a calibration"  # for messages on broken files
+    metres_per_unit: float | None = None  # of lengths; None = by their size
+    usual_unit: Unit | None = None  # of files that state none; None = by the lengths' size
+    # values by quantity of the cameras of all files of the kind, which the files do not state
+    assumed: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    assumption: str = ""  # the same in words, for the note
+    is_rectified: bool = False  # whether the images are rectified
+    # whether a baseline beside distorted cameras is that of their rectified images
+    is_baseline_rectified: bool = False
+    first_pixel: float = 0.0  # number of the first pixel of a row
+
+
+# any file with matrices by name
+PLAIN = Dialect(name="matrices", title="matrices by name, K1 D1 K2 D2 R T", pattern=re.compile(""))

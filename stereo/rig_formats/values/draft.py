@@ -1,0 +1,301 @@
+"""RigDraft: what the files of a calibration state about its cameras, each value with its file and key."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import quoted, shortened
+from track_range.foundation.schemas.validation import Integer, Number, validated
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.values.aliases import Quantity, Side, direction, meaning
+from track_range.stereo.rig_formats.values.containers import (
+    MAX_NUMBERS,
+    calibration_text,
+    plain_values,
+)
+from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect
+
+# keys with words of cameras of other images than the recorded ones
+_OTHER_SET = ("rectified", "optimal", "new", "undistort")
+# keys whose values are those of a quantity in any number, so that a wrong number is an error
+_EXACT_KEYS = (
+    *("M1", "D1", "M2", "D2", "K1", "K2", "R", "T"),
+    *("camera_matrix", "distortion_coefficients"),
+)
+_EXTRINSIC = ("R", "T", "second_from_first", "first_from_second")
+
+_MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
+_Value = Annotated[Number, Field(ge=-1e12, le=1e12)]  # products of larger ones would overflow
+_Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
+
+
+class _Matrix(BaseModel):
+    """A matrix in FileStorage, row by row; dt is the type of the numbers: d and f are float64 and
+    float32.
+    """
+
+    rows: _Side
+    cols: _Side
+    dt: Literal["d", "f", "i", "u", "w", "s", "c"] = "d"
+    data: Annotated[list[_Value], Field(max_length=MAX_NUMBERS)]
+
+
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(
+    Annotated[list[_Value], Field(max_length=MAX_NUMBERS)]
+)
+
+
+class Stated(NamedTuple):
+    """A value of a calibration, and where it is from."""
+
+    value: Any  # (N,) array; the text of a unit or model
+    path: Path  # the file
+    key: str  # the keys of the file from the outside in, with dots; "" = assumed
+    metres: float | None = None  # per unit of a length, by the key; None = not stated
+    # whether the key is that of the transform from the second camera to the first
+    is_inverse: bool = False
+
+    @property
+    def is_assumed(self) -> bool:
+        """Whether the value is that of all files of the dialect, and not in the file."""
+        return not self.key
+
+
+@dataclass(frozen=True, slots=True)
+class RigDraft:
+    """The values of a calibration that its files state, by side and quantity."""
+
+    path: Path  # the file that was given
+    stated: Mapping[tuple[Side, str], Stated]
+    keys: tuple[str, ...]  # names of all values of the files, in their order
+    beside: tuple[Path, ...] = ()  # the files that complete it
+    dialect: Dialect = PLAIN
+
+    def get(self, side: Side, quantity: str) -> Stated | None:
+        """The value of a side, else of both sides, with its origin; None if there is none."""
+        return self.stated.get((side, quantity)) or self.stated.get((None, quantity))
+
+    def of(self, side: Side, quantity: str) -> Any:
+        """The value of a side, else of both sides; None if there is none."""
+        found = self.get(side, quantity)
+        return None if found is None else found.value
+
+    def own(self, side: Side, quantity: str) -> Any:
+        """The value of this side alone; None if there is none."""
+        found = self.stated.get((side, quantity))
+        return None if found is None else found.value
+
+    def has(self, *quantities: str) -> bool:
+        """Whether one of these quantities is known for any side."""
+        return any(quantity in quantities for _, quantity in self.stated)
+
+    def pair_has(self, *quantities: str) -> bool:
+        """Whether one of these quantities is known for the pair, not for one side."""
+        return any((None, quantity) in self.stated for quantity in quantities)
+
+    @property
+    def sides(self) -> list[Side]:
+        """The sides of the cameras, the first (left, or with the smaller number) first; [] = no
+        named side.
+        """
+        named = {side for side, quantity in self.stated if quantity in ("K", "fx", "P")}
+        words: list[Side] = [side for side in ("left", "right") if side in named]
+        if len(words) == 2:
+            return words
+        return [*words, *sorted(side for side in named if isinstance(side, int))]
+
+    @property
+    def has_two_cameras(self) -> bool:
+        """Whether two cameras are named."""
+        return len(self.sides) >= 2
+
+    @property
+    def pair(self) -> tuple[Side, Side]:
+        """The sides of both cameras; camera 2 follows a single one."""
+        first, second = (*self.sides, None, None)[:2]
+        return first, second if self.has_two_cameras else 2
+
+    @property
+    def has_extrinsics(self) -> bool:
+        """Whether R or T, or a transform, is known."""
+        return self.has(*_EXTRINSIC)
+
+    @property
+    def title(self) -> str:
+        """The kind and the other files, for messages."""
+        if not self.beside:
+            return self.dialect.title
+        return f"{self.dialect.title} with {' and '.join(file.name for file in self.beside)}"
+
+    @property
+    def listed_keys(self) -> str:
+        """The first keys, for messages."""
+        return shortened(", ".join(self.keys[:12]), 60)
+
+    def named_length(self, quantity: str) -> Stated | None:
+        """The first value of a quantity whose key states its unit; None if there is none."""
+        of_quantity = (value for (_, name), value in self.stated.items() if name == quantity)
+        return next((value for value in of_quantity if value.metres is not None), None)
+
+    def __or__(self, other: RigDraft) -> RigDraft:
+        """This draft, completed by the values of `other`."""
+        return replace(
+            self,
+            stated={**other.stated, **self.stated},
+            keys=tuple(dict.fromkeys((*self.keys, *other.keys))),
+            beside=(*self.beside, other.path, *other.beside),
+        )
+
+    def of_one_side(self, side: str) -> RigDraft:
+        """The draft of a file of one camera, assigned to a side."""
+        return replace(
+            self, stated={(side, quantity): value for (_, quantity), value in self.stated.items()}
+        )
+
+
+def read_draft(path: Path) -> RigDraft:
+    """The values of a file of any kind; raises RigError if it cannot be read."""
+    return draft_of(plain_values(calibration_text(path), path), path)
+
+
+def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -> RigDraft:
+    """The draft of the plain values of a file, and those that are assumed for its dialect; raises
+    RigError for a matrix of OpenCV that is damaged.
+    """
+    assumed = {
+        (None, quantity): Stated(np.array(values, np.float64), path, "")
+        for quantity, values in dialect.assumed.items()
+    }
+    stated = assumed | _stated_values(content, path)
+    transposed = stated.get((None, "R_transposed"))
+    if transposed is not None:  # MATLAB's
+        rotation = transposed.value.reshape(3, 3).T.ravel()
+        stated[None, "R"] = transposed._replace(value=rotation)
+    draft = RigDraft(path, stated, tuple(dict.fromkeys(_top_keys(content))), dialect=dialect)
+    q = stated.get((None, "Q"))
+    if q is not None and not draft.has("K", "fx", "P"):
+        for quantity, value in _of_reprojection(q.value).items():
+            stated.setdefault((None, quantity), q._replace(value=value))
+    for side in dict.fromkeys(side for side, quantity in stated if quantity == "P"):
+        is_rectified_alone = (side, "R") in stated and (side, "T") not in stated
+        if side is not None and is_rectified_alone:  # as in camera_info
+            stated.setdefault((side, "rect"), stated.pop((side, "R")))
+    return draft
+
+
+def _stated_values(content: Mapping[str, Any], path: Path) -> dict[tuple[Side, str], Stated]:
+    """The values whose keys name a quantity; of several, the first."""
+    stated: dict[tuple[Side, str], Stated] = {}
+    for keys, value in _leaves(content, ()):
+        key = ".".join(keys)
+        found = meaning(keys, sum(1 for _ in _flat(value)))
+        if found is None or any(word in key.lower() for word in _OTHER_SET):
+            continue
+        side, quantity = found.side, found.quantity
+        way = direction(keys) if quantity.name in ("R", "T") else None
+        if way == 0:  # of other streams, such as depth to colour
+            continue
+        side = side if way is None else None
+        if (side, quantity.name) in stated:
+            continue
+        numbers = _value(value, quantity, key, path)
+        if numbers is not None:
+            stated[side, quantity.name] = Stated(numbers, path, key, found.metres, way == -1)
+    return stated
+
+
+def _of_reprojection(q: FloatArray) -> dict[str, FloatArray]:
+    """Camera matrix and baseline of rectified images by OpenCV's Q (16,), [[1, 0, 0, -cx],
+    [0, 1, 0, -cy], [0, 0, 0, f], [0, 0, -1 / Tx, 0]]; none for another matrix.
+    """
+    focal_px, inverse_baseline = q[11], q[14]
+    if not inverse_baseline or not focal_px > 0:
+        return {}
+    return {
+        "K": np.array([focal_px, focal_px, -q[3], -q[7]]),
+        "baseline": np.array([abs(1.0 / inverse_baseline)]),
+    }
+
+
+def _top_keys(content: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in content.items():
+        if isinstance(value, dict) and not _is_matrix(value) and len(content) <= 3:
+            yield from (f"{key}.{part}" for part in value)
+        else:
+            yield str(key)
+
+
+def _is_matrix(value: object) -> bool:
+    return isinstance(value, dict) and "data" in value
+
+
+def _leaves(value: object, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(keys from the outside in, value) of all values that are not mappings, or are matrices."""
+    if isinstance(value, dict) and value.keys() == {"x", "y", "z"}:
+        yield keys, [value["x"], value["y"], value["z"]]
+    elif isinstance(value, dict) and not _is_matrix(value):
+        for key, part in value.items():
+            yield from _leaves(part, (*keys, *str(key).split(".")))
+    elif isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
+        for number, part in enumerate(value):
+            yield from _leaves(part, (*keys, str(part.get("name", part.get("id", number)))))
+    elif keys:
+        yield keys, value
+
+
+def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
+    """(N,) numbers of a value, or the text of a unit or model; None for other values."""
+    if not quantity.counts:
+        return value if isinstance(value, str) else None
+    # a large matrix
+    if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):
+        return None
+    is_exact = key in _EXACT_KEYS
+    if _is_matrix(value) and {"rows", "cols"} <= value.keys():
+        numbers: FloatArray | None = _stored(value, f"{path}: {key}")
+    else:
+        numbers = _numbers(value)
+    if numbers is None:
+        if is_exact or _is_matrix(value):
+            raise RigError(
+                f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again."
+            )
+        return None
+    return numbers if is_exact or numbers.size in quantity.counts else None
+
+
+def _stored(value: dict[str, Any], name: str) -> FloatArray:
+    """(N,) numbers of a matrix in FileStorage, rounded as OpenCV rounds them."""
+    matrix = validated(_Matrix, value, name, RigError)
+    if len(matrix.data) != matrix.rows * matrix.cols:
+        raise RigError(
+            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate again."
+        )
+    return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
+
+
+def _numbers(value: Any) -> FloatArray | None:
+    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for other
+    values.
+    """
+    try:
+        return np.array(_NUMBERS.validate_python(list(_flat(value))), np.float64)
+    except ValidationError:
+        return None
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    """The values of nested lists, of the data of a matrix, or the words of a text."""
+    value = value.get("data") if isinstance(value, dict) else value
+    if isinstance(value, list):
+        for part in value[: MAX_NUMBERS + 1]:
+            yield from _flat(part) if isinstance(part, list) else (part,)
+    else:
+        yield from value.split() if isinstance(value, str) else (value,)

@@ -1,0 +1,157 @@
+"""The transform between two cameras from the draft of a calibration, in the unit of its files.
+
+    R, T         x2 = R x1 + T, or of each camera, x = R x_world + T
+    R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0)
+
+R and T are checked with the rest of the file: R2 R R1^T = 1, |T| = |P2[0, 3]| / f.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.geometry.rig import inverse_motion, rigid_motion
+from track_range.stereo.rig_formats.values.aliases import Side
+from track_range.stereo.rig_formats.values.cameras import incomplete, shaped
+from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.units import TOLERANCE
+
+_SECOND_CAMERA = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}  # its matrices, and quantities
+
+
+class Motion(NamedTuple):
+    """The transform from the first camera's frame to the second's."""
+
+    matrix: FloatArray  # (4, 4)
+    notes: tuple[str, ...] = ()
+
+
+def motion_of(draft: RigDraft) -> Motion:
+    """The transform by the quantities of a draft; RigError if they are incomplete."""
+    transform = _stated_transform(draft)
+    if transform is not None:
+        return Motion(transform)
+    first, second = draft.pair
+    if not draft.pair_has("T"):
+        if draft.own(second, "T") is not None:  # a pose of each camera
+            return Motion(
+                np.asarray(_pose(draft, second) @ inverse_motion(_pose(draft, first)), np.float64)
+            )
+        rectified = _motion_of_rectification(draft)
+        if rectified is not None:
+            return Motion(
+                rectified, (f"{draft.path}: R and T are computed from R1, R2, P1 and P2.",)
+            )
+    missing = _missing(draft)
+    if missing:
+        raise incomplete(draft, missing)
+    return Motion(motion_of_pair(draft))
+
+
+def motion_of_pair(draft: RigDraft) -> FloatArray:
+    """(4, 4) transform of R and T of the pair."""
+    motion, translation = _pose(draft, None), draft.get(None, "T")
+    is_inverse = translation is not None and translation.is_inverse
+    return inverse_motion(motion) if is_inverse else motion
+
+
+def checked_with_rectification(draft: RigDraft, motion: Motion) -> Motion:
+    """The transform, inverted if R1 and R2 in the same files show that, and notes on contradictions
+    with them and P2.
+    """
+    motion = _checked_rotation(draft, motion)
+    p = draft.own(draft.pair[1], "P")
+    if p is None or p.size != 12 or not p[3]:
+        return motion
+    length, projected = float(np.linalg.norm(motion.matrix[:3, 3])), abs(float(p[3] / p[0]))
+    if abs(projected / max(length, 1e-9) - 1) <= TOLERANCE:
+        return motion
+    note = f"{draft.path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
+    return Motion(motion.matrix, (*motion.notes, note))
+
+
+def projections_of(draft: RigDraft) -> list[FloatArray] | None:
+    """The (3, 4) projection matrices of both rectified cameras; None if one is missing."""
+    projections = [draft.of(side, "P") for side in draft.pair]
+    if all(p is not None and p.size == 12 for p in projections):
+        return [p.reshape(3, 4) for p in projections]
+    return None
+
+
+def offset_of(first: FloatArray, second: FloatArray) -> float:
+    """-B of two projection matrices (3, 4), in the unit of the file."""
+    return float(second[0, 3] / second[0, 0] - first[0, 3] / first[0, 0])
+
+
+def _stated_transform(draft: RigDraft) -> FloatArray | None:
+    """The transform in a matrix of 4 x 4 or 3 x 4 numbers; None without one."""
+    for quantity in ("second_from_first", "first_from_second"):
+        numbers = draft.of(None, quantity)
+        if numbers is not None:
+            rotation, translation = np.split(numbers.reshape(-1, 4)[:3], [3], axis=1)
+            motion = rigid_motion(rotation, translation)
+            return motion if quantity == "second_from_first" else inverse_motion(motion)
+    return None
+
+
+def _motion_of_rectification(draft: RigDraft) -> FloatArray | None:
+    """R = R2^T R1, T = R2^T (-B, 0, 0); None without R1, R2, P1 and P2."""
+    projections = projections_of(draft)
+    first, second = (draft.of(side, "rect") for side in draft.pair)
+    if projections is None or first is None or second is None:
+        return None
+    r1, r2 = first.reshape(3, 3), second.reshape(3, 3)
+    return rigid_motion(r2.T @ r1, r2.T @ [offset_of(*projections), 0.0, 0.0])
+
+
+def _missing(draft: RigDraft) -> list[str]:
+    """Names of the matrices of a pair that the files lack."""
+    second = draft.pair[1]
+    missing = [
+        name
+        for name, quantities in _SECOND_CAMERA.items()
+        if all(draft.own(second, quantity) is None for quantity in quantities)
+    ]
+    return [*missing, *(name for name in ("R", "T") if draft.of(None, name) is None)]
+
+
+def _pose(draft: RigDraft, side: Side) -> FloatArray:
+    """(4, 4) transform of R and T of a side; the identity for a camera without them."""
+    stated = draft.stated.get((side, "R")) or draft.stated.get((side, "rect"))
+    rotation = np.eye(3)
+    if stated is not None and stated.value.size == 3:
+        rotation = np.asarray(cv2.Rodrigues(stated.value)[0])
+    elif stated is not None:
+        rotation = shaped(stated, (3, 3), "R")
+    translation = draft.stated.get((side, "T"))
+    return rigid_motion(
+        rotation, np.zeros(3) if translation is None else shaped(translation, (3,), "T")
+    )
+
+
+def _checked_rotation(draft: RigDraft, motion: Motion) -> Motion:
+    """Comparison of R with R1 and R2: R2 R R1^T = 1."""
+    rect1, rect2 = (draft.own(side, "rect") for side in draft.pair)
+    is_complete = draft.own(draft.pair[1], "P") is not None and draft.pair_has("T")
+    if rect1 is None or rect2 is None or not is_complete:
+        return motion
+    r1, r2 = rect1.reshape(3, 3), rect2.reshape(3, 3)
+    rotation = motion.matrix[:3, :3]
+    error, error_of_inverse = (
+        float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)
+    )
+    if error <= TOLERANCE:
+        return motion
+    if error_of_inverse < TOLERANCE:
+        note = (
+            f"{draft.path}: R and T are the transform from camera 2 to camera 1, by R1 and R2; "
+            "they are inverted."
+        )
+        return Motion(inverse_motion(motion.matrix), (*motion.notes, note))
+    note = (
+        f"{draft.path}: R contradicts R1 and R2, which rectify another pair (R2 R R1^T differs from "
+        f"the identity by {error:.2g}); R and T are used."
+    )
+    return Motion(motion.matrix, (*motion.notes, note))
