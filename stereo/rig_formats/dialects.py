@@ -11,7 +11,6 @@ from pathlib import Path
 
 from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
-from track_range.stereo.rig_formats.values.completion import completed
 from track_range.stereo.rig_formats.values.containers import (
     K_AND_BASELINE,
     VIRTUAL_KITTI,
@@ -19,6 +18,7 @@ from track_range.stereo.rig_formats.values.containers import (
 )
 from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect, Unit
 from track_range.stereo.rig_formats.values.draft import draft_of
+from track_range.stereo.rig_formats.values.partners import completed
 from track_range.stereo.rig_formats.values.resolution import resolved
 
 DIALECTS = (

@@ -10,7 +10,6 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.image_size import fitted_rig, fitted_to_size
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
     RigCalibration,
@@ -18,6 +17,7 @@ from track_range.stereo.geometry.rig_checks import (
     check_rig,
     shared_view_notes,
 )
+from track_range.stereo.geometry.size_notes import fitted_rig, fitted_to_size
 from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
 from track_range.stereo.rig_formats.dialects import FORMATS

@@ -43,9 +43,10 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
         reason, cameras, motion = str(error), [{}, {}], None
         with contextlib.suppress(RigError):
             draft = read_draft(path)
-            partial_cameras = [stated_camera(draft, index) for index in (0, 1)]
+            for index in (0, 1):
+                with contextlib.suppress(RigError):  # of a matrix that is none of a camera
+                    cameras[index] = stated_camera(draft, index)
             motion = stated_motion(draft)
-            cameras = partial_cameras  # both or none: a motion with wrong numbers is an error
     advice = (
         "fill in the blanks, in pixels and metres, and remove what a single camera does not have"
     )

@@ -9,15 +9,11 @@ import pytest
 
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.image_size import (
-    SizeFit,
-    field_notes,
-    fitted_to_size,
-    size_alternatives,
-)
+from track_range.stereo.geometry.image_size import fit_to_size
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
+from track_range.stereo.geometry.size_notes import field_notes, fitted_to_size
 from track_range.stereo.rig_formats.reading import load_calibration
 
 KITTI = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 0, 0)  # calib.txt has no image size
@@ -39,7 +35,7 @@ HD = PinholeCamera(1150.0, 1150.0, 655.0, 349.0, 1280, 720)  # 1 % of the width 
     ],
 )
 def test_how_images_belong_to_a_camera(camera, size_px, reading, fx_px):
-    fit = SizeFit(camera, size_px)
+    fit = fit_to_size(camera, size_px)
     assert fit.reading == reading
     if fx_px is not None:
         assert (fit.camera.size_px, fit.camera.fx_px) == (size_px, pytest.approx(fx_px))
@@ -59,7 +55,7 @@ def test_a_calibration_without_a_size(size_px, factor):
     camera, notes = fitted_to_size(KITTI, size_px, "calib.txt")
     assert camera == dataclasses.replace(KITTI, width_px=size_px[0], height_px=size_px[1])
     assert f"no image size; it is taken to be {size_px[0]}x{size_px[1]} px" in notes[0]
-    assert [other.factor for other in size_alternatives(KITTI, size_px)][:1] == (
+    assert [other.factor for other in fit_to_size(KITTI, size_px).alternatives][:1] == (
         [] if factor is None else [factor]
     )
     assert len(notes) == (1 if factor is None else 2)
@@ -85,11 +81,11 @@ def test_a_matrix_that_did_not_follow_the_resolution(scale, factor):
         1280,
         720,
     )
-    shown = [other.factor for other in size_alternatives(wrong, (1280, 720))]
+    shown = [other.factor for other in fit_to_size(wrong, (1280, 720)).alternatives]
     assert shown[0] == pytest.approx(factor)
     assert "focal length is in doubt" in fitted_to_size(wrong, (1280, 720), "info.yaml")[1][0]
     # the images are resized, too
-    assert size_alternatives(wrong, (640, 360))[0].factor == pytest.approx(factor)
+    assert fit_to_size(wrong, (640, 360)).alternatives[0].factor == pytest.approx(factor)
     loaded = calibration_of(StereoRig.rectified(wrong, 0.5), ((1280, 720),))
     assert loaded.focal_sigma == pytest.approx(max(abs(1 - 1 / other) for other in shown))
 
@@ -171,5 +167,7 @@ def test_principal_points_of_real_calibrations_are_not_doubted(shared_data: Path
     cameras, _ = load_calibration(shared_data / name)
     assert isinstance(cameras, StereoRig)
     assert (
-        size_alternatives(cameras.left, size_px) == size_alternatives(cameras.right, size_px) == ()
+        fit_to_size(cameras.left, size_px).alternatives
+        == fit_to_size(cameras.right, size_px).alternatives
+        == ()
     )

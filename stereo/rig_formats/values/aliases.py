@@ -90,11 +90,13 @@ _AROUND = re.compile(  # a key whose values are of one camera
 )
 # a key whose values are between two cameras or streams
 _BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")
-_AFFIXES = {  # before or behind the name of a quantity -> the side
-    form.format(word): word
-    for word in ("left", "right", "l", "r", *map(str, range(10)))
-    for form in ("{}", "cam{}", "camera{}", "{}cam", "{}camera", "of{}", "ofcamera{}")
-}
+# a name with its side before or behind it
+_NAME = "|".join(
+    alias for row in QUANTITIES if row.side_in == "name" for alias in row.aliases.split()
+)
+_SIDE_IN_NAME = r"(?:of)?(?:cam|camera)?(?P<side>left|right|l|r|\d)(?:cam|camera)?"
+_BEFORE = re.compile(rf"{_SIDE_IN_NAME}(?P<name>{_NAME})")
+_BEHIND = re.compile(rf"(?P<name>{_NAME}){_SIDE_IN_NAME}")
 
 
 def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
@@ -125,17 +127,13 @@ def _by_name(name: str, around: Side, n_values: int) -> Meaning | None:
     quantity = _BY_ALIAS.get(name)
     if quantity is not None and (name not in COEFFICIENTS or n_values == 1):
         return Meaning(None if quantity.side_in == "nothing" else around, quantity)
-    for affix, word in _AFFIXES.items():
-        for stem in (name.removeprefix(affix), name.removesuffix(affix)):
-            quantity = _BY_ALIAS.get(stem)
-            if stem == name or quantity is None:
-                continue
-            if quantity.side_in != "name":
-                break
-            # a rotation of one camera by its name is that of the rectification
-            is_rectification = quantity.name == "R" and n_values == 9
-            return Meaning(_side(word), _BY_ALIAS["rect"] if is_rectification else quantity)
-    return None
+    match = _BEFORE.fullmatch(name) or _BEHIND.fullmatch(name)
+    if match is None:
+        return None
+    quantity = _BY_ALIAS[match["name"]]
+    # the name of one camera's rotation is that of the rectification
+    is_rectification = quantity.name == "R" and n_values == 9
+    return Meaning(_side(match["side"]), _BY_ALIAS["rect"] if is_rectification else quantity)
 
 
 def direction(keys: tuple[str, ...]) -> int | None:

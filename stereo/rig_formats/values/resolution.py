@@ -113,7 +113,9 @@ def _parallel(
     motion = rigid_motion(np.eye(3), [-baseline * unit.metres, 0.0, 0.0])
     length_m = abs(baseline) * unit.metres
     note = f"{draft.path}: {kind}: the baseline is {length_m:.5g} m, {unit.reason}; {images}."
-    return RigCalibration(*cameras, motion, notes=(note,), metres_per_unit=unit.metres)
+    return RigCalibration(
+        cameras[0], cameras[1], motion, notes=(note,), metres_per_unit=unit.metres
+    )
 
 
 def _of_transform(draft: RigDraft, left: PinholeCamera) -> RigCalibration:

@@ -21,7 +21,7 @@ from track_range.recording.video.names import VideoName, files_of
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
 from track_range.stereo.alignment.right_view import RightView
-from track_range.stereo.geometry import image_size
+from track_range.stereo.geometry import image_size, size_notes
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.stereo.geometry.camera import (
     PinholeCamera,
@@ -443,7 +443,7 @@ def _without_file(
         alternatives=others,
         pixel_aspect=aspect,
         file_notes=(
-            *image_size.field_notes(camera, source),
+            *size_notes.field_notes(camera, source),
             *contradictions,
             *([doubt] if others else []),
         ),
@@ -487,7 +487,7 @@ def _loaded(
         mounting=content.mounting if len(sizes_px) == 1 else None,
         accuracy=content.accuracy,
         left_from_reference_m=np.array(content.left_from_reference_m),
-        alternatives=image_size.size_alternatives(content.left, fitted_px[0]),
+        alternatives=image_size.fit_to_size(content.left, fitted_px[0]).alternatives,
     )
 
 
@@ -529,18 +529,20 @@ def _of_models(
     fitted: StereoRig | PinholeCamera
     fitted_px = _sizes_of(left, sizes_px, aspect)
     if len(sizes_px) == 1:
-        fitted, notes = image_size.fitted_to_size(left, fitted_px[0], source)
+        fitted, notes = size_notes.fitted_to_size(left, fitted_px[0], source)
         check_camera(fitted, source)
     elif isinstance(given, PinholeCamera):
         raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
     else:
         check_rig(given, source)
-        fitted, notes = image_size.fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
+        fitted, notes = size_notes.fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
     accuracy = given.accuracy if isinstance(given, StereoRig) else None
     notes = notes if accuracy is None else (accuracy.sentence, *notes)
     loaded = _of_cameras(fitted, path, notes, sizes_px, view)
     return replace(
-        loaded, accuracy=accuracy, alternatives=image_size.size_alternatives(left, fitted_px[0])
+        loaded,
+        accuracy=accuracy,
+        alternatives=image_size.fit_to_size(left, fitted_px[0]).alternatives,
     )
 
 
