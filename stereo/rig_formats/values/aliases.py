@@ -108,14 +108,14 @@ def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
     around: Side = None
     for word in words[:-1]:
         around = around if (side := _side_of_block(word)) is None else side
-    found = _by_name(words[-1], around, n_values)
+    result = _by_name(words[-1], around, n_values)
     ending = _UNIT_ENDING.search(keys[-1].lower())
-    if found is not None or ending is None:
-        return found
-    found = _by_name(_plain(keys[-1].lower()[: ending.start()]), around, n_values)
-    if found is None or not found.quantity.is_length:
+    if result is not None or ending is None:
+        return result
+    result = _by_name(_plain(keys[-1].lower()[: ending.start()]), around, n_values)
+    if result is None or not result.quantity.is_length:
         return None
-    return found._replace(metres=UNITS_M[ending[1]])
+    return result._replace(metres=UNITS_M[ending[1]])
 
 
 def _plain(key: str) -> str:

@@ -179,7 +179,7 @@ def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray |
     """
     sides: list[Side] = [side, None] if side is not None else [None, *draft.sides]
     width, height, size = (
-        next((found for place in sides if (found := draft.stated.get((place, name)))), None)
+        next((value for place in sides if (value := draft.stated.get((place, name)))), None)
         for name in ("width", "height", "size")
     )
     if width is not None and height is not None:

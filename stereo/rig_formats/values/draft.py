@@ -84,13 +84,13 @@ class RigDraft:
 
     def of(self, side: Side, quantity: str) -> Any:
         """The value of a side, else of both sides; None if there is none."""
-        found = self.get(side, quantity)
-        return None if found is None else found.value
+        stated = self.get(side, quantity)
+        return None if stated is None else stated.value
 
     def own(self, side: Side, quantity: str) -> Any:
         """The value of this side alone; None if there is none."""
-        found = self.stated.get((side, quantity))
-        return None if found is None else found.value
+        stated = self.stated.get((side, quantity))
+        return None if stated is None else stated.value
 
     def has(self, *quantities: str) -> bool:
         """Whether one of these quantities is known for any side."""
@@ -195,19 +195,19 @@ def _stated_values(content: Mapping[str, Any], path: Path) -> dict[tuple[Side, s
     stated: dict[tuple[Side, str], Stated] = {}
     for keys, value in _leaves(content, ()):
         key = ".".join(keys)
-        found = meaning(keys, sum(1 for _ in _flat(value)))
-        if found is None or any(word in key.lower() for word in _OTHER_SET):
+        of_keys = meaning(keys, sum(1 for _ in _flat(value)))
+        if of_keys is None or any(word in key.lower() for word in _OTHER_SET):
             continue
-        side, quantity = found.side, found.quantity
-        way = direction(keys) if quantity.name in ("R", "T") else None
-        if way == 0:  # of other streams, such as depth to colour
+        side, quantity = of_keys.side, of_keys.quantity
+        sense = direction(keys) if quantity.name in ("R", "T") else None
+        if sense == 0:  # of other streams, such as depth to colour
             continue
-        side = side if way is None else None
+        side = side if sense is None else None
         if (side, quantity.name) in stated:
             continue
         numbers = _value(value, quantity, key, path)
         if numbers is not None:
-            stated[side, quantity.name] = Stated(numbers, path, key, found.metres, way == -1)
+            stated[side, quantity.name] = Stated(numbers, path, key, of_keys.metres, sense == -1)
     return stated
 
 
@@ -265,7 +265,7 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
     if numbers is None:
         if is_exact or _is_matrix(value):
             raise RigError(
-                f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again."
+                f"{path}: {key}: expected numbers, of_keys {quoted(value)}; calibrate again."
             )
         return None
     return numbers if is_exact or numbers.size in quantity.counts else None
@@ -276,7 +276,7 @@ def _stored(value: dict[str, Any], name: str) -> FloatArray:
     matrix = validated(_Matrix, value, name, RigError)
     if len(matrix.data) != matrix.rows * matrix.cols:
         raise RigError(
-            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate again."
+            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, of_keys {len(matrix.data)}; calibrate again."
         )
     return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
 
