@@ -21,33 +21,33 @@ from track_range.stereo.rig_formats.values.units import TOLERANCE
 _SECOND_CAMERA = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}  # its matrices, and quantities
 
 
-class Motion(NamedTuple):
+class PairMotion(NamedTuple):
     """The transform from the first camera's frame to the second's."""
 
     matrix: FloatArray  # (4, 4)
     notes: tuple[str, ...] = ()
 
 
-def motion_of(draft: RigDraft) -> Motion:
+def motion_of(draft: RigDraft) -> PairMotion:
     """The transform by the quantities of a draft; RigError if they are incomplete."""
     transform = _stated_transform(draft)
     if transform is not None:
-        return Motion(transform)
+        return PairMotion(transform)
     first, second = draft.pair
     if not draft.pair_has("T"):
         if draft.own(second, "T") is not None:  # a pose of each camera
-            return Motion(
+            return PairMotion(
                 np.asarray(_pose(draft, second) @ inverse_motion(_pose(draft, first)), np.float64)
             )
         rectified = _motion_of_rectification(draft)
         if rectified is not None:
-            return Motion(
+            return PairMotion(
                 rectified, (f"{draft.path}: R and T are computed from R1, R2, P1 and P2.",)
             )
     missing = _missing(draft)
     if missing:
         raise incomplete(draft, missing)
-    return Motion(motion_of_pair(draft))
+    return PairMotion(motion_of_pair(draft))
 
 
 def motion_of_pair(draft: RigDraft) -> FloatArray:
@@ -57,7 +57,7 @@ def motion_of_pair(draft: RigDraft) -> FloatArray:
     return inverse_motion(motion) if is_inverse else motion
 
 
-def checked_with_rectification(draft: RigDraft, motion: Motion) -> Motion:
+def checked_with_rectification(draft: RigDraft, motion: PairMotion) -> PairMotion:
     """The transform, inverted if R1 and R2 in the same files show that, and notes on contradictions
     with them and P2.
     """
@@ -69,7 +69,7 @@ def checked_with_rectification(draft: RigDraft, motion: Motion) -> Motion:
     if abs(projected / max(length, 1e-9) - 1) <= TOLERANCE:
         return motion
     note = f"{draft.path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
-    return Motion(motion.matrix, (*motion.notes, note))
+    return PairMotion(motion.matrix, (*motion.notes, note))
 
 
 def projections_of(draft: RigDraft) -> list[FloatArray] | None:
@@ -131,7 +131,7 @@ def _pose(draft: RigDraft, side: Side) -> FloatArray:
     )
 
 
-def _checked_rotation(draft: RigDraft, motion: Motion) -> Motion:
+def _checked_rotation(draft: RigDraft, motion: PairMotion) -> PairMotion:
     """Comparison of R with R1 and R2: R2 R R1^T = 1."""
     rect1, rect2 = (draft.own(side, "rect") for side in draft.pair)
     is_complete = draft.own(draft.pair[1], "P") is not None and draft.pair_has("T")
@@ -149,9 +149,9 @@ def _checked_rotation(draft: RigDraft, motion: Motion) -> Motion:
             f"{draft.path}: R and T are the transform from camera 2 to camera 1, by R1 and R2; "
             "they are inverted."
         )
-        return Motion(inverse_motion(motion.matrix), (*motion.notes, note))
+        return PairMotion(inverse_motion(motion.matrix), (*motion.notes, note))
     note = (
         f"{draft.path}: R contradicts R1 and R2, which rectify another pair (R2 R R1^T differs from "
         f"the identity by {error:.2g}); R and T are used."
     )
-    return Motion(motion.matrix, (*motion.notes, note))
+    return PairMotion(motion.matrix, (*motion.notes, note))
