@@ -23,8 +23,9 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.calibration.board_views import BoardView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, distorted_angle
 from track_range.stereo.geometry.rig import StereoRig, rigid_motion
+from track_range.stereo.lenses.kannala_brandt import distorted_angle
+from track_range.stereo.lenses.lens import KANNALA_BRANDT
 
 # (R,) of parameters: common (C,), by view (V, P)
 Residuals = Callable[[FloatArray, FloatArray], FloatArray]

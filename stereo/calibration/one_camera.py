@@ -29,8 +29,8 @@ from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_static
 from track_range.stereo.calibration.fisheye_fit import UNDETERMINED, fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import PINHOLE
 from track_range.stereo.geometry.rig import rigid_motion
+from track_range.stereo.lenses.lens import PINHOLE
 
 Advance = Callable[[int, int], None]  # progress callback: number of finished steps, and the total
 T = TypeVar("T")

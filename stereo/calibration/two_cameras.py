@@ -24,9 +24,9 @@ from track_range.stereo.calibration.coverage import coverage_of
 from track_range.stereo.calibration.fisheye_fit import fit_fisheye_pair
 from track_range.stereo.geometry import rectification
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M
+from track_range.stereo.lenses.lens import PINHOLE
 
 # views of the left and the right camera with the same corners
 ViewPair = tuple[BoardView, BoardView]

@@ -1,6 +1,6 @@
 """PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with a lens distortion.
 
-The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or the distortion of a wide lens (`lenses`), which
+The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or the distortion of a wide lens (`stereo.lenses`), which
 images angles up to and beyond 90 degrees from the optical axis. Images are undistorted before
 anything is measured; images of a wide lens are resampled to the virtual pinhole of
 `virtual_pinhole.py`.
@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.lenses import LENSES, PINHOLE
+from track_range.stereo.lenses.lens import PINHOLE
+from track_range.stereo.lenses.registry import LENSES
 
 # relative difference of fx and fy up to which pixels are used as they are; lenses differ by 0.01
 _SQUARE = 0.03
@@ -68,7 +69,7 @@ class PinholeCamera:
     # coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty =
     # none
     distortion: tuple[float, ...] = ()
-    lens: str = PINHOLE  # name of the lens model, one of `lenses.LENSES`
+    lens: str = PINHOLE  # name of the lens model, one of `LENSES`
 
     @classmethod
     def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
@@ -124,7 +125,7 @@ class PinholeCamera:
     @property
     def is_wide(self) -> bool:
         """Whether the lens model covers fields of view up to and beyond 180 degrees."""
-        return LENSES[self.lens].is_wide
+        return LENSES.named(self.lens).is_wide
 
     def without_distortion(self) -> PinholeCamera:
         """The ideal pinhole with the same matrix: the camera of undistorted images, except of a
@@ -182,13 +183,13 @@ class PinholeCamera:
         image circle.
         """
         normalised = (xy_px - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
-        return LENSES[self.lens].undistort(normalised, self.distortion)
+        return LENSES.named(self.lens).undistort(normalised, self.distortion)
 
     def recorded_px(self, xyz_m: FloatArray) -> FloatArray:
         """(N, 2) pixels of the images with distortion of points (N, 3) in the camera's frame; NaN
         where not imaged.
         """
-        normalised = LENSES[self.lens].distort(xyz_m, self.distortion)
+        normalised = LENSES.named(self.lens).distort(xyz_m, self.distortion)
         return np.asarray(normalised * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px))
 
     def rays(self, xy_px: FloatArray) -> FloatArray:

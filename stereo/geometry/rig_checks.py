@@ -16,8 +16,8 @@ from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.schemas.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
-from track_range.stereo.geometry.lenses import LENSES
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
+from track_range.stereo.lenses.registry import LENSES
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
 # largest plausible width or height of an image, pixels; four times that of 8K video
@@ -261,7 +261,7 @@ def _check_principal_point(camera: PinholeCamera, source: object) -> None:
 
 def _check_distortion(camera: PinholeCamera, source: object) -> None:
     """Check the number and magnitude of the distortion coefficients."""
-    names = LENSES[camera.lens].coefficients
+    names = LENSES.named(camera.lens).coefficients
     if camera.is_wide:
         numbers: tuple[int, ...] = (len(names),)
         expected = f"{len(names)} finite coefficients ({' '.join(names)})"

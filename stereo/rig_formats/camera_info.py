@@ -15,9 +15,9 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 
 # distortion models that are OpenCV's
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")

@@ -30,9 +30,9 @@ from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_json
 from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import RigCalibration
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
 

@@ -18,18 +18,20 @@ Supported models, YAML formats.)
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.input_files import alternatives, quoted
 from track_range.foundation.files.structured_text import parse_yaml
 from track_range.foundation.schemas.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
+from track_range.stereo.lenses.lens import KalibrModel
+from track_range.stereo.lenses.registry import LENSES
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 
@@ -61,25 +63,22 @@ class _CameraBlock(BaseModel):
         return None if self.T_imu_cam is None else inverse_motion(np.array(self.T_imu_cam))
 
 
-class _Model(NamedTuple):
-    """A camera model: Kalibr's names, the number of the lens's intrinsics before fu, and the name
-    of the lens.
-    """
-
-    camera: str
-    distortion: str
-    n_intrinsics: int
-    lens: str
+def _models() -> dict[tuple[str, str], tuple[KalibrModel, str]]:
+    """The models by camera_model and distortion_model, and the names of their lenses."""
+    models: dict[tuple[str, str], tuple[KalibrModel, str]] = {}
+    for name, lens in LENSES.usable.items():
+        for model in lens.kalibr:
+            models.setdefault((model.camera, model.distortion), (model, name))
+    return models
 
 
-_MODELS = (  # a missing distortion_model is none
-    _Model("pinhole", "radtan", 0, "pinhole"),
-    _Model("pinhole", "none", 0, "pinhole"),
-    _Model("pinhole", "equidistant", 0, "kannala-brandt"),
-    _Model("omni", "radtan", 1, "omni"),
-    _Model("omni", "none", 1, "omni"),
-    _Model("ds", "none", 2, "double-sphere"),
-)
+def _known_models() -> str:
+    """The models, for messages: "pinhole with radtan or none, or ds with none"."""
+    distortions: dict[str, list[str]] = {}
+    for camera, distortion in _models():
+        distortions.setdefault(camera, []).append(distortion)
+    *first, last = (f"{camera} with {alternatives(d)}" for camera, d in distortions.items())
+    return ", ".join([*first, f"or {last}"])
 
 
 def _read(text: str, source: object) -> RigCalibration:
@@ -126,14 +125,15 @@ def _second_from_first(first: _CameraBlock, second: _CameraBlock) -> FloatArray 
 
 def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
     block = validated(_CameraBlock, content, name, RigError)
-    names = (block.camera_model, block.distortion_model or "none")
-    model = next((model for model in _MODELS if (model.camera, model.distortion) == names), None)
-    if model is None:
+    distortion = block.distortion_model or "none"
+    names = (str(block.camera_model), str(distortion))
+    if names not in (models := _models()):
         raise RigError(
-            f"{name}: expected the camera_model and distortion_model pinhole with radtan, "
-            f"equidistant or none, omni with radtan, or ds, found {quoted(names[0])} with "
-            f"{quoted(names[1])}; calibrate with one of these."
+            f"{name}: expected the camera_model and distortion_model {_known_models()}, found "
+            f"{quoted(block.camera_model)} with {quoted(distortion)}; calibrate with "
+            "one of these."
         )
+    model, lens = models[names]
     if len(block.intrinsics) != model.n_intrinsics + 4:
         raise RigError(
             f"{name}: expected {model.n_intrinsics + 4} intrinsics of {model.camera}, found "
@@ -148,16 +148,16 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
         )
     coefficients = block.distortion_coeffs
     if model.distortion == "none":
-        coefficients = [0.0] * 4 if model.lens == "omni" else []
+        known = LENSES.named(lens)
+        n_missing = len(known.coefficients) - model.n_intrinsics
+        coefficients = [0.0] * n_missing if known.is_wide else []
     elif len(coefficients) != 4:
         raise RigError(
             f"{name}: expected four numbers in 'distortion_coeffs', found "
             f"{len(coefficients)}; {_HINT}."
         )
     fu, fv, pu, pv = matrix
-    return PinholeCamera(
-        fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), model.lens
-    ), block
+    return PinholeCamera(fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), lens), block
 
 
 KALIBR = format_by_pattern("kalibr", "Kalibr's camchain.yaml", _CAMERA, _read, "a block cam1")

@@ -19,10 +19,10 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.dialects import FORMATS
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 

@@ -1,8 +1,8 @@
 """rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
 Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or the
-distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2
-p1 p2):
+distortion of the wide lens named by the key `lens`, one of `LENSES` (kannala-brandt: k1 .. k4, double-sphere: xi
+alpha, omni: xi k1 k2 p1 p2):
 
     track_range_rig: 1
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
@@ -21,10 +21,12 @@ A calibration with a board has the relative standard deviations of focal length 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
+from track_range.foundation.files.input_files import alternatives
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.schemas.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -35,6 +37,8 @@ from track_range.stereo.geometry.rig_checks import (
     check_camera,
     check_rig,
 )
+from track_range.stereo.lenses.lens import PINHOLE
+from track_range.stereo.lenses.registry import LENSES
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 VERSION = 1  # version of the format, the value of its key `track_range_rig`
@@ -52,7 +56,16 @@ class _CameraFile(BaseModel):
     width_px: ImageSide
     height_px: ImageSide
     distortion: list[Number] = []
-    lens: Literal["pinhole", "kannala-brandt", "double-sphere", "omni"] = "pinhole"
+    lens: str = PINHOLE
+
+    @field_validator("lens")
+    @classmethod
+    def _known_lens(cls, lens: str) -> str:
+        known = LENSES.usable
+        if lens not in known:
+            expected = alternatives(map(repr, known))
+            raise PydanticCustomError("lens", "Input should be {names}", {"names": expected})
+        return lens
 
     def camera(self) -> PinholeCamera:
         size = (self.width_px, self.height_px)

@@ -11,7 +11,12 @@ import pytest
 from hypothesis import given, strategies as st
 
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, LENSES, PINHOLE, largest_angle_rad
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.lenses.kannala_brandt import largest_angle_rad
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
+from track_range.stereo.lenses.registry import LENSES
+from track_range.stereo.rig_formats.reading import load_camera, load_rig
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 TUM_VI = (0.0034823894, 0.0007150348, -0.0020532361, 0.00020293673)
 """Kannala-Brandt coefficients of a lens with 190 degrees."""
@@ -41,7 +46,7 @@ def directions(largest_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
 def test_undistortion_inverts_distortion(name):
-    lens, rays = LENSES[name], directions(ANGLES_DEG[name])
+    lens, rays = LENSES.named(name), directions(ANGLES_DEG[name])
     projected = lens.distort(5.0 * rays, EXAMPLES[name])  # the length of a direction has no effect
     assert np.isfinite(projected).all()
     assert np.allclose(lens.undistort(projected, EXAMPLES[name]), rays, atol=1e-7)
@@ -54,7 +59,9 @@ def test_kannala_brandt_inverse_for_any_coefficients(k, theta, phi):
         [[math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]]
     )
     assert np.allclose(
-        LENSES[KANNALA_BRANDT].undistort(LENSES[KANNALA_BRANDT].distort(ray, k), k), ray, atol=1e-5
+        LENSES.named(KANNALA_BRANDT).undistort(LENSES.named(KANNALA_BRANDT).distort(ray, k), k),
+        ray,
+        atol=1e-5,
     )
 
 
@@ -64,7 +71,7 @@ def test_kannala_brandt_equals_opencvs_fisheye():
         rays[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(TUM_VI)
     )[0]
     assert np.allclose(
-        LENSES[KANNALA_BRANDT].distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9
+        LENSES.named(KANNALA_BRANDT).distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9
     )
 
 
@@ -74,33 +81,33 @@ def test_pinhole_equals_opencvs_projection():
         rays, np.zeros(3), np.zeros(3), np.eye(3), np.array(EXAMPLES[PINHOLE])
     )[0]
     assert np.allclose(
-        LENSES[PINHOLE].distort(rays, EXAMPLES[PINHOLE]), expected.reshape(-1, 2), atol=1e-9
+        LENSES.named(PINHOLE).distort(rays, EXAMPLES[PINHOLE]), expected.reshape(-1, 2), atol=1e-9
     )
 
 
 def test_double_sphere_by_hand():
     # xi = 0.5, alpha = 0.5, X = (3, 0, 4): d1 = 5, xi d1 + z = 6.5, d2 = sqrt(9 + 42.25)
     scale = 1 / (0.5 * math.sqrt(51.25) + 0.5 * 6.5)
-    projected = LENSES["double-sphere"].distort(np.array([[3.0, 0.0, 4.0]]), (0.5, 0.5))
+    projected = LENSES.named("double-sphere").distort(np.array([[3.0, 0.0, 4.0]]), (0.5, 0.5))
     assert projected.tolist() == [pytest.approx([3 * scale, 0.0])]
 
 
 def test_omni_without_distortion_by_hand():
     # xi = 1, X = (3, 4, 0): |X| = 5, m = (3, 4) / 5
-    projected = LENSES["omni"].distort(np.array([[3.0, 4.0, 0.0]]), (1.0, 0.0, 0.0, 0.0, 0.0))
+    projected = LENSES.named("omni").distort(np.array([[3.0, 4.0, 0.0]]), (1.0, 0.0, 0.0, 0.0, 0.0))
     assert projected.tolist() == [pytest.approx([0.6, 0.8])]
 
 
 def test_double_sphere_and_omni_without_offset_are_pinholes():
     rays = directions(60)
     ideal = rays[:, :2] / rays[:, 2:]
-    assert np.allclose(LENSES["double-sphere"].distort(rays, (0.0, 0.0)), ideal)
-    assert np.allclose(LENSES["omni"].distort(rays, (0.0,) * 5), ideal)
+    assert np.allclose(LENSES.named("double-sphere").distort(rays, (0.0, 0.0)), ideal)
+    assert np.allclose(LENSES.named("omni").distort(rays, (0.0,) * 5), ideal)
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
 def test_what_a_lens_does_not_image_is_nan(name):
-    lens = LENSES[name]
+    lens = LENSES.named(name)
     behind = np.array([[0.0, 0.01, -1.0]])
     if name == "kannala-brandt":
         falling = (0.0, -0.1, 0.0, 0.0)  # the polynomial falls beyond 68 degrees
@@ -114,16 +121,18 @@ def test_what_a_lens_does_not_image_is_nan(name):
 
 
 def test_outside_the_image_circle_is_nan():
-    assert np.isnan(LENSES["double-sphere"].undistort(np.array([[9.0, 0.0]]), (0.5, 0.7))).all()
     assert np.isnan(
-        LENSES["omni"].undistort(np.array([[9.0, 0.0]]), (1.5, 0.0, 0.0, 0.0, 0.0))
+        LENSES.named("double-sphere").undistort(np.array([[9.0, 0.0]]), (0.5, 0.7))
+    ).all()
+    assert np.isnan(
+        LENSES.named("omni").undistort(np.array([[9.0, 0.0]]), (1.5, 0.0, 0.0, 0.0, 0.0))
     ).all()
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
 def test_no_points(name):
-    assert LENSES[name].distort(np.zeros((0, 3)), EXAMPLES[name]).shape == (0, 2)
-    assert LENSES[name].undistort(np.zeros((0, 2)), EXAMPLES[name]).shape == (0, 3)
+    assert LENSES.named(name).distort(np.zeros((0, 3)), EXAMPLES[name]).shape == (0, 2)
+    assert LENSES.named(name).undistort(np.zeros((0, 2)), EXAMPLES[name]).shape == (0, 3)
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
@@ -137,3 +146,51 @@ def test_recorded_pixels_of_a_camera(name):
     assert camera.is_wide == (name != PINHOLE)
     assert camera.is_distorted
     assert not camera.without_distortion().is_distorted
+
+
+def camera_of(name: str) -> PinholeCamera:
+    """A camera with the example of a lens."""
+    return PinholeCamera(420.0, 421.0, 319.5, 239.5, 640, 480, EXAMPLES[name], name)
+
+
+def test_each_lens_has_an_example():
+    assert tuple(EXAMPLES) == LENSES.names
+
+
+@pytest.mark.parametrize("name", LENSES.names)
+def test_every_lens_is_written_to_rig_yaml_and_read_back(name, tmp_path):
+    camera, path = camera_of(name), tmp_path / "rig.yaml"
+    save_camera(camera, path)
+    assert load_camera(path, size_px=None) == (camera, ())
+    rig = StereoRig.rectified(camera, 0.4)
+    save_rig(rig, path)
+    again, _ = load_rig(path, size_px=camera.size_px)
+    assert (again.left, again.right) == (camera, camera)
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [(name, model) for name, lens in LENSES.usable.items() for model in lens.kalibr],
+)
+def test_every_lens_is_read_from_a_file_of_kalibr(name, model, tmp_path):
+    given = EXAMPLES[name][: model.n_intrinsics + 4]
+    before, after = given[: model.n_intrinsics], given[model.n_intrinsics :]
+    distortion = [] if model.distortion == "none" else list(after)
+    (path := tmp_path / "camchain.yaml").write_text(
+        f"cam0: {{camera_model: {model.camera}, distortion_model: {model.distortion}, "
+        f"intrinsics: {[*before, 420.0, 421.0, 319.5, 239.5]}, "
+        f"distortion_coeffs: {distortion}, resolution: [640, 480]}}\n"
+    )
+    camera, _ = load_camera(path, size_px=(640, 480))
+    assert (camera.lens, camera.matrix.tolist()) == (name, camera_of(name).matrix.tolist())
+    if model.distortion != "none" or not after:
+        assert camera.distortion == given
+    else:
+        assert not any(camera.distortion[model.n_intrinsics :])
+
+
+def test_unknown_lens_names_the_known_ones(tmp_path):
+    save_camera(camera_of("omni"), path := tmp_path / "rig.yaml")
+    path.write_text(path.read_text().replace("lens: omni", "lens: fisheye"))
+    with pytest.raises(RigError, match="'double-sphere' or 'omni', found 'fisheye'"):
+        load_camera(path, size_px=None)

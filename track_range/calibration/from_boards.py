@@ -30,9 +30,9 @@ from track_range.stereo.calibration.one_camera import (
     total_rms_px,
 )
 from track_range.stereo.calibration.two_cameras import PairCalibration, calibrate_pair
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigAccuracy
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 # names of the lens models by value of --lens

@@ -89,6 +89,10 @@ class Registry(Generic[T]):
             self._packages = self._imported(points, own)
         return {**own, **self._packages.things, **self.registered}
 
+    def named(self, name: str) -> T:
+        """The usable object with a name; KeyError if there is none."""
+        return imported(self.built_in[name]) if name in self.built_in else self.usable[name]
+
     @property
     def by_priority(self) -> tuple[T, ...]:
         """The `usable` objects, those of highest priority first."""

@@ -7,9 +7,9 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.values.aliases import COEFFICIENTS, Side
 from track_range.stereo.rig_formats.values.draft import RigDraft, Stated
 

@@ -9,7 +9,7 @@ import codecs
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
@@ -156,6 +156,12 @@ def real_path(path: Path) -> Path:
     raises).
     """
     return Path(os.path.realpath(path))
+
+
+def alternatives(words: Iterable[str]) -> str:
+    """The words as "a, b or c"."""
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 def counted(n: int, noun: str, plural: str | None = None) -> str:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.sources.bags.bag_video import BagVideo
@@ -35,6 +36,7 @@ from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
+from track_range.stereo.lenses.registry import wide_lenses
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, read_calibration
 
@@ -381,8 +383,8 @@ def calibration_of(
 def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
     if view != WHOLE_VIEW and not (camera is not None and camera.is_wide):
         raise RigError(
-            "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, "
-            "double-sphere or omni), found a pinhole; omit these options."
+            "--fov-deg, --yaw-deg: expected a calibration with a wide lens "
+            f"({alternatives(wide_lenses())}), found a pinhole; omit these options."
         )
 
 

@@ -1,0 +1,24 @@
+"""The lens models by name.
+
+A model is a file with a `Lens`, and a row of `LENSES`, or an entry point of the group
+`track_range.lenses` in another package. rig.yaml, Kalibr's files and messages follow.
+"""
+
+from track_range.foundation.registry import Registry
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, Lens
+
+LENSES = Registry(
+    "track_range.lenses",
+    {
+        PINHOLE: "track_range.stereo.lenses.pinhole:LENS",
+        KANNALA_BRANDT: "track_range.stereo.lenses.kannala_brandt:LENS",
+        "double-sphere": "track_range.stereo.lenses.double_sphere:LENS",
+        "omni": "track_range.stereo.lenses.unified:LENS",
+    },
+    Lens,
+)
+
+
+def wide_lenses() -> tuple[str, ...]:
+    """Names of the models of wide lenses."""
+    return tuple(name for name, lens in LENSES.usable.items() if lens.is_wide)
