@@ -23,7 +23,7 @@ LABEL_FORMATS = Registry(
         "cvat": "track_range.detection.formats.video_labels.cvat:CVAT",
         "yolo": "track_range.detection.formats.video_labels.yolo_tracks:YOLO",
         "parquet": "track_range.detection.formats.video_labels.text_tables:PARQUET",
-        "tools": "track_range.detection.formats.video_labels.tool_labels:FORMATS",
+        "tools": "track_range.detection.formats.tool_labels.reader:FORMATS",
     },
     LabelFormat,
 )

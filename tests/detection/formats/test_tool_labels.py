@@ -20,7 +20,8 @@ from tests.support.damaged_text import check_damaged, check_reading, damaged
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
 from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.detection.formats.video_labels import tool_labels
+from track_range.detection.formats.tool_labels import reader
+from track_range.detection.formats.tool_labels.annotation_tools import TOOLS
 
 WITHOUT_IDENTITIES = (
     "bdd100k det_20",
@@ -59,8 +60,9 @@ def test_reference_file(tmp_path: Path, name: str) -> None:
 
 def test_all_layouts_have_a_reference() -> None:
     names = {name.partition(" ")[0] for name in NAMES}
-    assert set(tool_labels.LAYOUTS) <= names
-    assert set(tool_labels.LAYOUTS) <= set(LABEL_FORMATS.usable)
+    tools = {tool.name for tool in TOOLS}
+    assert tools <= names
+    assert tools <= set(LABEL_FORMATS.usable)
 
 
 def test_interpolation_of_label_studio(tmp_path: Path) -> None:
@@ -131,7 +133,7 @@ def test_entities_are_refused(tmp_path: Path) -> None:
 
 
 def test_many_boxes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tool_labels, "_MAX_BOXES", 2)
+    monkeypatch.setattr(reader, "MAX_BOXES", 2)
     with pytest.raises(LabelFileError, match="at most 2"):
         read_labels(write(tmp_path, "bdd100k"))
 

@@ -1,0 +1,186 @@
+"""Reader of the labels of annotation tools, as one file or one file for each image.
+
+Frames are given by number, or by the last number in the name of the image.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.boxes import HALF_PIXEL_PX
+from track_range.detection.formats.tables import table_checks
+from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.detection.formats.tables.label_format import (
+    LabelFormat,
+    LabelStart,
+    label_files,
+)
+from track_range.detection.formats.tables.limits import (
+    MAX_COORDINATE_PX,
+    MAX_FRAME,
+    MAX_ID,
+    MAX_SIDE_PX,
+)
+from track_range.detection.formats.tool_labels.annotation_tools import TOOLS
+from track_range.detection.formats.tool_labels.content import content_of
+from track_range.detection.formats.tool_labels.tool import MAX_BOXES, Tool, ToolBox
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.numeric_text import number, plain_number
+
+_MAX_FILES = 200_000  # of a folder with one for each image
+# what access to values of unknown types raises
+_OTHER_CONTENT = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    TypeError,
+    ValueError,
+    StopIteration,
+    RuntimeError,
+)
+
+
+def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
+    """The boxes in a file, or in a folder with one file for each image.
+
+    LabelFileError: a file cannot be read, is invalid or is too large.
+    """
+    is_folder = path.is_dir()
+    files = label_files(path) if is_folder else [path]
+    if len(files) > _MAX_FILES:
+        raise LabelFileError(f"{path}: expected at most {_MAX_FILES} files, found {len(files)}.")
+    boxes: list[ToolBox] = []
+    for file in files:
+        for box in _boxes_in(file, tool, path, is_folder=is_folder):
+            boxes.append(box)
+            if len(boxes) > MAX_BOXES:
+                raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more.")
+    images = dict.fromkeys(box.image for box in boxes)
+    if is_folder and all(isinstance(image, str) for image in images):
+        images = dict.fromkeys(file.name for file in files)  # also those without boxes
+    frame_of, notes = _frames(path, list(images), video)
+    edges = np.array([box.edges for box in boxes], np.float64).reshape(-1, 4)
+    if not (np.abs(edges) <= MAX_COORDINATE_PX).all():
+        raise LabelFileError(
+            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found "
+            "larger or invalid values."
+        )
+    is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
+    kept = [boxes[row] for row in np.flatnonzero(is_box).tolist()]
+    sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
+    facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
+    n_empty = len(boxes) - len(kept)
+    table = BoxTable.of(
+        [frame_of[box.image] for box in kept],
+        _identities([box.identity for box in kept]),
+        [box.label for box in kept],
+        edges[is_box] - HALF_PIXEL_PX,
+        is_region=np.array([box.is_region for box in kept], np.bool_),
+        score=[_number(box.score) for box in kept],
+        video=video.completed_by(facts, path),
+        notes=(*notes, *table_checks.ignored_note(path, n_empty, "without width or height")),
+    )
+    table_checks.check_identities(table, path)
+    return table
+
+
+def _boxes_in(file: Path, tool: Tool, path: Path, *, is_folder: bool) -> Iterator[ToolBox]:
+    """The boxes of a file of labels at `path`, each with an image; raises LabelFileError."""
+    try:
+        for item in tool.objects(content_of(file, tool.title)):
+            box = tool.box(item)
+            # a file has the name of its image; tools may repeat a wrong name in the file
+            is_of_file = box.image == "" or (is_folder and isinstance(box.image, str))
+            yield box._replace(image=file.name) if is_of_file else box
+    except LabelFileError as error:
+        text = str(error)
+        raise LabelFileError(text if str(path) in text else f"{file}: {text}.") from error
+    except _OTHER_CONTENT as error:
+        raise LabelFileError(
+            f"{file}: expected labels of {tool.title}, found other content ({quoted(error)})."
+        ) from error
+
+
+def _frames(
+    path: Path, images: Sequence[int | str], video: VideoFacts
+) -> tuple[dict[int | str, int], list[str]]:
+    """Frame number by number or name of the images, and notes."""
+    is_named = any(isinstance(image, str) for image in images)
+    if is_named:
+        numbers, source = table_checks.frames_of_names([str(image) for image in images], path)
+    else:
+        numbers, source = [int(image) for image in images], "frame numbers"
+    for value in numbers:
+        if not 0 <= value <= MAX_FRAME:
+            raise LabelFileError(
+                f"{path}: expected a frame number from 0 to {MAX_FRAME}, found {quoted(value)}."
+            )
+    if len(set(numbers)) < len(numbers):
+        raise LabelFileError(
+            f"{path}: expected each frame once, found two images with the same "
+            "number in their names."
+        )
+    frames = np.array(numbers, np.int64)
+    first = 0 if video.first_frame else table_checks.first_frame_number(frames, 0, video.n_frames)
+    notes = (
+        [
+            f"{path.name}: frame numbers start at 1, since the last frame number is the number of "
+            "images."
+        ]
+        if first
+        else []
+    )
+    if is_named and not first:
+        span = f"{frames.min()} to {frames.max()}"
+        notes.append(
+            f"{path.name}: frame numbers are the {source} in the names of the images, {span}."
+        )
+        notes += table_checks.first_frame_note(path, int(frames.min()), len(frames))
+    return dict(zip(images, (frames - first).tolist(), strict=True)), notes
+
+
+def _identities(values: Sequence[object]) -> list[int]:
+    """Identity of each box: its number, or for a text the number of its first occurrence; -1 = no
+    identity.
+    """
+    numbers = [_number(value) for value in values]
+    if all(
+        value in (None, "") or (0 <= n <= MAX_ID and n % 1 == 0)
+        for value, n in zip(values, numbers, strict=True)
+    ):
+        return [int(n) if n >= 0 else -1 for n in numbers]
+    order = {
+        value: index for index, value in enumerate(dict.fromkeys(str(value) for value in values))
+    }
+    return [-1 if value in (None, "") else order[str(value)] for value in values]
+
+
+def _number(value: object) -> float:
+    return number(value) if isinstance(value, str) else plain_number(value)
+
+
+def _size_px(size_px: Sequence[object]) -> tuple[int, int] | None:
+    sides = [_number(side) for side in size_px]
+    is_size = all(math.isfinite(side) and 1 <= side <= MAX_SIDE_PX for side in sides)
+    return (int(sides[0]), int(sides[1])) if sides and is_size else None
+
+
+def _format_of(tool: Tool) -> LabelFormat:
+    def recognises(start: LabelStart) -> bool:
+        is_possible = tool.is_folder or not start.is_folder
+        return is_possible and tool.mark.match(start.text) is not None
+
+    return LabelFormat(
+        name=tool.name,
+        title=tool.title,
+        recognises=recognises,
+        read=lambda path, video: read_tool(path, tool, video),
+        is_general=True,
+        is_folder=tool.is_folder,
+    )
+
+
+FORMATS = tuple(_format_of(tool) for tool in TOOLS)
