@@ -2,6 +2,7 @@
 
 - Equations in TeX become MathML, which needs neither a script nor a font.
 - One page per command is made from the settings models of the commands (`reference/cli/`).
+- The table of the columns of tracks.csv is made from their declarations.
 - Notebooks (`*.ipynb`) become pages with their stored outputs.
 - The first use of a term of the glossary in the text of a page is a link to its definition.
 - Every page is written as Markdown too, and `llms.txt` lists these files by relative links.
@@ -26,8 +27,12 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
 import track_range as tr
-from track_range.cli import lazy
 from track_range.cli.app import PROGRAM, app
+from track_range.cli.shared import lazy
+from track_range.results.rows.columns import result_columns
+
+_COLUMNS = "<!-- columns -->"
+"""Place of the table of columns in a page."""
 
 CLI = "reference/cli"
 """Folder of the pages of commands."""
@@ -186,12 +191,20 @@ def notebook_page(notebook: dict[str, Any]) -> str:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> None:
-    """Keep the text of the page for its copy in Markdown."""
+def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
+    """The text with the table of columns; it is kept for its copy in Markdown, too."""
+    markdown = markdown.replace(_COLUMNS, columns_table())
     _markdown[page.file.src_uri] = (
         page.title,
         re.sub(r"^::: (\S+)\n?(?:    .*\n?)*", _api_text, markdown, flags=re.MULTILINE),
     )
+    return markdown
+
+
+def columns_table() -> str:
+    """Name, unit and meaning of each column of tracks.csv."""
+    lines = [f"| `{one.name}` | {one.unit} | {one.meaning} |" for one in result_columns()]
+    return "\n".join(["| column | unit | meaning |", "|---|---|---|", *lines])
 
 
 def _api_text(reference: re.Match[str]) -> str:

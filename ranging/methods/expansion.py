@@ -133,5 +133,9 @@ EXPANSION = RangingMethod(
     create=_create,
     error_sources=(),
     measures_distance=False,
-    details=("ttc_s", "ttc_sigma_s"),
+    details={
+        "ttc_s": "time to collision by [expansion], without distance and focal length; empty = not "
+        "approaching, or uncertain",
+        "ttc_sigma_s": "its standard deviation",
+    },
 )

@@ -254,8 +254,8 @@ class RangingMethod:
         measures_distance: False for a method that gives details or growths only; it has no error
             sources.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
-        details: names of further values of each track, in `Ranges.details`; their columns are
-            NAME_DETAIL.
+        details: names of further values of each track, in `Ranges.details`, perhaps with their
+            meanings for the documentation; their columns are NAME_DETAIL.
     """
 
     name: str
@@ -270,13 +270,13 @@ class RangingMethod:
     is_scale_reference: bool = False
     measures_distance: bool = True
     is_filtered: bool = False
-    details: tuple[str, ...] = ()
+    details: Mapping[str, str] | tuple[str, ...] = field(default=(), hash=False)
 
     def __post_init__(self) -> None:
         for field_name, as_collection in (
             ("needs", frozenset),
             ("reads", tuple),
-            ("details", tuple),
+            ("details", dict if isinstance(self.details, Mapping) else tuple),
         ):
             names = getattr(self, field_name)
             is_list = isinstance(names, Collection) and not isinstance(names, str)

@@ -40,7 +40,11 @@ from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcher
 from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
-_DETAILS = ("surfaces", "probability")
+_DETAILS = {
+    "surfaces": "number of surfaces that `stereo` found in the box: the object, occluders, "
+    "background; empty = not matched",
+    "probability": "probability that the surface that `stereo` measured is the object, 0 to 1",
+}
 # relative error of all distances of a pair, as a reference for the scale of the drive
 _REFERENCE_SIGMA = 0.01
 # standard deviation in px of the disparities of uncalibrated cameras, apart from the scale

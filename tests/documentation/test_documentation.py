@@ -187,12 +187,16 @@ def test_extras_exist():
     assert project["requires-python"] == ">=3.11"
 
 
-def test_columns_are_documented():
-    table = PAGES["docs/reference/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]*)\|", table, re.MULTILINE)
-    assert [(name, unit.strip()) for name, unit in rows] == [
-        (column.name, column.unit) for column in result_columns()
-    ]
+def test_links_of_columns_are_defined():
+    """The page of the columns has their table, and defines the links in their meanings."""
+    section = PAGES["docs/reference/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
+    assert "<!-- columns -->" in section
+    defined = set(re.findall(r"^\[(.+)\]: ", section, re.MULTILINE))
+    used = {
+        link for column in result_columns() for link in re.findall(r"\[(.+?)\]", column.meaning)
+    }
+    assert used == defined
+    assert [column.name for column in result_columns() if not column.meaning] == []
 
 
 def test_event_columns_are_documented():

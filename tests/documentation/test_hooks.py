@@ -7,6 +7,7 @@ from types import ModuleType
 import pytest
 
 from tests.documentation.documented_commands import PROJECT
+from track_range.results.rows.columns import column_names, result_columns
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,13 @@ def test_every_command_has_a_page(hooks):
     assert "| `--focal-px PX` | Focal length in pixels" in pages["run"]
     assert "--stereo LEFT" not in pages["fleet run"]  # refused there, so hidden
     assert "## Arguments\n\n| name | meaning |\n|---|---|\n| `RECORDINGS` |" in pages["fleet run"]
+
+
+def test_columns_have_a_table(hooks):
+    lines = hooks.columns_table().splitlines()
+    assert len(lines) == 2 + len(result_columns())
+    assert lines[2] == "| `frame` |  | number of the frame, from 0 |"
+    assert "| `gap_m` | m | distance from the front" in lines[2 + column_names().index("gap_m")]
 
 
 def test_notebooks_are_pages(hooks):

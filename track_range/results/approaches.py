@@ -10,13 +10,13 @@ import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
+from track_range.results.rows.rows import Rows, most_frequent
 
 # largest standard deviation of a distance or closing speed that counts, relative to it
 _MAX_RELATIVE_SIGMA = 0.5
 
 
-def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
+def closest_approaches(rows: Rows) -> list[dict[str, Any]]:
     """One row for each road user (a track, without traffic lights and signs), nearest first.
 
     Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused),
@@ -24,35 +24,33 @@ def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
     `max_closing_sigma_mps`. None = unknown. Distances and closing speeds are from detected boxes,
     if their sigma is unknown or at most half of the value.
     """
-    users = [row for row in track_extremes(columns) if row["class"] not in STATIC_CLASSES]
+    users = [row for row in track_extremes(rows) if row["class"] not in STATIC_CLASSES]
     return sorted(
         users, key=lambda row: np.inf if row["min_distance_m"] is None else row["min_distance_m"]
     )
 
 
-def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
+def track_extremes(rows: Rows) -> Iterator[dict[str, Any]]:
     """Rows as in `closest_approaches`, but for each track, by increasing track ID."""
-    unknown = np.full(len(columns["time_s"]), np.nan)
-    is_observed = columns.get("observed", unknown) != 0
-    distance_m, sigma_m = reference_distance(columns)
-    closing_mps = columns.get("closing_mps", unknown)
-    spread_mps = columns.get("closing_sigma_mps", unknown)
+    is_observed = rows["observed"]
+    distance_m, sigma_m = reference_distance(rows)
+    closing_mps, spread_mps = rows["closing_mps"], rows["closing_sigma_mps"]
     certain_m = _counted(distance_m, sigma_m, is_observed)
     certain_mps = _counted(closing_mps, spread_mps, is_observed)
-    ttc_s = columns.get("ttc_front_s", unknown)
     measures = (  # key, values whose smallest counts, and standard deviations with their key
         ("min_distance_m", certain_m, "min_distance_sigma_m", sigma_m),
         ("max_closing_mps", -certain_mps, "max_closing_sigma_mps", spread_mps),
-        ("min_ttc_front_s", ttc_s, "", unknown),
+        ("min_ttc_front_s", rows["ttc_front_s"], "", None),
     )
-    for rows in rows_by_track(columns):
-        row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]])}
-        row["class"] = most_frequent(columns["class"][rows])
+    for own in rows.by_track():
+        row: dict[str, Any] = {"track_id": int(rows["track_id"][own[0]])}
+        row["class"] = most_frequent(rows["class"][own])
         for key, values, sigma_key, sigmas in measures:
             value = sigma = time_s = math.nan
-            at = row_of_smallest(values, rows)
+            at = row_of_smallest(values, own)
             if at is not None:
-                value, sigma, time_s = abs(values[at]), sigmas[at], columns["time_s"][at]
+                value, time_s = abs(values[at]), rows["time_s"][at]
+                sigma = math.nan if sigmas is None else sigmas[at]
             row[key] = _finite(value)
             if sigma_key:
                 row[sigma_key] = _finite(sigma)
@@ -71,17 +69,14 @@ def _finite(value: float) -> float | None:
 
 
 def reference_distance(
-    columns: Columns, methods: tuple[str, str] = ("fused_kf", "fused")
+    rows: Rows, methods: tuple[str, str] = ("fused_kf", "fused")
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) distances of a run by the first method, else by the second, and their standard
     deviations; NaN = unknown.
     """
-    unknown = np.full(len(columns["time_s"]), np.nan)
-    distances, sigmas = (
-        [columns.get(f"{name}_{end}", unknown) for name in methods] for end in ("m", "sigma_m")
-    )
-    is_first = np.isfinite(distances[0])
-    return np.where(is_first, *distances), np.where(is_first, *sigmas)
+    (first_m, first_sigma_m), (other_m, other_sigma_m) = map(rows.distance, methods)
+    is_first = np.isfinite(first_m)
+    return np.where(is_first, first_m, other_m), np.where(is_first, first_sigma_m, other_sigma_m)
 
 
 def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel
 
 from track_range.detection.formats.tables.errors import LabelFileError
@@ -38,14 +39,8 @@ from track_range.results.formats.parquet_file import (
 from track_range.results.formats.provenance import Provenance, settings_hash
 from track_range.results.progress_note import describe_progress
 from track_range.results.replay import frames_of_rows
-from track_range.results.rows.columns import (
-    TEXT_COLUMNS,
-    Columns,
-    boxes_px,
-    column_names,
-    methods_measured,
-    rounded,
-)
+from track_range.results.rows.columns import declared_columns
+from track_range.results.rows.rows import Rows
 from track_range.results.summary import (
     MatchedTruth,
     events_section,
@@ -68,8 +63,7 @@ _NEEDED_COLUMNS = frozenset(
 """Required columns; files of earlier versions may lack others."""
 
 _MAX_FRAME = 1e9  # a year at 30 Hz
-_MAX_VALUE = 1e10  # absolute value of a distance, speed or score
-_LATEST = {"time_s": 1e9, "utc": 4e9}  # seconds: 30 years of video, and the year 2096
+_MAX_VALUE = 1e10  # absolute value of a distance by a method that is not installed
 _MAX_EDGE_PX = 1e6
 _MAX_TRACK_ID = 2.0**53  # up to which all integers are exact in float64
 _MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
@@ -90,7 +84,7 @@ class RunFolder:
     folder: Path
     # content of summary.json, or what can be computed from the rows; its notes begin with `missing`
     summary: Sections
-    columns: Columns  # with `truth_m` and `scored_truth_m` if the ground truth can be read
+    rows: Rows  # with `truth_m` and `scored_truth_m` if the ground truth can be read
     settings: Sections  # section `run` of settings.yaml; empty without that file
     missing: tuple[str, ...]  # messages about files that are missing or cannot be read
     events: tuple[Event, ...] = ()
@@ -181,8 +175,8 @@ class _Reader:
         return None
 
     def run(self, *, is_rounded: bool, has_events: bool) -> RunFolder:
-        columns = self._columns(is_rounded=is_rounded)
-        if self.summary is None and columns is None:
+        rows = self._rows(is_rounded=is_rounded)
+        if self.summary is None and rows is None:
             progress = describe_progress(self.folder)
             raise OutputError(
                 f"{self.folder}: no frames yet: {progress}."
@@ -190,7 +184,7 @@ class _Reader:
                 else f"{self.folder}: expected the result folder of a run, found neither rows "
                 "(tracks.csv, tracks.parquet) nor summary.json in it."
             )
-        if columns is None:
+        if rows is None:
             path = clip_rows(self.folder)
             raise OutputError(
                 f"{self.folder}: expected the rows of the run in {TABLE_FILE} or {PARQUET_FILE}, "
@@ -199,7 +193,6 @@ class _Reader:
                 else f"{self.folder}: expected the rows of this clip in {path}, found no such "
                 "file; restore the file, or repeat the clip with fleet run."
             )
-        rows = columns
         truth = self._truth()
         matched = None if truth is None else matched_truth(rows, truth)
         if matched is not None:
@@ -212,7 +205,7 @@ class _Reader:
         if is_replayed:
             fps = self.fps or DEFAULT_FPS
             events = self._replayed_events(rows, fps)
-            seconds = float(np.ptp(rows["time_s"])) + 1 / fps if len(rows["time_s"]) else 0.0
+            seconds = float(np.ptp(rows["time_s"])) + 1 / fps if len(rows) else 0.0
             summary["events"] = events_section(events, seconds)
         summary = self._checked(summary)
         # runs of earlier versions have these sections only in summary.json
@@ -222,7 +215,7 @@ class _Reader:
         return RunFolder(
             folder=self.folder,
             summary=summary,
-            columns=rows,
+            rows=rows,
             settings=self.settings,
             missing=tuple(self.missing),
             events=events or (),
@@ -232,12 +225,12 @@ class _Reader:
             provenance=Provenance.of_inputs({**earlier, **self.detected}, self.settings_hash),
         )
 
-    def _columns(self, *, is_rounded: bool) -> dict[str, Any] | None:
+    def _rows(self, *, is_rounded: bool) -> Rows | None:
         path = rows_file(self.folder, is_rounded=is_rounded)
         if path is None:
             return None
-        columns = read_run_rows(path, self.missing)
-        return rounded(columns) if is_rounded and path.name != TABLE_FILE else columns
+        rows = read_run_rows(path, self.missing)
+        return rows.rounded() if is_rounded and path.name != TABLE_FILE else rows
 
     def _truth(self) -> Truth | None:
         """Ground truth of the run; None if there was none or it can no longer be read."""
@@ -258,7 +251,7 @@ class _Reader:
             )
             return None
 
-    def _events(self, rows: Columns, summary: Sections) -> tuple[Event, ...] | None:
+    def _events(self, rows: Rows, summary: Sections) -> tuple[Event, ...] | None:
         """Events of a finished run; empty for a run of an earlier version, None if the file is
         missing or damaged.
         """
@@ -286,7 +279,7 @@ class _Reader:
             )
         return inside
 
-    def _replayed_events(self, rows: Columns, fps: float) -> tuple[Event, ...]:
+    def _replayed_events(self, rows: Rows, fps: float) -> tuple[Event, ...]:
         """Events found again from the rows, in full precision if the folder contains a file with
         them.
         """
@@ -294,30 +287,29 @@ class _Reader:
         if path is not None and path.name != TABLE_FILE:
             with suppress(OutputError):  # the rounded rows are used
                 rows = read_run_rows(path, [])
-        order = np.argsort(rows["frame"], kind="stable")
-        rows = {name: values[order] for name, values in rows.items()}
-        frames = np.unique(rows["frame"]).astype(np.int64).tolist()
-        return events_of(frames_of_rows(rows, frames, methods_measured(rows), fps))
+        rows = rows.select(np.argsort(rows["frame"], kind="stable"))
+        frames = np.unique(rows["frame"]).tolist()
+        return events_of(frames_of_rows(rows, frames, rows.methods_measured, fps))
 
-    def _summary_from_rows(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
+    def _summary_from_rows(self, rows: Rows, matched: MatchedTruth | None) -> dict[str, Any]:
         truth = None if matched is None else matched.truth
-        frame = columns["frame"].astype(np.int64)
+        frame = rows["frame"]
         first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
         every = every_of(self.settings)
         labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
         labelled = labelled[
             (labelled >= first) & (labelled <= last) & ((labelled - first) % every == 0)
         ]
-        methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
+        methods = tuple(name for name in rows.methods_measured if f"{name}_sigma_m" in rows)
         inputs = {key: self.settings[key] for key in _INPUTS if key in self.settings}
         stereo = self.settings.get("stereo")
         if isinstance(stereo, list) and len(stereo) == 2:
             inputs = {"left": stereo[0], "right": stereo[1], **inputs}
         return {
             "frames": (last - first) // every + 1,
-            **range_scores(columns, matched, methods),
-            "tracks": track_scores(columns, truth, labelled),
-            "closest_approaches": closest_approaches(columns),
+            **range_scores(rows, matched, methods),
+            "tracks": track_scores(rows, truth, labelled),
+            "closest_approaches": closest_approaches(rows),
             "truth": truth.protocol if truth is not None else None,
             "inputs": inputs,
             "files": {"overlay": "overlay.mp4"} if self.settings.get("overlay", True) else {},
@@ -389,8 +381,8 @@ def clip_rows(folder: Path) -> Path | None:
     return path.parent.parent / "tracks" / path.name / PARQUET_FILE if is_clip else None
 
 
-def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """Columns of a tracks.csv, tracks.parquet or tracks.arrows without damaged rows.
+def read_run_rows(path: Path, missing: list[str]) -> Rows:
+    """Rows of a tracks.csv, tracks.parquet or tracks.arrows without damaged ones.
 
     A message with the number of damaged rows is added to `missing`. OutputError if the file cannot
     be read, is not of a run, or all of its rows are malformed.
@@ -423,31 +415,27 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
         )
     if is_cut:
         missing.append(f"{path.name} ends in the middle of a row, so later rows are missing.")
-    # Columns that an earlier version did not write are empty, except sigmas, which mark the methods
-    # to be scored.
-    rows: dict[str, Any] = {
-        name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")
-    }
-    rows |= {name: np.full(n_rows, "") for name in TEXT_COLUMNS}
-    for name, values in columns.items():
-        rows[name] = values[is_valid]
-        if name not in TEXT_COLUMNS:
-            rows[name] = np.where(np.isinf(rows[name]), np.nan, rows[name])
-    return rows
+    return Rows({name: _without_infinity(values[is_valid]) for name, values in columns.items()})
 
 
-def valid_rows(columns: Columns) -> BoolArray:
+def _without_infinity(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.where(np.isinf(values), np.nan, values) if values.dtype.kind == "f" else values
+
+
+def valid_rows(columns: Mapping[str, npt.NDArray[Any]]) -> BoolArray:
     """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a
     box.
     """
-    frame, track_id, edges_px = columns["frame"], columns["track_id"], boxes_px(columns)
+    frame, track_id = columns["frame"], columns["track_id"]
+    edges_px = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
+    declared = declared_columns()
     is_valid: BoolArray = np.isfinite(columns["time_s"]) & (np.abs(edges_px) <= _MAX_EDGE_PX).all(
         axis=1
     )
-    for name in columns.keys() - {"frame", "track_id", *TEXT_COLUMNS}:
-        is_valid &= ~np.isfinite(columns[name]) | (
-            np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE)
-        )
+    for name, values in columns.items():
+        if values.dtype.kind == "f" and name not in ("frame", "track_id"):
+            largest = declared[name].largest if name in declared else _MAX_VALUE
+            is_valid &= ~np.isfinite(values) | (np.abs(values) <= largest)
     for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _MAX_TRACK_ID)):
         is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))
     rows = np.flatnonzero(is_valid)

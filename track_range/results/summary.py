@@ -26,7 +26,8 @@ from track_range.ranging.truth.errors import (
 from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import EVENT_KINDS, Event, severity_key
 from track_range.results.events.files import rounded_values
-from track_range.results.rows.columns import Columns, boxes_px, methods_with_sigma
+from track_range.results.rows.columns import methods_with_sigma
+from track_range.results.rows.rows import Rows
 from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
@@ -65,34 +66,30 @@ class MatchedTruth:
         return np.where(self.row >= 0, np.append(values, unmatched)[self.row], unmatched)
 
 
-def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
+def matched_truth(rows: Rows, truth: Truth) -> MatchedTruth:
     """Ground truth matched to the rows of a run by frame and box overlap."""
-    return MatchedTruth(
-        truth, match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
-    )
+    return MatchedTruth(truth, match_truth(rows["frame"], rows.boxes_px, truth))
 
 
-def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
-    """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count
+def with_truth(rows: Rows, matched: MatchedTruth) -> Rows:
+    """Rows with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count
     for the errors.
     """
     truth_m = matched.distance_m
-    return {**columns, "truth_m": truth_m, "scored_truth_m": matched.of_scored(truth_m)}
+    return rows.with_columns({"truth_m": truth_m, "scored_truth_m": matched.of_scored(truth_m)})
 
 
 def range_scores(
-    columns: Columns, matched: MatchedTruth | None, methods: Collection[str]
+    rows: Rows, matched: MatchedTruth | None, methods: Collection[str]
 ) -> dict[str, Any]:
     """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth
     contains speeds.
     """
-    methods = [name for name in methods if f"{name}_m" in columns]
+    methods = [name for name in methods if f"{name}_m" in rows]
     known = [name for name in methods_with_sigma() if name in methods]
     # methods of packages that are not installed here come last
     names = [*known, *sorted(set(methods) - set(known))]
-    by_name = {
-        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names
-    }
+    by_name = {name: MethodColumn(*rows.distance(name)) for name in names}
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
     kitti_type = matched.of_labels(matched.truth.kitti_type, "")
@@ -100,18 +97,18 @@ def range_scores(
         by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type
     )
     true_mps = matched.of_scored(matched.of_labels(matched.truth.closing_mps, np.nan))
-    closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_mps)
+    closing = score_closing(rows["closing_mps"], rows["closing_sigma_mps"], true_mps)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
-def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
+def track_scores(rows: Rows, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
     """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its
     classes.
 
     As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks
     less than 25 px high, unless `truth.has_low_labels`.
     """
-    track_id = columns["track_id"].astype(np.int64)
+    track_id = rows["track_id"]
     counts: dict[str, Any] = {
         "n": len(np.unique(track_id)),
         "mota": None,
@@ -123,8 +120,8 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
     truth = truth.select(np.isin(truth.frame, frames))
     min_height_px = 0.0 if truth.has_low_labels else MIN_HEIGHT_PX
     counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= min_height_px)
-    class_id = map_to_road_classes([str(name) for name in columns["class"]])
-    tracks = TrackedBoxes(columns["frame"].astype(np.int64), track_id, boxes_px(columns), class_id)
+    class_id = map_to_road_classes([str(name) for name in rows["class"]])
+    tracks = TrackedBoxes(rows["frame"], track_id, rows.boxes_px, class_id)
     low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < min_height_px
     ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])
     ignored_px = np.concatenate([truth.xyxy_px[~counted], tracks.xyxy_px[low]])

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
@@ -19,7 +18,7 @@ from track_range.results.approaches import row_of_smallest
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
 from track_range.results.formats.poses_file import Poses, read_poses
-from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
+from track_range.results.rows.rows import Rows, most_frequent
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
@@ -46,45 +45,45 @@ def surrogate_rows(source: Path) -> list[dict[str, Any]]:
     clips = sorted((source / "tracks").glob(f"{_CLIP}*/{PARQUET_FILE}"))
     if not clips:
         run = read_run_folder(source, is_rounded=False, has_events=False)
-        return list(_road_users("", run.columns, read_poses(source), source))
+        return list(_road_users("", run.rows, read_poses(source), source))
     rows: list[dict[str, Any]] = []
     for path in clips:
         clip = path.parent.name.removeprefix(_CLIP)
-        rows += _road_users(
-            clip, read_tracks_parquet(path), read_poses(source / "runs" / path.parent.name), path
-        )
+        poses = read_poses(source / "runs" / path.parent.name)
+        rows += _road_users(clip, Rows(read_tracks_parquet(path)), poses, path)
     return rows
 
 
 def _road_users(
-    clip: str, columns: Columns, poses: Poses | None, source: Path
+    clip: str, rows: Rows, poses: Poses | None, source: Path
 ) -> Iterator[dict[str, Any]]:
-    if len(columns["frame"]) and not ("gap_m" in columns and np.isfinite(columns["gap_m"]).any()):
+    if len(rows) and not np.isfinite(rows["gap_m"]).any():
         raise OutputError(
             f"{source}: expected rows with measures of safety (gap_m), found none; earlier "
             "versions did not write these measures; repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
-    for rows in rows_by_track(columns):
-        name = most_frequent(columns["class"][rows])
+    for track in map(rows.select, rows.by_track()):
+        name = most_frequent(track["class"])
         if name in ROAD_CLASSES and HALF_WIDTH_M[ROAD_CLASSES.index(name)] > 0:
-            yield {"clip": clip, **_measures(name, columns, rows, ego)}
+            yield {"clip": clip, **_measures(name, track, ego)}
 
 
-def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str, Any]:
-    time_s = columns["time_s"][rows]
-    steps_s, is_lead = np.diff(time_s), columns["is_lead"][rows][:-1] > 0
+def _measures(name: str, track: Rows, ego: Any) -> dict[str, Any]:
+    """Measures of a road user from the rows of its track."""
+    time_s, indices = track["time_s"], np.arange(len(track))
+    steps_s, is_lead = np.diff(time_s), track["is_lead"][:-1]
     lead_s = float(steps_s[is_lead & (steps_s <= MAX_GAP_S)].sum())
-    row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]]), "class": name}
-    row |= {"state": most_frequent(columns["state"][rows]) if "state" in columns else ""}
+    row: dict[str, Any] = {"track_id": int(track["track_id"][0]), "class": name}
+    row |= {"state": most_frequent(track["state"])}
     row |= {"from_s": float(time_s[0]), "to_s": float(time_s[-1]), "lead_s": lead_s}
     for key, kind in EXTREMES.items():
-        values = columns[key]
-        at = row_of_smallest(-values if kind == "max" else values, rows)
+        values = track[key]
+        at = row_of_smallest(-values if kind == "max" else values, indices)
         row[f"{kind}_{key}"] = None if at is None else float(values[at])
-        row[f"{kind}_{key}_at_s"] = None if at is None else float(columns["time_s"][at])
-    row |= {key: float(np.nan_to_num(columns[key][rows[-1]])) for key in ("tet_s", "tit_s2")}
-    path = np.stack([time_s, columns["world_x_m"][rows], columns["world_y_m"][rows]], axis=1)
+        row[f"{kind}_{key}_at_s"] = None if at is None else float(time_s[at])
+    row |= {key: float(np.nan_to_num(track[key][-1])) for key in ("tet_s", "tit_s2")}
+    path = np.stack([time_s, track["world_x_m"], track["world_y_m"]], axis=1)
     path = path[np.isfinite(path).all(axis=1)]
     half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(name)])
     pet_s = np.nan if ego is None else post_encroachment_s(ego, path, half_width_m=half_width_m)

@@ -22,13 +22,9 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
-from track_range.results.rows.columns import (
-    FrameValues,
-    record_batch,
-    result_columns,
-    rounded_batch,
-    rows_schema,
-)
+from track_range.results.rows.arrow import FrameValues, record_batch, rounded_batch, rows_schema
+from track_range.results.rows.columns import result_columns
+from track_range.results.rows.rows import Rows
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -95,10 +91,8 @@ class RunTable:
             [rounded_batch(b, self.columns) for b in batches] if is_rounded else batches
         )
 
-    def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.rows.columns.Columns`, as in tracks.csv or in full
-        precision.
-        """
+    def to_rows(self, *, is_rounded: bool = True) -> Rows:
+        """Rows so far, as in tracks.csv or in full precision."""
         table = self.to_arrow(is_rounded=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for column in self.columns:
@@ -110,9 +104,9 @@ class RunTable:
                 ]
                 columns[column.name] = names[np.concatenate(codes)]
             else:
-                numbers = np.asarray(values.to_numpy(), np.float64)
-                columns[column.name] = column.rounded(numbers) if is_rounded else numbers
-        return columns
+                columns[column.name] = values.to_numpy()
+        rows = Rows(columns)
+        return rows.rounded() if is_rounded else rows
 
     def close(self) -> None:
         """Delete the temporary file; tables made from it remain valid."""

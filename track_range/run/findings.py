@@ -13,7 +13,7 @@ from track_range.detection.detections import Detections
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.recording.cameras.calibration import RecordingCalibration
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -136,7 +136,7 @@ class Findings:
         )
 
 
-def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tuple[str, ...]:
+def still_boxes_note(rows: Rows, calibration: RecordingCalibration) -> tuple[str, ...]:
     """A note that proposes `--ignore` for tracks that do not move in the image while the car
     drives.
 
@@ -144,12 +144,9 @@ def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tup
     pitch moves such a vehicle in the image, too.
     """
     width, height = calibration.sizes_px[0]
-    rows = np.flatnonzero((columns["ego_mps"] >= _STILL_SPEED_MPS) & (columns["observed"] > 0))
-    box, time_s = (
-        calibration.rectifier.recorded_boxes(boxes_px(columns)[rows]),
-        columns["time_s"][rows],
-    )
-    track, first, group, n = np.unique(columns["track_id"][rows], True, True, True)
+    rows = rows.select((rows["ego_mps"] >= _STILL_SPEED_MPS) & rows["observed"])
+    box, time_s = calibration.rectifier.recorded_boxes(rows.boxes_px), rows["time_s"]
+    track, first, group, n = np.unique(rows["track_id"], True, True, True)
     last = np.zeros(len(track), np.int64)
     last[group] = np.arange(len(rows))
     mean, square = (

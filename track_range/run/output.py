@@ -25,7 +25,7 @@ from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
-from track_range.results.rows.columns import Columns
+from track_range.results.rows.rows import Rows
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.options.paths import input_files
 from track_range.run.options.settings import RunSettings
@@ -220,7 +220,7 @@ class RunOutput:
         """Draw and encode the queued frames, and close the videos; VideoError if a video failed."""
         self._videos_open.close()
 
-    def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
+    def finish(self, summary: Mapping[str, Any], columns: Rows) -> None:
         """Write summary.json, report.html, the events and the Markdown tables, and close the files
         of the rows.
 

@@ -316,9 +316,9 @@ class Run:
         session, rows = self.session, self.session.rows
         with RunOutput(self.settings, folder) as output:
             output.start(session, has_videos=False)
-            columns = rows.table.to_columns(is_rounded=False)
+            table = rows.table.to_rows(is_rounded=False)
             for result in frames_of_rows(
-                columns, rows.frame_index, rows.methods, session.recording.videos[0].fps
+                table, rows.frame_index, rows.methods, session.recording.videos[0].fps
             ):
                 output.write(result)
             self._finish(output)

@@ -40,7 +40,7 @@ from track_range.results.events.finder import EventFinder
 from track_range.results.formats.provenance import Provenance, settings_hash
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.progress_note import LOADING
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 from track_range.results.summary import (
     events_section,
     frame_spans,
@@ -299,7 +299,7 @@ class RunSession:
         part = f", but only in {n_known} of {n_frames} frames" if 2 * n_known < n_frames else ""
         return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."
 
-    def _notes_on_frames(self, columns: Columns) -> tuple[str, ...]:
+    def _notes_on_frames(self, columns: Rows) -> tuple[str, ...]:
         """Notes on files of boxes or labels whose frame numbers do not fit the video."""
         processed = np.array(self.rows.frame_index, np.int64)
         if not len(processed):
@@ -325,8 +325,8 @@ class RunSession:
         if self.truth is None:
             return (*missed, *beyond)
         labels = self.truth.select(self.truth.class_id >= 0)
-        frame = columns["frame"].astype(np.int64)
-        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
+        frame = columns["frame"]
+        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, columns.boxes_px)
         return (*missed, *beyond, *shift)
 
     def end(self, processing_s: float, stopped_by: BaseException | None) -> None:
@@ -338,14 +338,14 @@ class RunSession:
         self._wall_s += processing_s
         self._stopped_by = stopped_by
 
-    def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
+    def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Rows]:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by
         video ("overlay").
         """
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
         calibration = recording.calibration
         rows.finish()
-        columns, n_frames = rows.table.to_columns(), len(rows)
+        columns, n_frames = rows.table.to_rows(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
         detect = None if self.box_source.prepare is None else self.box_source.detect
         self.frame_notes = (

@@ -18,7 +18,7 @@ from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import FPS
 from track_range.ranging.truth.errors import MethodColumn, score_rows
 from track_range.ranging.truth.truth import Truth
-from track_range.results.rows.columns import Columns
+from track_range.results.rows.rows import Rows
 from track_range.results.summary import matched_truth, with_truth
 from track_range.run.options.settings import RunSettings
 from track_range.run.run import Run
@@ -65,7 +65,7 @@ def horizon(options: Namespace) -> Figures:
     return figures
 
 
-def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known: str) -> Columns:
+def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known: str) -> Rows:
     folder = cache / f"{scenario}-{seed}-{options.seconds:g}-{options.car_size:g}-{options.pitch:g}"
     drive = Drive.in_folder(folder)
     speed = folder / "speed" / drive.ego_speed.name
@@ -93,19 +93,19 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
     return finished(settings)[1]
 
 
-def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Columns]:
+def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Rows]:
     """A finished run, which writes nothing, and its columns with the truth: `truth`, or that of the
     settings.
     """
     run = Run(settings)
     for _ in run:
         pass
-    rows = run.session.rows.table.to_columns(is_rounded=False)
+    rows = run.session.rows.table.to_rows(is_rounded=False)
     truth = truth or run.session.truth
     return run, rows if truth is None else with_truth(rows, matched_truth(rows, truth))
 
 
-def _figures(drives: Mapping[str, Columns]) -> Figures:
+def _figures(drives: Mapping[str, Rows]) -> Figures:
     """Errors over all drives and by drive, and biases; the magnitude of a bias is its mean over the
     drives.
     """
@@ -124,11 +124,9 @@ def _figures(drives: Mapping[str, Columns]) -> Figures:
     }
 
 
-def _scores(columns: Columns) -> Figures:
+def _scores(columns: Rows) -> Figures:
     """Scores over the rows that all methods measured, with the coverage of each method."""
-    columns_of = {
-        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS
-    }
+    columns_of = {name: MethodColumn(*columns.distance(name)) for name in METHODS}
     true_m, common = (
         columns["truth_m"],
         np.all([np.isfinite(each.distance_m) for each in columns_of.values()], axis=0),
@@ -143,7 +141,7 @@ def _scores(columns: Columns) -> Figures:
     }
 
 
-def _biases(columns: Columns) -> dict[str, float | None]:
+def _biases(columns: Rows) -> dict[str, float | None]:
     """Median of the signed errors in per cent, by method and time from which on they count."""
     true_m, time_s = columns["truth_m"], columns["time_s"]
     in_span = (true_m >= SPAN_M[0]) & (true_m < SPAN_M[1])

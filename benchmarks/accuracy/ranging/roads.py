@@ -29,7 +29,7 @@ from track_range.ranging.evaluation.box_evaluation import distance_risk
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
 from track_range.ranging.truth.errors import MethodColumn, score_rows
 from track_range.ranging.truth.truth import Truth
-from track_range.results.rows.columns import Columns
+from track_range.results.rows.rows import Rows
 from track_range.run.options.settings import RunSettings
 from track_range.simulation.drive import write_drive
 
@@ -215,11 +215,9 @@ def _runs(options: Namespace, folder: Path) -> Figures:
     return {"focal lengths": focal, **figures}
 
 
-def _run_rows(columns: Columns) -> Figures:
+def _run_rows(columns: Rows) -> Figures:
     true_m = columns["scored_truth_m"]
-    rows = {
-        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in RUN_METHODS
-    }
+    rows = {name: MethodColumn(*columns.distance(name)) for name in RUN_METHODS}
     return {
         name: _row(column, true_m, np.isfinite(true_m), columns["track_id"])
         for name, column in rows.items()

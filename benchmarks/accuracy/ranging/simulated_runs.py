@@ -19,7 +19,7 @@ from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.ranging.truth.errors import MethodColumn, score_rows
 from track_range.ranging.truth.truth import read_truth
 from track_range.results.formats.csv_file import read_tracks_csv
-from track_range.results.rows.columns import Columns
+from track_range.results.rows.rows import Rows
 from track_range.results.summary import matched_truth, with_truth
 from track_range.run.options.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
@@ -81,7 +81,7 @@ def fusion(options: Namespace) -> Figures:
     }
 
 
-def _blind_run(scenario: str, seed: int, lanes: str) -> Columns:
+def _blind_run(scenario: str, seed: int, lanes: str) -> Rows:
     return run_columns(
         scenario, seed, SECONDS, prepare=lambda drive: _blind(drive.right, seed), lanes=lanes
     )
@@ -104,7 +104,7 @@ def _is_within(time_s: Any, span_s: tuple[float, float]) -> BoolArray:
     return np.asarray((time_s > span_s[0] - 1e-6) & (time_s < span_s[1] - 1e-6))
 
 
-def _scores(columns: Columns) -> Figures:
+def _scores(columns: Rows) -> Figures:
     """Scores by method with and without a right image ("blind"), and over the boxes that all of
     `COMPARED` measured.
     """
@@ -120,7 +120,7 @@ def _scores(columns: Columns) -> Figures:
     ):
         figures[state] = {}
         for name in names:
-            column = MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
+            column = MethodColumn(*columns.distance(name))
             figures[state][name] = score_rows(column, columns["scored_truth_m"], is_true & rows)
     return figures
 
@@ -134,7 +134,7 @@ def run_columns(
     shown: PinholeCamera | None = None,
     prepare: Callable[[Drive], None] = lambda drive: None,
     **settings: Any,
-) -> Columns:
+) -> Rows:
     """Columns of the command `run` without dense stereo on a drive with lossless images.
 
     `shown` is the left camera of the rectified images, `prepare` changes the drive's files; the
@@ -167,15 +167,16 @@ def run_columns(
         chosen = RunSettings(stereo=pair, region="europe", **given, **settings)
         out = run_and_print(chosen, Console(quiet=True), print_results=lambda _, __: None)
         truth = read_truth(drive.table, shown or kitti_like_rig().left, np.zeros(3))
-        columns = read_tracks_csv(out / "tracks.csv")
-        matched = matched_truth(columns, truth)
-        return {**with_truth(columns, matched), "true_id": matched.of_labels(truth.track_id, -1)}
+        rows = Rows(read_tracks_csv(out / "tracks.csv"))
+        matched = matched_truth(rows, truth)
+        true_id = matched.of_labels(truth.track_id, -1)
+        return with_truth(rows, matched).with_columns({"true_id": true_id})
 
 
-def joined(runs: Sequence[Columns]) -> Columns:
+def joined(runs: Sequence[Rows]) -> Rows:
     """The columns that all runs have, one run after the other."""
-    names = set.intersection(*(set(columns) for columns in runs))
-    return {name: np.concatenate([columns[name] for columns in runs]) for name in names}
+    names = set.intersection(*(set(run.columns) for run in runs))
+    return Rows({name: np.concatenate([run[name] for run in runs]) for name in names})
 
 
 @workload(
@@ -214,7 +215,7 @@ def wide_lenses(options: Namespace) -> Figures:
     }
 
 
-def _both_runs(scenario: str, seed: int, options: Namespace) -> tuple[Columns, Columns]:
+def _both_runs(scenario: str, seed: int, options: Namespace) -> tuple[Rows, Rows]:
     wide = StereoRig.rectified(LENS, BASELINE_M)
     pinholes = WideLens.of(wide).pinholes
     boxes = {} if options.detector is None else {"detector": options.detector}
@@ -225,24 +226,20 @@ def _both_runs(scenario: str, seed: int, options: Namespace) -> tuple[Columns, C
     return pinhole, fisheye
 
 
-def _common_rows(pinhole: Columns, fisheye: Columns) -> tuple[Columns, Columns]:
+def _common_rows(pinhole: Rows, fisheye: Rows) -> tuple[Rows, Rows]:
     """The rows of both runs with the same frame and true object."""
     keys, rows = zip(*(_keys(columns) for columns in (pinhole, fisheye)), strict=True)
     _, first, second = np.intersect1d(keys[0], keys[1], return_indices=True)
-    kept = [
-        {name: values[run_rows[common]] for name, values in columns.items()}
-        for columns, run_rows, common in ((pinhole, rows[0], first), (fisheye, rows[1], second))
-    ]
-    return kept[0], kept[1]
+    return pinhole.select(rows[0][first]), fisheye.select(rows[1][second])
 
 
-def _keys(columns: Columns) -> tuple[IntArray, IntArray]:
+def _keys(columns: Rows) -> tuple[IntArray, IntArray]:
     """Numbers of frame and true object, and the rows, of those with a true distance."""
     rows = np.flatnonzero(np.isfinite(columns["scored_truth_m"]))
     return (columns["true_id"][rows] * _MAX_FRAMES + columns["frame"][rows]).astype(np.int64), rows
 
 
-def _compared(method: str, columns: Sequence[Columns], rows: IntArray) -> dict[str, Any]:
+def _compared(method: str, columns: Sequence[Rows], rows: IntArray) -> dict[str, Any]:
     """Scores of a method with pinhole and fisheye over the rows that both measured, and the ratios
     of the errors.
     """

@@ -2,20 +2,22 @@
 
 import numpy as np
 
+from track_range.results.rows.rows import Rows
+
 NAN = np.nan
 
 
 def approach_rows(*values):
-    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma,
+    """Rows of (time, track, class, observed, filtered m, its sigma, closing, its sigma,
     TTC)."""
     names = (
         *("time_s", "track_id", "class", "observed", "fused_kf_m", "fused_kf_sigma_m"),
         *("closing_mps", "closing_sigma_mps", "ttc_front_s"),
     )
-    return {name: np.array([row[k] for row in values]) for k, name in enumerate(names)}
+    return Rows({name: np.array([row[k] for row in values]) for k, name in enumerate(names)})
 
 
-COLUMNS = approach_rows(
+ROWS = approach_rows(
     (0.0, 1, "car", 1, 20.0, 0.4, NAN, NAN, NAN),
     (0.5, 1, "car", 1, 15.0, 0.3, 10.0, 1.0, 1.5),
     (1.0, 1, "car", 0, 3.0, 0.1, 30.0, 1.0, 0.4),  # predicted

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from tests.support.results.approach_rows import COLUMNS, NAN
+from tests.support.results.approach_rows import NAN, ROWS
 from track_range.results.approaches import closest_approaches, row_of_smallest, track_extremes
+from track_range.results.rows.rows import Rows
 
 
 def test_detected_and_certain_rows_count():
-    person, car, bus = closest_approaches(COLUMNS)  # nearest first, unknown last
+    person, car, bus = closest_approaches(ROWS)  # nearest first, unknown last
     assert (person["track_id"], person["min_distance_m"], person["min_distance_sigma_m"]) == (
         2,
         8.5,
@@ -30,7 +31,7 @@ def test_detected_and_certain_rows_count():
 
 
 def test_extremes_of_all_tracks():
-    assert [row["track_id"] for row in track_extremes(COLUMNS)] == [1, 2, 3, 4]
+    assert [row["track_id"] for row in track_extremes(ROWS)] == [1, 2, 3, 4]
 
 
 def test_fused_distance_without_a_filter():
@@ -40,7 +41,7 @@ def test_fused_distance_without_a_filter():
         "class": np.array(["car", "car"]),
         "fused_m": [NAN, 7.0],
     }
-    (row,) = closest_approaches({name: np.asarray(values) for name, values in columns.items()})
+    (row,) = closest_approaches(Rows(columns))
     assert (row["min_distance_m"], row["min_distance_sigma_m"], row["min_ttc_front_s"]) == (
         7.0,
         None,
@@ -49,7 +50,7 @@ def test_fused_distance_without_a_filter():
 
 
 def test_no_rows():
-    assert closest_approaches({name: values[:0] for name, values in COLUMNS.items()}) == []
+    assert closest_approaches(ROWS.select(slice(0))) == []
 
 
 def test_row_of_the_smallest_known_value():

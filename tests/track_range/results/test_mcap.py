@@ -289,7 +289,7 @@ def test_frames_without_rows_and_start(tmp_path: Path) -> None:
     with RunTable() as table:
         for index in (1, 3):
             table.append(frame(index))
-        rows = table.to_columns(is_rounded=False)
+        rows = table.to_rows(is_rounded=False)
     writers = OpenWriters(("mcap",), info(settings={}), tmp_path)
     for replayed in frames_of_rows(rows, range(5), ("fused",), 10.0):
         writers.write(replayed)

@@ -31,7 +31,8 @@ from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_arrows, read_tracks_parquet
 from track_range.results.formats.provenance import settings_hash
 from track_range.results.replay import frames_of_rows
-from track_range.results.rows.columns import column_names, result_columns, rounded
+from track_range.results.rows.columns import column_names, result_columns
+from track_range.results.rows.rows import Rows
 from track_range.run.export.export import ExportSettings, export
 from track_range.views.report.run_folders import report
 
@@ -76,7 +77,7 @@ def test_rounded_rows_equal_the_csv(run_file: Path) -> None:
     columns = read_tracks_parquet(run_file)
     assert columns["mono_m"][0] == 12.3456
     table = read_tracks_csv(run_file.with_name("tracks.csv"))
-    for name, values in rounded(columns).items():
+    for name, values in Rows(columns).rounded().columns.items():
         np.testing.assert_array_equal(values, table[name])
 
 
@@ -239,11 +240,11 @@ def test_run_with_parquet_only(tmp_path: Path, run_on_noise: Callable[..., tr.Ru
     assert (alone / PARQUET).exists()
     assert not (alone / "tracks.csv").exists()
     report([alone], None)
-    first, second = read_run_folder(both), read_run_folder(alone)
+    first, second = read_run_folder(both).rows, read_run_folder(alone).rows
     for name in first.columns:
-        np.testing.assert_array_equal(first.columns[name], second.columns[name])
-    exact = read_run_folder(both, is_rounded=False)
-    assert np.any(exact.columns["mono_m"] != first.columns["mono_m"])
+        np.testing.assert_array_equal(first[name], second[name])
+    exact = read_run_folder(both, is_rounded=False).rows
+    assert np.any(exact["mono_m"] != first["mono_m"])
     metadata = parquet.read_schema(alone / PARQUET).metadata
     run = read_yaml(alone / "settings.yaml", OutputError, "settings")["run"]
     summary = json.loads((alone / "summary.json").read_text())

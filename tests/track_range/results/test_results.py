@@ -63,7 +63,7 @@ def test_columns_of_further_methods_are_appended(tmp_path):
         with writing(tmp_path) as rows, RunTable() as table:
             rows.write(replace(frame, ranges={**frame.ranges, **toy}))
             table.append(replace(frame, ranges={**frame.ranges, **toy}))
-            np.testing.assert_equal(table.to_columns()["toy_m"], [9.0, np.nan])
+            np.testing.assert_equal(table.to_rows()["toy_m"], [9.0, np.nan])
         columns = read_tracks_csv(tmp_path / "tracks.csv")
     np.testing.assert_equal(columns["toy_m"], [9.0, np.nan])
     np.testing.assert_equal(columns["toy_kf_m"], [np.nan, np.nan])
@@ -143,7 +143,7 @@ def test_incomplete_last_row_is_dropped(tmp_path):
 
 def test_no_rows_at_all(tmp_path):
     with writing(tmp_path), RunTable() as table:
-        assert {len(column) for column in table.to_columns().values()} == {0}
+        assert {len(column) for column in table.to_rows().columns.values()} == {0}
         assert table.to_arrow().num_rows == 0
     columns = read_tracks_csv(tmp_path / "tracks.csv")
     assert {len(column) for column in columns.values()} == {0}
@@ -173,11 +173,11 @@ def test_table_equals_tracks_csv(tmp_path_factory, values, times_s):
             frame = replace(frame, frame=replace(frame.frame, time_s=time_s))
             rows.write(frame)
             table.append(frame)
-        columns = table.to_columns()
+        rows = table.to_rows()
     read = read_tracks_csv(folder / "tracks.csv")
-    assert list(columns) == list(read)
-    for name in columns:
-        np.testing.assert_array_equal(columns[name], read[name], err_msg=name)
+    assert list(rows.columns) == list(read)
+    for name in read:
+        np.testing.assert_array_equal(rows[name], read[name], err_msg=name)
 
 
 def test_table_of_many_batches():

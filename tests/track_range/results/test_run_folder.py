@@ -35,8 +35,8 @@ def test_complete_run(run: Path) -> None:
     read = read_run_folder(run)
     assert read.missing == ()
     assert (read.summary["frames"], read.summary["notes"]) == (9, ["a note"])
-    assert read.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
-    assert read.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.rows["truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.rows["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
     assert read.summary["focal_px"] == 1000.0
     assert read.summary["settings"] == {
         key: value for key, value in read.settings.items() if key != "classes"
@@ -47,13 +47,13 @@ def test_complete_run(run: Path) -> None:
 def test_unscored_truth_is_shown(run: Path, old: str, new: str) -> None:
     labels = (run / "truth.txt").read_text().replace(old, new)
     (run / "truth.txt").write_text(labels)
-    columns = read_run_folder(run).columns
+    columns = read_run_folder(run).rows
     assert columns["truth_m"].min() > 10
     assert bool(np.isnan(columns["scored_truth_m"]).all())
 
 
 def test_truth_without_labels(run: Path) -> None:
-    columns = read_run_folder(run).columns
+    columns = read_run_folder(run).rows
     nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
     assert bool(
         np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all()
@@ -169,11 +169,11 @@ def test_clip_of_a_fleet(run: Path, tmp_path: Path, cli: Cli) -> None:
     tracks.mkdir(parents=True)
     runs.parent.mkdir()
     rows = read_run_rows(run / "tracks.csv", [])
-    write_table(tracks / "tracks.parquet", pa.table(rows))
+    write_table(tracks / "tracks.parquet", pa.table(dict(rows.columns)))
     shutil.copytree(run, runs, ignore=shutil.ignore_patterns("tracks.csv", "settings.yaml"))
     boxes = tmp_path / "boxes.json"
     report([runs])
-    assert len(read_run_folder(runs).columns["frame"]) == N_FRAMES
+    assert len(read_run_folder(runs).rows["frame"]) == N_FRAMES
     assert (
         cli("export", runs, "--to", "coco", "--out", boxes)[1]
         .rstrip()
@@ -205,7 +205,7 @@ def test_settings_without_a_camera(run: Path) -> None:
     for read in ({}, {"focal_px": 1.0, "principal_point_px": None, "image_size_px": 3}):
         (run / "settings.yaml").write_text(yaml.safe_dump(settings | {"found": read}))
         read = read_run_folder(run)
-        assert "truth_m" not in read.columns
+        assert "truth_m" not in read.rows
         assert len(read.missing) == 1
 
 
@@ -245,7 +245,7 @@ def test_page_must_not_overwrite_an_input(run: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(OutputError, match=words):
             report(folders, out)
-    assert len(read_run_folder(run).columns["frame"]) == N_FRAMES
+    assert len(read_run_folder(run).rows["frame"]) == N_FRAMES
     assert report([run], run / "report.html").page.is_file()
     assert report([run], tmp_path / "new" / "page.html").page.is_file()
 

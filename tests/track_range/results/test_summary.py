@@ -7,6 +7,7 @@ import pytest
 from track_range.foundation.files.output_files import write_json
 from track_range.ranging.truth.truth import Truth
 from track_range.results.rows.columns import column_names
+from track_range.results.rows.rows import Rows
 from track_range.results.summary import (
     frame_spans,
     matched_truth,
@@ -35,7 +36,7 @@ def columns_of(n=10, *, fused=20.0, name="car"):
         "fused_sigma_m": np.ones(n),
         "mono_sigma_m": np.ones(n),
     }
-    return columns | {"mono_m": np.where(np.arange(n) % 2, np.nan, 22.0)}
+    return Rows(columns | {"mono_m": np.where(np.arange(n) % 2, np.nan, 22.0)})
 
 
 def truth_of(n=10, *, kitti_type="Car", class_id=2, distance_m=20.0, closing_mps=np.nan):
@@ -64,10 +65,8 @@ def test_methods_and_common_coverage():
 
 
 def test_closing_speed_against_truth():
-    columns = columns_of() | {
-        "closing_mps": np.full(10, 3.0),
-        "closing_sigma_mps": np.full(10, 0.4),
-    }
+    speeds = {"closing_mps": np.full(10, 3.0), "closing_sigma_mps": np.full(10, 0.4)}
+    columns = columns_of().with_columns(speeds)
     columns["closing_mps"][:5] = np.nan
     closing = range_scores(columns, matched_truth(columns, truth_of(closing_mps=2.5)), ("fused",))[
         "closing"
@@ -113,17 +112,15 @@ def test_objects_below_25_px_do_not_count():
     low = replace(truth_of(), xyxy_px=np.array([[10.0, 10.0, 40.0, 34.9]] * 5 + [BOX] * 5))
     tracked = track_scores(columns_of(), low, np.arange(10))
     assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (5, 0, 0)
-    stray = columns_of() | {
-        "x1_px": np.full(10, 100.0),
-        "x2_px": np.full(10, 120.0),
-        "y2_px": np.full(10, 34.9),
-    }
-    assert track_scores(stray, truth_of(), np.arange(10))["fp"] == 0
-    assert track_scores(stray | {"y2_px": np.full(10, 35.1)}, truth_of(), np.arange(10))["fp"] == 10
+    left, right = np.full(10, 100.0), np.full(10, 120.0)
+    for bottom, n_false in ((34.9, 0), (35.1, 10)):
+        edges = {"x1_px": left, "x2_px": right, "y2_px": np.full(10, bottom)}
+        stray = columns_of().with_columns(edges)
+        assert track_scores(stray, truth_of(), np.arange(10))["fp"] == n_false
 
 
 def test_truth_of_other_frames_does_not_count():
-    columns = {key: value[:4] for key, value in columns_of().items()}
+    columns = columns_of().select(slice(4))
     assert track_scores(columns, truth_of(), np.arange(4))["mota"] == 100.0
     assert track_scores(columns, truth_of(), np.arange(10))["fn"] == 6
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
-from track_range.results.rows.columns import TEXT_COLUMNS, column_names
+from track_range.results.rows.rows import Rows
 from track_range.results.summary_shape import valid_summary
 from track_range.views.report.page import report_page
 
-NO_ROWS = {
-    name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()
-}
+NO_ROWS = Rows()
 WHOLE: dict[str, Any] = {
     "frames": 3,
     "wall_s": 1.5,

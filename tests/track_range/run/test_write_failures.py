@@ -115,9 +115,7 @@ def test_table_without_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         size = next(tmp_path.rglob("rows.arrows")).stat().st_size
         with file_size_limit(size + 200), pytest.raises(OutputError, match="rows of the run"):
             table.append(result(5))
-        assert table.to_columns()["frame"].tolist() == [
-            index for index in range(5) for _ in range(2)
-        ]
+        assert table.to_rows()["frame"].tolist() == [index for index in range(5) for _ in range(2)]
 
 
 # -- videos

@@ -40,7 +40,7 @@ from track_range.results.events.files import (
     read_events,
 )
 from track_range.results.folder import read_run_rows, rows_file
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 
 # labels of a simulated drive beside its contacts, the first that exists
 BOX_FILES = ("truth.csv", "truth.txt")
@@ -69,8 +69,8 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     is_labelled = _is_file_of_events(settings.truth)
     needed = NEEDED_COLUMNS if is_labelled else (*NEEDED_COLUMNS, "warning_s")
     events = read_events(path, needed=needed)
-    columns = inputs.columns(settings.tracks)
-    hours = inputs.hours(columns)
+    rows = inputs.rows(settings.tracks)
+    hours = inputs.hours(rows)
     hours = hours if settings.hours is None else settings.hours
     if is_labelled:
         labelled = read_events(settings.truth)
@@ -84,15 +84,15 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     if hours is None:
         hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
     boxes = inputs.boxes(settings.boxes)
-    if columns is None or boxes is None:
+    if rows is None or boxes is None:
         objects, protocol = objects_by_time(events, contacts), BY_TIME
         inputs.notes.append(
             "Warnings are assigned to contacts by number, class and time, because "
-            f"{'the tracks of the run are' if columns is None else 'labels of the objects are'} "
-            f"missing ({'--tracks' if columns is None else '--boxes'})."
+            f"{'the tracks of the run are' if rows is None else 'labels of the objects are'} "
+            f"missing ({'--tracks' if rows is None else '--boxes'})."
         )
     else:
-        objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
+        objects, protocol = objects_by_boxes(events, rows, boxes), BY_BOXES
         if missing := sorted(
             {contact.object_id for contact in contacts} - set(boxes.track_id.tolist())
         ):
@@ -109,8 +109,8 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     )
     closing = (
         {}
-        if columns is None or boxes is None
-        else {"closing": closing_errors(columns, boxes, inputs.vans())}
+        if rows is None or boxes is None
+        else {"closing": closing_errors(rows, boxes, inputs.vans())}
     )
     return {
         **scores,
@@ -147,7 +147,7 @@ class _Inputs:
     # time after which there are no events: `ends_s`, or that of the last row
     last_s: float = math.inf
 
-    def columns(self, path: Path | None) -> Columns | None:
+    def rows(self, path: Path | None) -> Rows | None:
         """Rows of the run; None without a file, or if the file in the folder of the events cannot
         be read.
         """
@@ -179,7 +179,7 @@ class _Inputs:
         labels = read_boxes(file)
         return set(labels.track_id[labels.kitti_type == "van"].tolist())
 
-    def hours(self, columns: Columns | None) -> float | None:
+    def hours(self, rows: Rows | None) -> float | None:
         """Duration of the processed video from summary.json, else from the rows of the tracks; None
         = unknown.
         """
@@ -199,9 +199,9 @@ class _Inputs:
                     self.starts_s = _number(summary, "starts_s") or 0.0
                     self.ends_s = self.last_s = self.starts_s + 3600 * hours
                     return hours
-        if columns is None or not len(columns["time_s"]):
+        if not rows:
             return None
-        time_s = np.unique(columns["time_s"])
+        time_s = np.unique(rows["time_s"])
         self.last_s = float(time_s[-1])
         step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
         return (float(time_s[-1] - time_s[0]) + step_s) / 3600 or None
@@ -272,7 +272,7 @@ TALL = "tall vehicles"
 _TALL_CLASSES = ("bus", "truck", "van")
 
 
-def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -> dict[str, Any]:
+def closing_errors(rows: Rows, boxes: Truth, vans: Collection[int] = ()) -> dict[str, Any]:
     """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as
     in `score_closing`.
 
@@ -285,8 +285,8 @@ def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -
     )
     if not in_range.any():
         return {}
-    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), boxes)
-    true_mps = np.where((rows >= 0) & in_range[rows], boxes.closing_mps[rows], np.nan)
+    label = match_truth(rows["frame"], rows.boxes_px, boxes)
+    true_mps = np.where((label >= 0) & in_range[label], boxes.closing_mps[label], np.nan)
     is_tall = np.isin(boxes.kitti_type, _TALL_CLASSES) | np.isin(boxes.track_id, list(vans))
     classes = np.array([road_class_of(name) or str(name) for name in boxes.kitti_type], np.str_)
     sections = {}
@@ -294,8 +294,8 @@ def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -
         *((name, classes == name) for name in np.unique(classes[in_range])),
         (TALL, is_tall),
     ]:
-        class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)
-        score = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], class_mps)
+        class_mps = np.where((label >= 0) & chosen[label], true_mps, np.nan)
+        score = score_closing(rows["closing_mps"], rows["closing_sigma_mps"], class_mps)
         if score is not None:
             sections[str(name)] = score
     return sections

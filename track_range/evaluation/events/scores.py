@@ -44,7 +44,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
 from track_range.results.events.files import EventFileError
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 
 CONTACT_COLUMNS = ("object_id", "class", "contact_s")
 
@@ -287,24 +287,20 @@ def read_boxes(path: Path) -> Truth:
     )
 
 
-def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) -> list[int | None]:
+def objects_by_boxes(events: Sequence[Event], rows: Rows, boxes: Truth) -> list[int | None]:
     """Identity of the object of each event, from the boxes of its track in the rows of the run;
     None = no object.
     """
-    xyxy_px = boxes_px(columns)
+    xyxy_px, time_s, frame = rows.boxes_px, rows["time_s"], rows["frame"]
     order = np.argsort(boxes.frame, kind="stable")
     frames = boxes.frame[order]
     objects: list[int | None] = []
     for event in events:
-        is_near = (columns["time_s"] >= event.start_s - MARGIN_S) & (
-            columns["time_s"] <= event.end_s
-        )
-        rows = np.flatnonzero((columns["track_id"] == event.track_id) & is_near)
+        is_near = (time_s >= event.start_s - MARGIN_S) & (time_s <= event.end_s)
+        own = np.flatnonzero((rows["track_id"] == event.track_id) & is_near)
         votes: Counter[int] = Counter()
-        for row in rows.tolist():
-            first, last = np.searchsorted(
-                frames, [columns["frame"][row], columns["frame"][row] + 1]
-            ).tolist()
+        for row in own.tolist():
+            first, last = np.searchsorted(frames, [frame[row], frame[row] + 1]).tolist()
             labels = order[first:last]
             labels = labels[boxes.track_id[labels] >= 0]
             if len(labels):
@@ -312,7 +308,7 @@ def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) ->
                 if overlap.max() >= MIN_IOU:
                     votes[int(boxes.track_id[labels[overlap.argmax()]])] += 1
         best = votes.most_common(1)
-        objects.append(best[0][0] if best and best[0][1] >= MIN_FRACTION * len(rows) else None)
+        objects.append(best[0][0] if best and best[0][1] >= MIN_FRACTION * len(own) else None)
     return objects
 
 

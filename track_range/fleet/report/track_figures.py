@@ -24,6 +24,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.truth.errors import BANDS_M
 from track_range.results.approaches import reference_distance
 from track_range.results.rows.columns import distance_names
+from track_range.results.rows.rows import Rows
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -114,7 +115,7 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     """
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
-        rows = _Rows(table)
+        rows = _ClipRows(table)
         rows.count_tracks(figures)
         rows.count_coverage(figures)
         figures.closest = _ranked(rows.approaches(clip, rows.precise_m()), "distance_m")
@@ -122,8 +123,8 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     return figures
 
 
-class _Rows:
-    """Rows of a clip as arrays (N,), by track and time; missing columns are NaN."""
+class _ClipRows:
+    """Rows of a clip, by track and time."""
 
     def __init__(self, table: pa.Table) -> None:
         import pyarrow as pa
@@ -140,16 +141,13 @@ class _Rows:
         if not np.all(np.abs(keys) < _MAX_NUMBER):
             raise ValueError("rows without a track or time")
         order = np.lexsort(keys)
-        self._columns: dict[str, FloatArray] = {
-            name: values[order] for name, values in numbers.items()
-        }
-        self._unknown = np.full(len(order), np.nan)
+        self._rows = Rows(numbers).select(order)
         self._methods = _methods(table.column_names)
-        is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
+        is_first = np.diff(self._rows["track_id"], prepend=np.nan) != 0
         self.starts: IntArray = np.flatnonzero(is_first)  # (T,) first row of each track
         self.track: IntArray = np.cumsum(is_first) - 1  # (N,) index of the track of each row
-        self.time_s = self._columns["time_s"]
-        self.observed: BoolArray = self._column("observed") != 0
+        self.time_s: FloatArray = self._rows["time_s"]
+        self.observed: BoolArray = self._rows["observed"]
 
         names = classes.dictionary.to_pylist()
         codes = classes.indices.to_numpy()[order].astype(np.int64)
@@ -160,15 +158,12 @@ class _Rows:
         # the most frequent one
         self.class_of_track = [names[code] for code in counts.argmax(axis=1)]
 
-        self.distance_m, self.sigma_m = reference_distance(self._columns)
-
-    def _column(self, name: str) -> FloatArray:
-        return self._columns.get(name, self._unknown)
+        self.distance_m, self.sigma_m = reference_distance(self._rows)
 
     def count_tracks(self, figures: TrackFigures) -> None:
         ends = np.append(self.starts[1:], len(self.track)) - 1
         visible_s = self.time_s[ends] - self.time_s[self.starts]
-        utc_s = self._column("utc")[self.starts]
+        utc_s = self._rows["utc"][self.starts]
         for name, seconds, utc in zip(
             self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True
         ):
@@ -180,7 +175,7 @@ class _Rows:
         band = np.searchsorted(EDGES_M, self.distance_m[rows], side="right") - 1
         figures.n_boxes.update(band.tolist())
         for method in self._methods:
-            is_measured = np.isfinite(self._column(f"{method}_m")[rows])
+            is_measured = np.isfinite(self._rows[f"{method}_m"][rows])
             figures.n_measured.update((method, i) for i in band[is_measured].tolist())
 
     def precise_m(self) -> FloatArray:
@@ -192,20 +187,18 @@ class _Rows:
 
     def precise_ttc_s(self) -> FloatArray:
         """Time to collision of the rows where its sigma is small enough, else NaN."""
-        ttc_s = self._column("ttc_front_s")
+        ttc_s = self._rows["ttc_front_s"]
         with np.errstate(invalid="ignore"):
-            return np.where(
-                self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan
-            )
+            return np.where(self._rows["ttc_sigma_s"] <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
 
     def _lateral_m(self) -> FloatArray:
         """Column x_m; where only the filter has a distance, x of the box centre at this distance,
         by the camera.
         """
         x_m, z_m, u = (
-            self._column("x_m"),
-            self._column("fused_m"),
-            self._column("x1_px") + self._column("x2_px"),
+            self._rows["x_m"],
+            self._rows["fused_m"],
+            self._rows["x1_px"] + self._rows["x2_px"],
         )
         known = np.isfinite([x_m, z_m, u]).all(axis=0)
         if not known.any() or np.ptp(u[known]) < 1:
@@ -232,18 +225,18 @@ class _Rows:
         }
         columns = {
             "time_s": self.time_s,
-            "utc_s": self._column("utc"),
+            "utc_s": self._rows["utc"],
             "distance_m": self.distance_m,
             "sigma_m": self.sigma_m,
             "x_m": self._lateral_m(),
-            "path_offset_m": self._column("path_offset_m"),
-            "ttc_s": self._column("ttc_front_s"),
-            "ttc_sigma_s": self._column("ttc_sigma_s"),
+            "path_offset_m": self._rows["path_offset_m"],
+            "ttc_s": self._rows["ttc_front_s"],
+            "ttc_sigma_s": self._rows["ttc_sigma_s"],
         }
         return [
             {
                 "clip": clip,
-                "track_id": int(self._columns["track_id"][row]),
+                "track_id": int(self._rows["track_id"][row]),
                 "road_class": self.class_of_track[i],
                 **{
                     name: float(v[row]) if np.isfinite(v[row]) else None

@@ -31,7 +31,7 @@ from track_range.detection.formats.video_labels.text_tables import kitti_lines
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowWriter
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 
@@ -111,19 +111,19 @@ class RecordedBoxesWriter(RowWriter):
 
 
 def table_of_rows(
-    columns: Columns, camera: PinholeCamera | None, video: VideoFacts = NO_FACTS
+    rows: Rows, camera: PinholeCamera | None, video: VideoFacts = NO_FACTS
 ) -> BoxTable:
     """All boxes of a run from its rows; locations are unknown without a camera."""
-    boxes, distance_m = boxes_px(columns), columns["fused_m"]
+    boxes, distance_m = rows.boxes_px, rows["fused_m"]
     return BoxTable.of(
-        columns["frame"],
-        columns["track_id"],
-        [str(name) for name in columns["class"]],
+        rows["frame"],
+        rows["track_id"],
+        [str(name) for name in rows["class"]],
         boxes,
-        score=columns["score"],
-        observed=columns["observed"] != 0,
+        score=rows["score"],
+        observed=rows["observed"],
         distance_m=distance_m,
-        sigma_m=columns.get("fused_sigma_m", np.full(len(boxes), np.nan)),
+        sigma_m=rows["fused_sigma_m"],
         location_m=np.nan if camera is None else _bottom_centres_m(boxes, distance_m, camera),
         video=video,
     )

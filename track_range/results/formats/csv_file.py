@@ -1,4 +1,4 @@
-"""tracks.csv: one row per track and frame, with the columns of `track_range.results.rows.columns`."""
+"""tracks.csv: one row per track and frame, with the columns of `results.rows.columns`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowWriter, csv_text
 from track_range.results.rows.columns import (
-    MAX_CLASS,
     MAX_COLUMNS,
-    TEXT_COLUMNS,
-    Columns,
+    MAX_NAME,
     result_columns,
+    text_columns,
 )
 
 if TYPE_CHECKING:
@@ -50,9 +50,9 @@ class CsvWriter(RowWriter):
         return csv_text(zip(*map(methodcaller("text", result), self._columns), strict=True))
 
 
-def read_tracks_csv(path: Path) -> Columns:
-    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, other columns as float64 with NaN for an
-    empty cell.
+def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Columns of a tracks.csv, not validated: names as str, other columns as float64 with NaN for
+    an empty cell.
 
     Rows with a different number of cells than the header, such as the last one of a killed run, are
     skipped. OutputError if the file cannot be read, is not a tracks.csv, or has rows, but none of
@@ -65,10 +65,11 @@ def read_tracks_csv(path: Path) -> Columns:
     try:
         header = _checked_header(text)
         columns = _arrow_columns(text, header)
-        for name in columns.keys() & set(TEXT_COLUMNS):
+        texts = text_columns()
+        for name in columns.keys() & texts:
             longest = max((len(text or "") for text in columns[name].to_pylist()), default=0)
-            if longest > MAX_CLASS:
-                raise ValueError(f"a {name} name of more than {MAX_CLASS} characters")
+            if longest > MAX_NAME:
+                raise ValueError(f"a {name} name of more than {MAX_NAME} characters")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
         problem = str(error) or "no header"
         invalid = _INVALID_NUMBER.search(problem)
@@ -81,7 +82,7 @@ def read_tracks_csv(path: Path) -> Columns:
         ) from error
     return {
         name: np.asarray([text or "" for text in values.to_pylist()], np.str_)
-        if name in TEXT_COLUMNS
+        if name in texts
         else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()
     }
@@ -108,7 +109,8 @@ def _arrow_columns(text: str, header: Sequence[str]) -> dict[str, Any]:
         n_cells.append(row.actual_columns)
         return "skip"
 
-    types = {name: "string" if name in TEXT_COLUMNS else "float64" for name in header}
+    texts = text_columns()
+    types = {name: "string" if name in texts else "float64" for name in header}
     table = arrow_csv.read_csv(
         pa.BufferReader(text.encode()),
         read_options=arrow_csv.ReadOptions(use_threads=False),

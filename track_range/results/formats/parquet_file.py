@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
@@ -23,15 +24,12 @@ from track_range.foundation.schemas.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowFile
 from track_range.results.formats.run_info import RunInfo
+from track_range.results.rows.arrow import FrameValues, record_batch, rows_schema
 from track_range.results.rows.columns import (
-    MAX_CLASS,
     MAX_COLUMNS,
-    TEXT_COLUMNS,
-    Columns,
-    FrameValues,
-    record_batch,
+    MAX_NAME,
     result_columns,
-    rows_schema,
+    text_columns,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +59,7 @@ class ParquetWriter:
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame to tracks.arrows."""
-        rows = [[np.asarray(column.read(result)) for column in self._columns]]
+        rows = [[column.read(result) for column in self._columns]]
         self._file.write(self._message(rows) if len(result.tracks) else b"")
 
     def _message(self, frames: list[FrameValues]) -> bytes:
@@ -103,7 +101,7 @@ def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBat
 
     # other numbers hardly repeat
     coded = [
-        name for name in ("frame", "time_s", "track_id", *TEXT_COLUMNS) if name in schema.names
+        name for name in ("frame", "time_s", "track_id", *text_columns()) if name in schema.names
     ]
     with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
         group: list[pa.RecordBatch] = []
@@ -146,9 +144,9 @@ def _complete_batches(
             yield batch
 
 
-def read_tracks_parquet(path: Path) -> Columns:
-    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, other columns as float64 with NaN for
-    null.
+def read_tracks_parquet(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Columns of a tracks.parquet, not validated: names as str, other columns as float64 with NaN
+    for null.
 
     Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or
     was written by a newer version.
@@ -168,7 +166,7 @@ def read_tracks_parquet(path: Path) -> Columns:
         return _columns(table)
 
 
-def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
+def read_tracks_arrows(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
     """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame; errors
     as for Parquet.
     """
@@ -204,9 +202,9 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     check_schema_version(path, schema.metadata, OutputError)
     if len(schema) > MAX_COLUMNS or len(set(schema.names)) < len(schema):
         raise ValueError("columns")
-    names = []
+    names, texts = [], text_columns()
     for field in schema:
-        is_text = field.name in TEXT_COLUMNS
+        is_text = field.name in texts
         kind = field.type.value_type if types.is_dictionary(field.type) and is_text else field.type
         if is_text:
             is_usable = types.is_string(kind) or types.is_large_string(kind)
@@ -216,19 +214,20 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     return names
 
 
-def _columns(table: pa.Table) -> Columns:
-    """Columns as NumPy arrays; ValueError if a class name is too long."""
-    columns: dict[str, Any] = {}
+def _columns(table: pa.Table) -> dict[str, npt.NDArray[Any]]:
+    """Columns as NumPy arrays; ValueError if a name is too long."""
+    columns: dict[str, npt.NDArray[Any]] = {}
+    texts = text_columns()
     for name in table.column_names:
         values = table.column(name)
-        if name not in TEXT_COLUMNS:
+        if name not in texts:
             columns[name] = np.asarray(values.to_numpy(), np.float64)
             continue
         for chunk in values.chunks:  # each name of a dictionary once
             names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
             if (
-                names.nbytes > MAX_CLASS * (len(names) + 1)
-                and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS
+                names.nbytes > MAX_NAME * (len(names) + 1)
+                and max(map(len, names.drop_null().to_pylist())) > MAX_NAME
             ):
                 raise ValueError("class name too long")
         columns[name] = np.asarray(

@@ -156,8 +156,8 @@ class RerunWriter:
         self._recording.log(
             _VEHICLE, rr.Arrows3D(vectors=[[4.0, 0.0, 0.0]], radii=0.3, labels=["camera"])
         )
-        placed = [shown for shown in objects if math.isfinite(shown.world_x_m)]
-        points = [(shown.world_x_m, shown.world_y_m, 0.0) for shown in placed]
+        placed = [shown for shown in objects if "world_x_m" in shown.figures]
+        points = [(shown.figure("world_x_m"), shown.figure("world_y_m"), 0.0) for shown in placed]
         colours = [_rgba(shown) for shown in placed]
         labels = [shown.label for shown in placed]
         self._recording.log(
@@ -201,7 +201,7 @@ class RerunWriter:
         above = np.stack([centres[:, 0], -centres[:, 2]], axis=1)
         self._recording.log(_TOP_VIEW, rr.Points2D(above, radii=0.8, **style))
         for shown in objects:
-            values = {_DISTANCE: shown.distance_m, _CLOSING: shown.closing_mps}
+            values = {_DISTANCE: shown.distance_m, _CLOSING: shown.figure("closing_mps")}
             paths = {f"{plot}/track_{shown.track_id}": value for plot, value in values.items()}
             if shown.track_id not in self._named:
                 self._named.add(shown.track_id)

@@ -5,7 +5,7 @@ optional packages.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 
@@ -18,6 +18,7 @@ from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.results.rows.columns import viewer_columns
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
@@ -30,34 +31,28 @@ LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), str
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
 
-FIGURES = (  # numbers of a track that may be unknown
-    *("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s"),
-    *("speed_mps", "speed_sigma_mps", "heading_deg", "world_x_m", "world_y_m"),
-)
-
-
 @dataclass(frozen=True, slots=True)
 class TrackObject:
-    """A track of one frame; NaN = unknown."""
+    """A track of one frame."""
 
     track_id: int
     class_name: str
     score: float
     is_observed: bool
     xyxy_px: tuple[float, float, float, float]  # pixel centres at integers
-    distance_m: float  # fused, along z
-    sigma_m: float
-    closing_mps: float
-    closing_sigma_mps: float
-    ttc_s: float
-    speed_mps: float  # over ground
-    speed_sigma_mps: float
-    heading_deg: float  # in the frame `map`, as the position
-    world_x_m: float
-    world_y_m: float
+    figures: Mapping[str, float]  # the known values of `viewer_columns`, by name with unit
     centre_m: tuple[float, float, float]  # of the cuboid in the camera frame
     size_m: tuple[float, float, float]  # width (x), height (y) and nominal length (z) of the cuboid
     rgb: tuple[int, int, int]  # 0 to 255; red and amber shortly before a predicted collision
+
+    def figure(self, name: str) -> float:
+        """One of the figures; NaN = unknown."""
+        return self.figures.get(name, math.nan)
+
+    @property
+    def distance_m(self) -> float:
+        """Fused distance along z."""
+        return self.figure("distance_m")
 
     @property
     def is_ranged(self) -> bool:
@@ -70,24 +65,17 @@ class TrackObject:
         name = f"{self.class_name} {self.track_id}"
         if not self.is_ranged:
             return name
-        sigma = f" ± {self.sigma_m:.1f}" if math.isfinite(self.sigma_m) else ""
+        sigma = f" ± {self.figures['sigma_m']:.1f}" if "sigma_m" in self.figures else ""
         return f"{name}  {self.distance_m:.1f}{sigma} m"
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """Known numbers of `FIGURES`, by name with unit."""
-        values = {name: getattr(self, name) for name in FIGURES}
-        return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackObject]:
     """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no
     rotation.
     """
-    tracks, n = result.tracks, len(result.tracks)
-    fused = result.ranges.get("fused")
-    unknown = np.full(n, np.nan)
-    distance_m, sigma_m = (unknown, unknown) if fused is None else (fused.distance_m, fused.sigma_m)
+    tracks = result.tracks
+    figures = {name: column.read(result) for name, column in viewer_columns().items()}
+    distance_m = figures["distance_m"]
     x1, y1, x2, y2 = tracks.xyxy_px.T
     names = [ROAD_CLASSES[class_id] for class_id in tracks.class_id.tolist()]
     length_m = np.array([LENGTH_M[name] for name in names])
@@ -95,31 +83,21 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
     centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
-    motion = result.motion
-    in_world = (getattr(motion, name) for name in FIGURES[5:])
-    figures = (
-        distance_m,
-        sigma_m,
-        result.closing_mps,
-        result.closing_sigma_mps,
-        result.ttc_s,
-        *in_world,
-    )
-    numbers = np.column_stack([tracks.score, *figures]).tolist()
     size_m = np.column_stack([width_m, height_m, length_m])
-    for i, (score, *known) in enumerate(numbers):
-        track_id = int(tracks.track_id[i])
+    for i, track_id in enumerate(tracks.track_id.tolist()):
         blue, green, red = warning_colour(result, i) or track_colour(track_id)
         yield TrackObject(
             track_id=track_id,
             class_name=names[i],
-            score=score,
+            score=float(tracks.score[i]),
             is_observed=bool(tracks.observed[i]),
             xyxy_px=tuple(tracks.xyxy_px[i].tolist()),
             centre_m=tuple(centre_m[i].tolist()),
             size_m=tuple(size_m[i].tolist()),
             rgb=(red, green, blue),
-            **dict(zip(FIGURES, known, strict=True)),
+            figures={
+                name: float(values[i]) for name, values in figures.items() if np.isfinite(values[i])
+            },
         )
 
 

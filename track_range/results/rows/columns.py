@@ -1,130 +1,257 @@
-"""Columns of the rows of a run (one row per track and frame): name, unit, decimals and source of
-each.
+"""Columns of the rows of a run (one row per track and frame): the table of their declarations.
 
-tracks.csv, the table in memory and all other formats with rows are written from this declaration.
-The order of the first columns is fixed for readers of tracks.csv; the columns of ranging methods of
-other packages follow at the end.
+tracks.csv, the table in memory, all other formats with rows, the frames that are made from rows,
+and the documentation derive from it. The order of the first columns is fixed for readers of
+tracks.csv; the columns of ranging methods of other packages follow at the end.
 """
 
-from __future__ import annotations
-
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Iterable, Iterator, Mapping
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import METHODS, methods
 from track_range.ranging.world.object_motion import MOTION_STATES
+from track_range.results.rows.column import ResultColumn
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-# rows by column: `TEXT_COLUMNS` as str, others float64, NaN = not measured
-Columns = Mapping[str, npt.NDArray[Any]]
-# values of the rows of one frame, not rounded: one (N,) array per column
-FrameValues = list[npt.NDArray[Any]]
-# that are read; runs with all methods have fewer than 100, and pyarrow is slow with more
+# of files that are read; runs with all methods have fewer than 100, and pyarrow is slow with more
 MAX_COLUMNS = 1000
-MAX_CLASS = 200  # largest number of characters of a class name that is read
-SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` that are numbers
-    "gap_m": "m",
-    "ttc_front_s": "s",
-    "headway_s": "s",
-    "drac_mps2": "m/s2",
-    "mdrac_mps2": "m/s2",
-    "tet_s": "s",
-    "tit_s2": "s2",
-    "lane_index": "",
-    "lane_index_sigma": "",
-}
-TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
+MAX_NAME = 200  # largest number of characters of a name that is read, such as that of a class
 
-_TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}
+_SIGMA = "its standard deviation"
 
-ColumnKind = Literal["number", "whole", "flag", "name"]
+_FIRST = (
+    ResultColumn("frame", "", "frame.index", "number of the frame, from 0", "whole"),
+    ResultColumn(
+        "time_s",
+        "s",
+        "frame.time_s",
+        "time of the frame from the start of the video, by its timestamps",
+        decimals=6,
+        largest=1e9,  # 30 years of video
+    ),
+    ResultColumn("track_id", "", "tracks.track_id", "identity, from 1", "whole"),
+    ResultColumn(
+        "class", "", "tracks.class_id", ", ".join(ROAD_CLASSES), "name", names=ROAD_CLASSES
+    ),
+    ResultColumn(
+        "score",
+        "",
+        "tracks.score",
+        "confidence of the detection, 0 to 1; it decays while a box is predicted",
+        decimals=4,
+    ),
+    ResultColumn(
+        "observed",
+        "",
+        "tracks.observed",
+        "1 = detected in this frame, 0 = predicted",
+        "flag",
+        missing=True,
+    ),
+    ResultColumn("x1_px", "px", "tracks.xyxy_px.0", "left edge of the box"),
+    ResultColumn("y1_px", "px", "tracks.xyxy_px.1", "top edge"),
+    ResultColumn("x2_px", "px", "tracks.xyxy_px.2", "right edge"),
+    ResultColumn("y2_px", "px", "tracks.xyxy_px.3", "bottom edge"),
+)
 
+_APPROACH = (
+    ResultColumn(
+        "x_m",
+        "m",
+        "world.xyz_m.0",
+        "x of the measured point (right of the camera), from the fused distance",
+    ),
+    ResultColumn(
+        "y_m",
+        "m",
+        "world.xyz_m.1",
+        "y of the measured point (below the camera), from the fused distance",
+    ),
+    ResultColumn(
+        "closing_mps",
+        "m/s",
+        "approach.closing_mps",
+        "closing speed: how fast the gap shrinks; negative = it grows",
+        viewer_name="closing_mps",
+    ),
+    ResultColumn(
+        "closing_sigma_mps",
+        "m/s",
+        "approach.closing_sigma_mps",
+        _SIGMA,
+        viewer_name="closing_sigma_mps",
+    ),
+    ResultColumn(
+        "ttc_s",
+        "s",
+        "approach.ttc_s",
+        "time to collision [with the camera]: filtered distance over closing speed, where the gap "
+        "shrinks",
+        viewer_name="ttc_s",
+    ),
+    ResultColumn("ttc_sigma_s", "s", "approach.ttc_sigma_s", _SIGMA),
+    ResultColumn(
+        "utc",
+        "s",
+        "frame.utc_s",
+        "[time of the frame] in seconds since 1970-01-01 00:00 UTC; empty = unknown",
+        decimals=6,
+        largest=4e9,  # the year 2096
+    ),
+    ResultColumn(
+        "ego_mps",
+        "m/s",
+        "ego.speed_mps",
+        "[speed of the camera] along its axis, in every row of a frame; empty = unknown",
+    ),
+    ResultColumn(
+        "contact_probability",
+        "",
+        "alarms.warnings.probability",
+        "[probability of contact] within the horizon, 0 to 1; empty = unknown",
+    ),
+    ResultColumn(
+        "warning",
+        "",
+        "alarms.warnings.active",
+        "1 during the [collision warning] of the track",
+        "flag",
+    ),
+    ResultColumn(
+        "path_offset_m",
+        "m",
+        "alarms.warnings.path_offset_m",
+        "lateral offset of the object from the middle of the ego path, positive = right",
+    ),
+)
 
-@dataclass(frozen=True, slots=True)
-class ResultColumn:
-    """Declaration of a column.
+_MOTION = (
+    ResultColumn(
+        "speed_mps",
+        "m/s",
+        "world.motion.speed_mps",
+        '[speed over ground], as the mean of the hypotheses "at rest" and "moving"; empty without '
+        "ego speed, and where its sigma is above 3 m/s",
+        viewer_name="speed_mps",
+    ),
+    ResultColumn(
+        "speed_sigma_mps",
+        "m/s",
+        "world.motion.speed_sigma_mps",
+        "standard deviation of `speed_mps`",
+        viewer_name="speed_sigma_mps",
+    ),
+    ResultColumn(
+        "heading_deg",
+        "deg",
+        "world.motion.heading_deg",
+        "direction of motion in the frame [`map`], counterclockwise, -180 to 180; empty at rest",
+        decimals=2,
+        viewer_name="heading_deg",
+    ),
+    ResultColumn(
+        "world_x_m",
+        "m",
+        "world.motion.world_x_m",
+        "position of the object in the frame `map`: the middle of its visible side at the filtered "
+        "distance",
+        viewer_name="world_x_m",
+    ),
+    ResultColumn(
+        "world_y_m",
+        "m",
+        "world.motion.world_y_m",
+        "y of the same position",
+        viewer_name="world_y_m",
+    ),
+    ResultColumn(
+        "state",
+        "",
+        "world.motion.state",
+        "`parked` (at rest), `moving` (in the direction of the ego vehicle), `oncoming`, "
+        "`crossing`; empty = unknown. The state changes when another state has been certain for "
+        "0.3 s",
+        "name",
+        names=MOTION_STATES,
+    ),
+)
 
-    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; name =
-    index of `names`, NaN = unknown, written as the name.
-    """
+_SAFETY = (
+    ResultColumn(
+        "gap_m",
+        "m",
+        "alarms.safety.gap_m",
+        "distance from the front of the ego vehicle; this and the following columns are [measures "
+        "of safety]",
+    ),
+    ResultColumn(
+        "ttc_front_s",
+        "s",
+        "alarms.safety.ttc_front_s",
+        "time to collision of the front with objects on the path; reports and events use this time",
+    ),
+    ResultColumn(
+        "headway_s", "s", "alarms.safety.headway_s", "gap over ego speed, of objects on the path"
+    ),
+    ResultColumn(
+        "drac_mps2",
+        "m/s2",
+        "alarms.safety.drac_mps2",
+        "deceleration required to avoid a contact, of objects on the path",
+    ),
+    ResultColumn(
+        "mdrac_mps2",
+        "m/s2",
+        "alarms.safety.mdrac_mps2",
+        "deceleration required after a reaction time of 1 s",
+    ),
+    ResultColumn(
+        "tet_s",
+        "s",
+        "alarms.safety.tet_s",
+        "time that the track has spent so far at a time to collision below 3 s",
+    ),
+    ResultColumn(
+        "tit_s2",
+        "s2",
+        "alarms.safety.tit_s2",
+        "integral of (3 s - time to collision) over this time",
+    ),
+    ResultColumn(
+        "lane_index",
+        "",
+        "alarms.safety.lane_index",
+        "-1 = lane to the left, 0 = ego lane, 1 = to the right; empty = beyond these",
+    ),
+    ResultColumn(
+        "lane_index_sigma",
+        "",
+        "alarms.safety.lane_index_sigma",
+        "standard deviation of `lane_index`",
+    ),
+    ResultColumn(
+        "is_lead", "", "alarms.safety.is_lead", "1 = next vehicle ahead on the path", "flag"
+    ),
+)
 
-    name: str  # heading
-    unit: str  # "" = none
-    read: Callable[[FrameResult], Any]  # returns the (N,) values of the N tracks of a frame
-    kind: ColumnKind = "number"
-    decimals: int = 3  # to which numbers are rounded in files and tables
-    names: tuple[str, ...] = ()  # of the kind "name"
-
-    def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Numbers rounded to the decimals of the column; other values unchanged."""
-        return (
-            np.round(values.astype(np.float64), self.decimals) if self.kind == "number" else values
-        )
-
-    def text(self, result: FrameResult) -> list[str]:
-        """Values of a frame as text for tracks.csv; empty = not measured."""
-        values = np.asarray(self.read(result)).tolist()
-        if self.kind == "name":
-            return ["" if math.isnan(value) else self.names[int(value)] for value in values]
-        if self.kind == "number":
-            return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
-        return list(map(str, map(int, values)))
+_TRUTH = (  # that are added to the rows where there is ground truth, and are in no file
+    ResultColumn("truth_m", "m", "", "true distance"),
+    ResultColumn("scored_truth_m", "m", "", "the same of objects that count for the errors"),
+)
 
 
 def result_columns() -> tuple[ResultColumn, ...]:
     """All columns of this installation, in the order of tracks.csv."""
-    columns = (
-        ResultColumn("frame", "", _of_frame("index"), "whole"),
-        ResultColumn("time_s", "s", _of_frame("time_s"), decimals=6),
-        ResultColumn("track_id", "", attrgetter("tracks.track_id"), "whole"),
-        ResultColumn("class", "", attrgetter("tracks.class_id"), "name", names=ROAD_CLASSES),
-        ResultColumn("score", "", attrgetter("tracks.score"), decimals=4),
-        ResultColumn("observed", "", attrgetter("tracks.observed"), "flag"),
-        *(
-            ResultColumn(f"{edge}_px", "px", _axis("tracks.xyxy_px", i))
-            for i, edge in enumerate(("x1", "y1", "x2", "y2"))
-        ),
-        *(_of_method(name, part) for name in _first_distances() for part in ("m", "sigma_m")),
-        ResultColumn("x_m", "m", _axis("xyz_m", 0)),
-        ResultColumn("y_m", "m", _axis("xyz_m", 1)),
-        ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
-        ResultColumn("closing_sigma_mps", "m/s", attrgetter("closing_sigma_mps")),
-        ResultColumn("ttc_s", "s", attrgetter("ttc_s")),
-        ResultColumn("ttc_sigma_s", "s", attrgetter("ttc_sigma_s")),
-        ResultColumn("utc", "s", _of_frame("utc_s"), decimals=6),
-        ResultColumn("ego_mps", "m/s", _of_frame("ego_mps")),
-        ResultColumn("contact_probability", "", _of_part("warnings.probability")),
-        ResultColumn("warning", "", _of_part("warnings.active", missing=False), "flag"),
-        ResultColumn("path_offset_m", "m", _of_part("warnings.path_offset_m")),
-    )
-    in_world = (
-        ResultColumn("speed_mps", "m/s", _of_part("motion.speed_mps")),
-        ResultColumn("speed_sigma_mps", "m/s", _of_part("motion.speed_sigma_mps")),
-        ResultColumn("heading_deg", "deg", _of_part("motion.heading_deg"), decimals=2),
-        ResultColumn("world_x_m", "m", _of_part("motion.world_x_m")),
-        ResultColumn("world_y_m", "m", _of_part("motion.world_y_m")),
-        ResultColumn("state", "", _of_part("motion.state"), "name", names=MOTION_STATES),
-        *(
-            ResultColumn(name, unit, _of_part(f"safety.{name}"))
-            for name, unit in SAFETY_UNITS.items()
-        ),
-        ResultColumn("is_lead", "", _of_part("safety.is_lead", missing=False), "flag"),
-    )
+    distances = [column for name in _first_distances() for column in _distance_columns(name)]
+    columns = (*_FIRST, *distances, *_APPROACH)
     names = {column.name for column in columns}
     own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
-    return (*columns, *own, *in_world, *_method_columns(is_built_in=False))
+    others = _method_columns(is_built_in=False)
+    return (*columns, *own, *_MOTION, *_SAFETY, *others)
+
+
+def declared_columns() -> dict[str, ResultColumn]:
+    """All columns of files by name, and those of the ground truth."""
+    return {column.name: column for column in (*result_columns(), *_TRUTH)}
 
 
 def _first_distances() -> list[str]:
@@ -138,9 +265,27 @@ def _first_distances() -> list[str]:
     return [*(method.name for method in built_in), "fused", *filtered, "fused_kf"]
 
 
+def _distance_columns(name: str) -> Iterator[ResultColumn]:
+    """Columns NAME_m and NAME_sigma_m of a distance of frames."""
+    if name.endswith("_kf"):
+        meaning = f"{name.removesuffix('_kf')} after its [filter]"
+    elif name == "fused":
+        meaning = "[fused] distance"
+    else:
+        meaning = f"distance by [{name}]"
+    is_shown = name == "fused"
+    for part, text in (("distance_m", meaning), ("sigma_m", _SIGMA)):
+        yield ResultColumn(
+            f"{name}_{part.removeprefix('distance_')}",
+            "m",
+            f"ranges.{name}.{part}",
+            text,
+            viewer_name=part if is_shown else "",
+        )
+
+
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters, if any, and
-    NAME_DETAIL.
+    """Columns of the distances of ranging methods and of their filters, if any, and NAME_DETAIL.
 
     `is_built_in`: for built-in methods that measure distances, else for all other methods.
     """
@@ -149,61 +294,27 @@ def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
             continue
         names = (method.name, *([f"{method.name}_kf"] if method.is_filtered else []))
         for name in names if method.measures_distance else ():
-            yield _of_method(name, "m")
-            yield _of_method(name, "sigma_m")
+            yield from _distance_columns(name)
         for detail in method.details:
-            yield _of_method(method.name, detail)
-
-
-def _of_method(method: str, part: str) -> ResultColumn:
-    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN = no
-    such part.
-    """
-    attribute = {"m": "distance_m", "sigma_m": "sigma_m"}.get(part)
-
-    def read(result: FrameResult) -> FloatArray:
-        ranges: Ranges | None = result.ranges.get(method)
-        known = (
-            None
-            if ranges is None
-            else getattr(ranges, attribute)
-            if attribute
-            else ranges.details.get(part)
-        )
-        return np.full(len(result.tracks), np.nan) if known is None else known
-
-    return ResultColumn(
-        f"{method}_{part}", "m" if attribute else "s" if part.endswith("_s") else "", read
-    )
-
-
-def _of_frame(name: str) -> Callable[[FrameResult], Any]:
-    """Reads an attribute of the frame, the same for all tracks."""
-    return lambda result: np.full(len(result.tracks), getattr(result, name))
-
-
-def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
-    """Reads one column of an (N, ...) attribute."""
-    values = attrgetter(name)
-    return lambda result: values(result)[:, axis]
-
-
-def _of_part(path: str, *, missing: float | bool = math.nan) -> Callable[[FrameResult], Any]:
-    """Reads an array of a part of the result, such as "safety.gap_m"; `missing` in results without
-    this part.
-    """
-    part, name = path.split(".")
-
-    def read(result: FrameResult) -> Any:
-        values = getattr(result, part)
-        return np.full(len(result.tracks), missing) if values is None else getattr(values, name)
-
-    return read
+            meaning = method.details[detail] if isinstance(method.details, Mapping) else ""
+            place = f"ranges.{method.name}.details.{detail}"
+            unit = "s" if detail.endswith("_s") else ""
+            yield ResultColumn(f"{method.name}_{detail}", unit, place, meaning)
 
 
 def column_names() -> list[str]:
     """Column names in the header of tracks.csv."""
     return [column.name for column in result_columns()]
+
+
+def text_columns() -> frozenset[str]:
+    """Names of the columns of names; all others are numbers in files."""
+    return frozenset(column.name for column in result_columns() if column.kind == "name")
+
+
+def viewer_columns() -> dict[str, ResultColumn]:
+    """The columns of numbers in messages for viewers, by their names there."""
+    return {column.viewer_name: column for column in result_columns() if column.viewer_name}
 
 
 def methods_with_sigma() -> list[str]:
@@ -220,112 +331,10 @@ def distance_names(names: Iterable[str]) -> list[str]:
     These are registered methods, "fused" and filtered ones, and methods of packages that are not
     installed here: columns that this installation does not have.
     """
-    known, others = set(methods_with_sigma()), {*column_names(), "truth_m", "scored_truth_m"}
+    known, others = set(methods_with_sigma()), declared_columns()
     listed = [
         name.removesuffix("_m")
         for name in names
         if name.endswith("_m") and not name.endswith("_sigma_m")
     ]
     return [name for name in listed if name in known or f"{name}_m" not in others]
-
-
-def methods_measured(columns: Columns) -> list[str]:
-    """Names of the distances with at least one value, in the order of the columns."""
-    return [
-        name for name in distance_names(columns) if bool(np.isfinite(columns[f"{name}_m"]).any())
-    ]
-
-
-def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
-    """Rows with numbers rounded as in tracks.csv; unknown columns unchanged."""
-    declared = {column.name: column for column in result_columns()}
-    return {
-        name: declared[name].rounded(values) if name in declared else values
-        for name, values in columns.items()
-    }
-
-
-def boxes_px(columns: Columns) -> FloatArray:
-    """(N, 4) boxes x1, y1, x2, y2 in pixels."""
-    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
-
-
-# -- Apache Arrow, for the table in memory and tracks.parquet
-# -------------------------------------------------------
-
-
-def rows_schema(
-    columns: Sequence[ResultColumn], metadata: Mapping[str, str] | None = None
-) -> pa.Schema:
-    """Schema of the rows: `TEXT_COLUMNS` are dictionaries of names, and the metadata of a field
-    contains its unit.
-    """
-    import pyarrow as pa
-
-    fields = [
-        pa.field(
-            column.name,
-            pa.dictionary(pa.int8(), pa.string())
-            if column.kind == "name"
-            else pa.from_numpy_dtype(np.dtype(_TYPES[column.kind])),
-            metadata={"unit": column.unit} if column.unit else None,
-        )
-        for column in columns
-    ]
-    return pa.schema(fields, metadata=None if metadata is None else dict(metadata))
-
-
-def record_batch(
-    frames: Sequence[FrameValues], columns: Sequence[ResultColumn], schema: pa.Schema
-) -> pa.RecordBatch:
-    """Rows of any number of frames, in full precision and with the `rows_schema`; null = not
-    measured.
-    """
-    import pyarrow as pa
-
-    arrays = []
-    for column, parts in zip(
-        columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True
-    ):
-        dtype = np.float64 if column.kind == "name" else _TYPES[column.kind]
-        values: npt.NDArray[Any]
-        if len(parts) == 1:
-            values = np.ascontiguousarray(parts[0], dtype)
-        else:
-            values = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
-        if column.kind == "name":
-            codes = pa.array(np.nan_to_num(values).astype(np.int8), mask=np.isnan(values))
-            arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(column.names)))
-        else:
-            arrays.append(pa.array(values, from_pandas=True))  # NaN becomes null
-    return pa.record_batch(arrays, schema=schema)
-
-
-def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.RecordBatch:
-    """Rows with numbers rounded to the decimals of tracks.csv."""
-    import pyarrow as pa
-
-    arrays = [
-        pa.array(column.rounded(values.to_numpy(zero_copy_only=False)), from_pandas=True)
-        if column.kind == "number"
-        else values
-        for values, column in zip(batch.columns, columns, strict=True)
-    ]
-    return pa.record_batch(arrays, schema=batch.schema)
-
-
-def rows_by_track(columns: Columns) -> list[IntArray]:
-    """Rows of each track in the order of time, by increasing track ID."""
-    track_id = columns["track_id"]
-    if not len(track_id):
-        return []
-    order = np.lexsort((columns["time_s"], track_id))
-    return np.split(order, np.flatnonzero(np.diff(track_id[order])) + 1)
-
-
-def most_frequent(names: npt.NDArray[Any]) -> str:
-    """The most frequent name, such as the class of a track; among equally frequent names, the first
-    in the alphabet.
-    """
-    values, counts = np.unique(names, return_counts=True)
-    return str(values[np.argmax(counts)])

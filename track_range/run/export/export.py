@@ -35,7 +35,7 @@ from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.replay import frames_of_rows
-from track_range.results.rows.columns import Columns, methods_measured
+from track_range.results.rows.rows import Rows
 from track_range.results.writers import WRITERS, create_writer
 from track_range.run.export.source import (
     boxes_of_labels,
@@ -237,8 +237,7 @@ def _export_rows(
         raise OutputError(
             f"{run.folder}: expected settings.yaml with the camera of the run, found none."
         )
-    columns = run.columns
-    is_written = map_to_road_classes([str(name) for name in columns["class"]]) >= 0
+    is_written = map_to_road_classes([str(name) for name in run.rows["class"]]) >= 0
     notes = run.missing
     if n_unknown := int(np.count_nonzero(~is_written)):
         notes = (
@@ -246,8 +245,8 @@ def _export_rows(
             f"{n_unknown} rows have a class that is not a road class, and are not written.",
         )
     if settings.observed_only:
-        is_written &= columns["observed"] != 0
-    columns = {name: values[is_written] for name, values in columns.items()}
+        is_written &= run.rows["observed"]
+    rows = run.rows.select(is_written)
     frames = frames_listed(boxes_of_run(run, camera))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
@@ -257,7 +256,7 @@ def _export_rows(
         rig=None,
         fps=fps,
         settings=run.settings,
-        start_utc_s=_start_utc_s(columns),
+        start_utc_s=_start_utc_s(rows),
         provenance=run.provenance,
         overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )
@@ -269,13 +268,13 @@ def _export_rows(
         writer.open(info, folder)
         try:
             for result in frames_of_rows(
-                columns, frames, methods_measured(columns), fps * every_of(run.settings), poses
+                rows, frames, rows.methods_measured, fps * every_of(run.settings), poses
             ):
                 writer.write(result)
         finally:
             writer.close(run.summary)
         _move(folder / writer.files[0], settings.out)
-    return Exported(len(columns["frame"]), 0, notes)
+    return Exported(len(rows), 0, notes)
 
 
 def _move(file: Path, out: Path) -> None:
@@ -289,9 +288,9 @@ def _move(file: Path, out: Path) -> None:
             shutil.move(file, partial)
 
 
-def _start_utc_s(columns: Columns) -> float | None:
+def _start_utc_s(rows: Rows) -> float | None:
     """UTC of time_s = 0 in seconds since 1970; None = unknown."""
-    starts_s = columns["utc"] - columns["time_s"] if "utc" in columns else np.zeros(0)
+    starts_s = rows["utc"] - rows["time_s"]
     known = starts_s[np.isfinite(starts_s)]
     return float(known[0]) if len(known) else None
 

@@ -65,7 +65,7 @@ def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
 
 def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
     """The boxes of a run, in rectified pixels."""
-    rows, video_name, every = run.columns, _video_of(run.settings), every_of(run.settings)
+    rows, video_name, every = run.rows, _video_of(run.settings), every_of(run.settings)
     frames = processed_frames(run, is_live=live_address(video_name) is not None)
     video = VideoFacts(
         name=file_name_part(Path(video_name).stem),
@@ -84,7 +84,7 @@ def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
     """Numbers of the processed frames; for a killed run that may have dropped frames, the frames
     with rows.
     """
-    with_rows: list[int] = np.unique(run.columns["frame"]).astype(np.int64).tolist()
+    with_rows: list[int] = np.unique(run.rows["frame"]).tolist()
     n_frames, every = int(run.summary.get("frames") or 0), every_of(run.settings)
     spans = [
         range(first, last + 1, every) for first, last in run.summary.get("processed_frames") or ()

@@ -21,7 +21,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import counted
 from track_range.pipeline.colours import OTHER_COLOURS, method_colours
 from track_range.results.events.event import EVENT_KINDS, Event
-from track_range.results.rows.columns import Columns, boxes_px
+from track_range.results.rows.rows import Rows
 from track_range.views import tables
 from track_range.views.report.content.errors import band_line
 from track_range.views.report.content.events import (
@@ -95,7 +95,7 @@ class ComparedRun:
     link: str | None = None  # address of its report relative to the page
     notes: tuple[str, ...] = ()  # messages about missing files
     events: tuple[Event, ...] | None = None  # None = unknown
-    rows: Columns = field(default_factory=dict)
+    rows: Rows = field(default_factory=Rows)
     overlay: Path | None = None  # its video; None = it has none
 
     @property
@@ -377,7 +377,7 @@ class EventDifference:
 
 
 def event_differences(
-    first: Sequence[Event], first_rows: Columns, second: Sequence[Event], second_rows: Columns
+    first: Sequence[Event], first_rows: Rows, second: Sequence[Event], second_rows: Rows
 ) -> list[EventDifference]:
     """Events of two runs that differ, in the order of time; the rows of the runs give the
     places.
@@ -411,13 +411,11 @@ def event_differences(
 _BoxByFrame = dict[int, FloatArray]
 
 
-def _boxes_by_track(rows: Columns) -> dict[int, _BoxByFrame]:
+def _boxes_by_track(rows: Rows) -> dict[int, _BoxByFrame]:
     boxes: dict[int, _BoxByFrame] = {}
-    if {"frame", "track_id", "x1_px", "y1_px", "x2_px", "y2_px"} <= rows.keys():
-        for track_id, frame, box in zip(
-            rows["track_id"].tolist(), rows["frame"].tolist(), boxes_px(rows), strict=True
-        ):
-            boxes.setdefault(int(track_id), {})[int(frame)] = box
+    keys = rows["track_id"].tolist(), rows["frame"].tolist()
+    for track_id, frame, box in zip(*keys, rows.boxes_px, strict=True):
+        boxes.setdefault(track_id, {})[frame] = box
     return boxes
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import jinja2
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
@@ -27,7 +28,7 @@ from track_range.pipeline.colours import colour_of_each
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.formats.poses_file import Poses
-from track_range.results.rows.columns import Columns, methods_measured
+from track_range.results.rows.rows import Rows
 from track_range.views import tables
 from track_range.views.report import comparison, sentences
 from track_range.views.report.content.drive_map import drive_map
@@ -56,7 +57,7 @@ _SCRIPTS = (  # in the order of their execution
 def write_report(
     path: Path,
     summary: Mapping[str, Any],
-    columns: Columns,
+    columns: Rows | Mapping[str, npt.NDArray[Any]],
     events: Sequence[Event] | None = None,
     *,
     clips: Path | None = None,
@@ -65,11 +66,11 @@ def write_report(
     """Write the report of a run atomically, usually beside overlay.mp4; OutputError if the file
     cannot be written.
 
-    `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where
-    there is one; zero rows without tracks. `events` are in the order of events.csv; None = unknown,
-    the page is then without them. `clips` is the folder of their clips, to which the page links; it
-    may be missing. None = no links. `poses` are the camera's, for the map of the drive; None = no
-    map.
+    `columns` are the rows of tracks.csv, or its columns by name, NaN = empty, with the ground truth
+    (`results.summary`) where there is one; zero rows without tracks. `events` are in the order of
+    events.csv; None = unknown, the page is then without them. `clips` is the folder of their clips,
+    to which the page links; it may be missing. None = no links. `poses` are the camera's, for the
+    map of the drive; None = no map.
     """
     addresses = {}
     with suppress(OSError):  # the folder of the clips is missing
@@ -94,20 +95,21 @@ def _write_page(path: Path, page: str) -> None:
 
 def report_page(
     summary: Mapping[str, Any],
-    columns: Columns,
+    columns: Rows | Mapping[str, npt.NDArray[Any]],
     events: Sequence[Event] | None = None,
     *,
     clips: Mapping[str, str] | None = None,
     poses: Poses | None = None,
 ) -> str:
-    """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by
-    file name.
+    """HTML of the report of a run; `columns`, `events` and `poses`: see `write_report`; `clips`:
+    addresses by file name.
     """
-    columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
-    tracks, users = summary.get("tracks") or {}, closest_approaches(columns)
+    rows = columns if isinstance(columns, Rows) else Rows(columns)
+    rows = rows.with_columns({**road_columns(rows), **box_columns(rows, summary)})
+    tracks, users = summary.get("tracks") or {}, closest_approaches(rows)
     overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)
-    content = {**run_content(summary, columns, shown or ()), "map": drive_map(columns, poses)}
+    content = {**run_content(summary, rows, shown or ()), "map": drive_map(rows, poses)}
     accuracy, mot = accuracy_grids(summary), mot_grid(tracks)
     speed, geometry = speed_grids(summary), sentences.geometry_sentences(summary)
     sections = {
@@ -128,7 +130,7 @@ def report_page(
         title=sentences.run_name(summary),
         subtitle=sentences.run_line(summary, len(users), span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
-        headlines=sentences.headlines(columns, users, events),
+        headlines=sentences.headlines(rows, users, events),
         events=None
         if shown is None
         else event_records(shown, clips_of(events or (), shown, clips or {})),
@@ -145,7 +147,7 @@ def report_page(
         sigma_sentences=sentences.sigma_sentences(summary),
         geometry=geometry,
         rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
-        n_tracks=len(np.unique(columns["track_id"])),
+        n_tracks=len(np.unique(rows["track_id"])),
         settings=list(sentences.settings_groups(summary)),
         content=embedded(content),
     )
@@ -179,13 +181,13 @@ def comparison_page(
 
 
 def run_content(
-    summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] = ()
+    summary: Mapping[str, Any], rows: Rows, events: Sequence[Event] = ()
 ) -> dict[str, Any]:
-    """Data for the script of the page; columns with `road_columns` where they are known."""
-    errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
-    names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
+    """Data for the script of the page; rows with `road_columns` where they are known."""
+    errors, calibration = error_curves(rows, summary), calibration_curves(rows, summary)
+    names = [*dict.fromkeys([*rows.methods_measured, *errors, *calibration])]
     colours = colour_of_each(names)
-    camera = camera_of_rows(columns)
+    camera = camera_of_rows(rows)
     view = None  # focal length in px, and slopes x / z of the left and the right edge of the image
     if camera is not None:
         left, right = (
@@ -203,18 +205,17 @@ def run_content(
             }
             for name in names
         ],
-        "tracks": list(track_records(columns)),
+        "tracks": list(track_records(rows)),
         "errors": errors,
         "signed": any(curve["points"][0] for curve in errors.values()),
         "calibration": calibration,
         # time of the overlay's first frame
         "starts_s": round(tables.figure(summary, "starts_s") or 0.0, 6),
-        "timeline": timeline(columns, summary),
+        "timeline": timeline(rows, summary),
         "events": event_records(events),
         "camera": view,
         "known_distances": uncalibrated_video(summary),
-        "has_warnings": "contact_probability" in columns
-        and bool(np.isfinite(columns["contact_probability"]).any()),
+        "has_warnings": bool(np.isfinite(rows["contact_probability"]).any()),
     }
 
 

@@ -106,7 +106,7 @@ def _compared(name: str, run: RunFolder, page_folder: Path) -> ComparedRun:
         link=_relative(run.folder / "report.html", page_folder),
         notes=run.missing,
         events=known_events(run),
-        rows=run.columns,
+        rows=run.rows,
         overlay=run.folder / str(overlay) if overlay else None,
     )
 
@@ -140,7 +140,7 @@ def _write(path: Path, run: RunFolder) -> None:
     clips = run.folder / CLIPS_FOLDER
     summary = {**run.summary, "files": files}
     write_report(
-        path, summary, run.columns, known_events(run), clips=clips, poses=read_poses(run.folder)
+        path, summary, run.rows, known_events(run), clips=clips, poses=read_poses(run.folder)
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import counted
 from track_range.results.events.event import Event
-from track_range.results.rows.columns import Columns
+from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.views import tables
 from track_range.views.report.content.events import (
@@ -27,7 +27,6 @@ from track_range.views.report.content.events import (
     sigma_words,
     time_words,
 )
-from track_range.views.report.content.series import column
 from track_range.views.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
@@ -55,7 +54,7 @@ def address(path: str) -> str:
 
 
 def headlines(
-    columns: Columns, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
+    rows: Rows, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
 ) -> list[dict[str, Any]]:
     """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video,
     if any.
@@ -63,7 +62,7 @@ def headlines(
     `users` are `closest_approaches` of the rows; `events` None = unknown.
     """
     first = _user_headline(users) if events is None else event_headline(events)
-    return [first, _nearest_headline(users), _collision_headline(columns, users)]
+    return [first, _nearest_headline(users), _collision_headline(rows, users)]
 
 
 def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str, Any]:
@@ -131,7 +130,7 @@ def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return _user_moment(users[0], "min_distance_m", figure, words)
 
 
-def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _collision_headline(rows: Rows, users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Shortest time to collision; without one, the largest probability of contact."""
     known = [user for user in users if user["min_ttc_front_s"] is not None]
     if known:
@@ -139,17 +138,14 @@ def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) ->
         words = "shortest time to collision with the front of the ego vehicle"
         figure = f"{user['min_ttc_front_s']:.1f} s"
         return _user_moment(user, "min_ttc_front_s", figure, words)
-    is_user = np.isin(columns["track_id"], [user["track_id"] for user in users])
-    probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
+    is_user = np.isin(rows["track_id"], [user["track_id"] for user in users])
+    probability = np.where(is_user, rows["contact_probability"], np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:
         return _headline(
             "No collision course", "no road user approached the path of the ego vehicle"
         )
-    time_s, name = (
-        float(columns["time_s"][row]),
-        f"{columns['class'][row]} {columns['track_id'][row]:.0f}",
-    )
+    time_s, name = float(rows["time_s"][row]), f"{rows['class'][row]} {rows['track_id'][row]}"
     words = f"largest probability of contact: {name} at {time_words(time_s)}"
     return _headline(f"{100 * probability[row]:.0f} %", words, time_s)
 

@@ -19,9 +19,8 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import WHITE
 from track_range.ranging.truth.errors import match_boxes
 from track_range.results.approaches import closest_approaches, reference_distance
-from track_range.results.rows.columns import Columns, boxes_px, most_frequent
+from track_range.results.rows.rows import Rows, most_frequent
 from track_range.views.report.content.events import sigma_words, time_words
-from track_range.views.report.content.series import column
 from track_range.views.videos.event_clips import frame_at
 
 _MIN_FRAMES = 3  # common frames of matched tracks
@@ -30,7 +29,7 @@ _MIN_SIGMA = 0.01  # smallest relative standard deviation, also where it is unkn
 _CROP_PX, _CROP_BOXES = np.array([200.0, 110.0]), 1.2
 
 
-def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, Any]], FloatArray]:
+def track_differences(first: Rows, second: Rows) -> tuple[list[dict[str, Any]], FloatArray]:
     """Road users that both runs measure, the largest disagreement first, and track IDs (2, K) of
     all matched boxes.
 
@@ -39,7 +38,7 @@ def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, A
     frame with the largest disagreement `sigmas`, `time_s`, `words` (the two distances) and `boxes`.
     """
     runs = [_detected(run) for run in (first, second)]
-    if not all(len(run.get("x1_px", ())) for run in runs):
+    if not all("x1_px" in run and len(run) for run in runs):
         return [], np.empty((2, 0))
     matches = _Matches.of(runs)
     matched = np.unique(matches.track_id, axis=1)
@@ -52,7 +51,7 @@ def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, A
                 most_frequent(run["class"][run["track_id"] == i])
                 for run, i in zip(runs, pair, strict=True)
             ]
-            names = [f"{name} {i:.0f}" for name, i in zip(classes, pair, strict=True)]
+            names = [f"{name} {i}" for name, i in zip(classes, pair, strict=True)]
             differences.append({"names": names, **matches.difference(common)})
     return sorted(differences, key=lambda difference: -difference["sigmas"]), matched
 
@@ -70,10 +69,10 @@ class _Matches:
     sigmas: FloatArray  # (K,) differences of the distances in standard deviations
 
     @classmethod
-    def of(cls, runs: Sequence[Columns]) -> Self:
+    def of(cls, runs: Sequence[Rows]) -> Self:
         """The matches of two runs with boxes."""
-        boxes = [boxes_px(run) for run in runs]
-        frames = [run["frame"].astype(np.int64) for run in runs]
+        boxes = [run.boxes_px for run in runs]
+        frames = [run["frame"] for run in runs]
         match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
         rows = [np.flatnonzero(match >= 0), match[match >= 0]]
 
@@ -89,7 +88,7 @@ class _Matches:
             runs[0]["time_s"][rows[0]],
             distance_m,
             sigma_m,
-            both(column(run, "closing_mps") for run in runs),
+            both(run["closing_mps"] for run in runs),
             both(run["track_id"] for run in runs),
             np.abs(distance_m[1] - distance_m[0]) / difference_sigma_m,
         )
@@ -115,23 +114,18 @@ class _Matches:
         }
 
 
-def unmatched_names(run: Columns, matched: FloatArray) -> Iterator[str]:
+def unmatched_names(run: Rows, matched: FloatArray) -> Iterator[str]:
     """Road users of a run without a matched box, nearest first, with their smallest distances."""
     rows = _detected(run)
-    for user in closest_approaches(rows) if rows else ():
+    for user in closest_approaches(rows):
         if user["track_id"] not in matched and user["min_distance_m"] is not None:
             nearest = f"{user['min_distance_m']:.1f} m at {time_words(user['min_distance_m_at_s'])}"
             yield f"{user['class']} {user['track_id']} ({nearest})"
 
 
-def _detected(run: Columns) -> Columns:
+def _detected(run: Rows) -> Rows:
     """Rows of detected road users."""
-    is_kept = (
-        (column(run, "observed") != 0) & ~np.isin(run["class"], STATIC_CLASSES)
-        if "class" in run
-        else []
-    )
-    return {name: values[is_kept] for name, values in run.items()} if len(is_kept) else {}
+    return run.select(run["observed"] & ~np.isin(run["class"], STATIC_CLASSES))
 
 
 def picture(overlay: Path | None, time_s: float, box: FloatArray) -> str:

@@ -5,6 +5,7 @@ import pytest
 
 from tests.track_range.views.report.report_rows import columns, summary
 from track_range.results.formats.poses_file import Poses, read_poses
+from track_range.results.rows.rows import Rows
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.page import report_page
 
@@ -20,12 +21,8 @@ def rows(*lengths, state="moving", sigma_m=1.0):
     n = len(given["frame"])
     number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths])
     placed = {"world_x_m": 20.0 + number, "world_y_m": 2.0 - number, "state": np.full(n, state)}
-    return {
-        **given,
-        **placed,
-        "fused_kf_m": np.full(n, 30.0),
-        "fused_kf_sigma_m": np.full(n, sigma_m),
-    }
+    filtered = {"fused_kf_m": np.full(n, 30.0), "fused_kf_sigma_m": np.full(n, sigma_m)}
+    return Rows({**given, **placed, **filtered})
 
 
 def unpacked(text):

@@ -11,6 +11,7 @@ import pytest
 from tests.track_range.views.report.report_rows import track_rows
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
+from track_range.results.rows.rows import Rows
 from track_range.views.report.comparison import (
     ComparedRun,
     event_differences,
@@ -53,7 +54,7 @@ def differences(
     a: list[Event], b: list[Event], a_rows: Any = None, b_rows: Any = None
 ) -> list[tuple[str, str]]:
     usual_rows = track_rows((1, 300.0), (2, 700.0))
-    listed = event_differences(a, a_rows or usual_rows, b, b_rows or usual_rows)
+    listed = event_differences(a, Rows(a_rows or usual_rows), b, Rows(b_rows or usual_rows))
     return [
         (
             "changed" if item.changes else "first" if item.first else "second",
@@ -119,7 +120,7 @@ def compared(name: str, events: Any, video: str = "a.mp4") -> ComparedRun:
         settings={},
         link=f"{name}/r.html",
         events=events,
-        rows=track_rows((1, 3.0)),
+        rows=Rows(track_rows((1, 3.0))),
     )
 
 
@@ -192,7 +193,8 @@ def test_small_sigmas_are_not_zero(sigma_m: float, words: str) -> None:
 
 
 def shown(columns: dict[str, Any], events: list[Event] | None) -> list[dict[str, Any]]:
-    return headlines(columns, closest_approaches(columns), events)
+    rows = Rows(columns)
+    return headlines(rows, closest_approaches(rows), events)
 
 
 def test_headlines_of_events() -> None:

@@ -2,7 +2,7 @@
 
 import math
 
-from tests.support.results.approach_rows import COLUMNS
+from tests.support.results.approach_rows import ROWS
 from tests.support.results.events import event
 from track_range.results.approaches import closest_approaches
 from track_range.views.report.outcome import (
@@ -14,7 +14,7 @@ from track_range.views.report.outcome import (
 )
 
 TIMES = "\N{MULTIPLICATION SIGN}"
-USERS = closest_approaches(COLUMNS)
+USERS = closest_approaches(ROWS)
 
 
 def texts(grid):

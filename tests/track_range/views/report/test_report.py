@@ -17,6 +17,7 @@ import pytest
 from tests.track_range.views.report.report_rows import columns, method_summary, summary
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.events.event import Event
+from track_range.results.rows.rows import Rows
 from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import (
     comparison_page,
@@ -276,14 +277,16 @@ def test_colours_of_methods_and_hidden_filtered_ones() -> None:
         "radar_m": np.full(9, 30.0),
         "only_kf_m": np.full(9, 30.0),
     }
-    methods = {method["name"]: method for method in run_content(summary(), changed)["methods"]}
+    methods = {
+        method["name"]: method for method in run_content(summary(), Rows(changed))["methods"]
+    }
     assert [name for name, method in methods.items() if not method["shown"]] == ["fused_kf"]
     assert methods["fused"]["colour"] == methods["fused_kf"]["colour"] != methods["radar"]["colour"]
 
 
 def test_start_of_the_video() -> None:
-    assert run_content(summary(starts_s=4.2), columns(9))["starts_s"] == 4.2
-    assert run_content(summary(), columns(9))["starts_s"] == 0.0
+    assert run_content(summary(starts_s=4.2), Rows(columns(9)))["starts_s"] == 4.2
+    assert run_content(summary(), Rows(columns(9)))["starts_s"] == 0.0
 
 
 def test_data_cannot_end_its_element() -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
+from track_range.results.rows.rows import Rows
 from track_range.views.report.content.errors import (
     SCATTER_POINTS,
     calibration_curves,
@@ -20,7 +19,7 @@ BANDS = [
 ]
 
 
-def drive(n: int, *, sigma: float = 0.02, truth: bool = True) -> dict[str, Any]:
+def drive(n: int, *, sigma: float = 0.02, truth: bool = True) -> Rows:
     """Errors of fused are drawn with a relative standard deviation of 2 %."""
     rng = np.random.default_rng(5)
     true_m = rng.uniform(10, 60, n)
@@ -30,7 +29,7 @@ def drive(n: int, *, sigma: float = 0.02, truth: bool = True) -> dict[str, Any]:
         "fused_sigma_m": true_m * sigma,
         "fused_kf_m": true_m * 1.01,
     }
-    return columns | ({"truth_m": true_m} if truth else {})
+    return Rows(columns | ({"truth_m": true_m} if truth else {}))
 
 
 def test_medians_by_hand() -> None:
@@ -49,7 +48,7 @@ def test_errors_are_relative_to_the_truth() -> None:
         # a truth of no distance has no relative error
         "truth_m": np.array([10.0, 10.0, 20.0, 0.0]),
     }
-    assert error_curves(columns, {}) == {
+    assert error_curves(Rows(columns), {}) == {
         "mono": {"points": [[10.0, 20.0], [10.0, -5.0]], "line": [[], []]}
     }
 
@@ -61,7 +60,7 @@ def test_errors_of_scored_truth_only() -> None:
         "truth_m": np.array([10.0, 20.0]),
     }
     columns["scored_truth_m"] = np.array([10.0, np.nan])
-    assert error_curves(columns, {})["mono"]["points"] == [[10.0], [10.0]]
+    assert error_curves(Rows(columns), {})["mono"]["points"] == [[10.0], [10.0]]
 
 
 def test_many_points_are_thinned() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.results.rows.columns import methods_measured
+from track_range.results.rows.rows import Rows
 from track_range.views.report.content.series import (
     LINE_POINTS,
     MOST_CELLS,
@@ -27,10 +27,10 @@ def unpacked(text: str, ticks_per_unit: float) -> list[float]:
     return values
 
 
-def drive(*lengths: int, **more: Any) -> dict[str, Any]:
+def drive(*lengths: int, **more: Any) -> Rows:
     n = sum(lengths)
     number = np.concatenate([np.arange(float(length)) for length in lengths])
-    return {
+    columns = {
         "time_s": number / 10,
         "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
         "class": np.full(n, "car"),
@@ -39,6 +39,7 @@ def drive(*lengths: int, **more: Any) -> dict[str, Any]:
         "fused_sigma_m": np.full(n, 0.5),
         **more,
     }
+    return Rows(columns)
 
 
 def test_packing_by_hand() -> None:
@@ -61,14 +62,14 @@ def test_smallest_distance_is_rounded_once() -> None:
 
 def test_track_record() -> None:
     truth_m = np.array([40.0, np.nan, 48.0])
-    columns = drive(
+    rows = drive(
         3,
         truth_m=truth_m,
         ttc_front_s=np.array([9.0, 7.5, np.nan]),
         closing_mps=np.array([np.nan, 1.25, 3.0]),
-    )
-    columns |= {"observed": np.array([1.0, 0.0, 1.0]), "class": np.array(["van", "car", "car"])}
-    assert list(track_records(columns)) == [
+        observed=np.array([1.0, 0.0, 1.0]),
+    ).with_columns({"class": np.array(["van", "car", "car"])})
+    assert list(track_records(rows)) == [
         {
             "id": 1,
             "name": "car",
@@ -91,9 +92,7 @@ def test_track_record() -> None:
 
 
 def test_rows_of_several_tracks_interleaved() -> None:
-    columns = drive(2, 3)
-    order = np.array([2, 0, 3, 1, 4])
-    records = list(track_records({name: values[order] for name, values in columns.items()}))
+    records = list(track_records(drive(2, 3).select(np.array([2, 0, 3, 1, 4]))))
     assert [(track["id"], track["n"], track["t"]) for track in records] == [
         (2, 3, "0,100,100"),
         (1, 2, "0,100"),
@@ -101,15 +100,15 @@ def test_rows_of_several_tracks_interleaved() -> None:
 
 
 def test_no_track_no_record() -> None:
-    assert list(track_records({name: values[:0] for name, values in drive(1).items()})) == []
+    assert list(track_records(drive(1).select(slice(0)))) == []
 
 
 def test_measured_methods_in_column_order() -> None:
     empty = np.full(2, np.nan)
-    columns = drive(
+    rows = drive(
         2, sgbm_m=empty, mono_m=np.ones(2), truth_m=np.ones(2), x_m=np.ones(2), y_m=np.ones(2)
     )
-    assert methods_measured(columns) == ["fused", "mono"]
+    assert rows.methods_measured == ["fused", "mono"]
 
 
 def test_long_line_is_thinned() -> None:

@@ -8,19 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from track_range.results.rows.rows import Rows
 from track_range.views.report.content.road import camera_of_rows, road_columns
 from track_range.views.report.content.series import MAX_BINS, timeline
 
 F_PX, CX_PX = 1000.0, 600.0
 
 
-def rows(z_m: Any, x_m: Any, *, width_m: float = 1.8, **more: Any) -> dict[str, Any]:
+def rows(z_m: Any, x_m: Any, *, width_m: float = 1.8, **more: Any) -> Rows:
     """Rows of a track at 10 Hz; the closing speed is that of z."""
     z, x = np.asarray(z_m, np.float64), np.asarray(x_m, np.float64)
     n = len(z)
     u_px, half_px = CX_PX + F_PX * x / z, F_PX * width_m / z / 2
     closing_mps = -np.gradient(z) * 10
-    return {
+    columns = {
         "frame": np.arange(float(n)),
         "time_s": np.arange(n) / 10,
         "track_id": np.ones(n),
@@ -36,6 +37,7 @@ def rows(z_m: Any, x_m: Any, *, width_m: float = 1.8, **more: Any) -> dict[str, 
         "ttc_s": np.where(closing_mps > 0, z / np.where(closing_mps > 0, closing_mps, 1), np.nan),
         **more,
     }
+    return Rows(columns)
 
 
 def test_camera_from_rows() -> None:
@@ -46,14 +48,13 @@ def test_camera_from_rows() -> None:
 
 
 def test_no_camera_without_positions() -> None:
-    columns = rows(np.linspace(40, 20, 20), np.linspace(-3, 3, 20))
-    assert camera_of_rows({**columns, "x_m": np.full(20, np.nan)}) is None
-    assert (
-        camera_of_rows({name: values for name, values in columns.items() if name != "x_m"}) is None
-    )
-    assert road_columns({name: values[:0] for name, values in columns.items()}) == {}
+    known = rows(np.linspace(40, 20, 20), np.linspace(-3, 3, 20))
+    assert camera_of_rows(known.with_columns({"x_m": np.full(20, np.nan)})) is None
+    others = {name: values for name, values in known.columns.items() if name != "x_m"}
+    assert camera_of_rows(Rows(others)) is None
+    assert road_columns(known.select(slice(0))) == {}
     noise_m = np.random.default_rng(0).normal(0, 5, 20)
-    assert camera_of_rows({**columns, "x_m": noise_m}) is None  # not of one camera
+    assert camera_of_rows(known.with_columns({"x_m": noise_m})) is None  # not of one camera
 
 
 def test_constant_bearing_is_collision_course() -> None:
@@ -67,9 +68,9 @@ def test_constant_bearing_is_collision_course() -> None:
 def test_parallel_lane_is_no_collision_course() -> None:
     z_m = 40.0 - np.arange(30)
     columns = rows(z_m, np.full(30, -3.5))
-    columns |= road_columns(columns)
-    assert columns["passing"][-1] == pytest.approx(-3.5, abs=0.01)
-    assert columns["box_width"] == pytest.approx(1.8)
+    road = road_columns(columns)
+    assert road["passing"][-1] == pytest.approx(-3.5, abs=0.01)
+    assert road["box_width"] == pytest.approx(1.8)
 
 
 def test_crossing_object() -> None:
@@ -106,7 +107,7 @@ def test_timeline_counts_road_users() -> None:
         "frame": np.array([0.0, 0.0, 0.0, 1.0, 3.0]),
     }
     columns["class"] = np.array(["car", "person", "traffic light", "car", "car"])
-    data = timeline(columns, {"frames": 5})
+    data = timeline(Rows(columns), {"frames": 5})
     assert (data["from_s"], data["to_s"]) == (0.0, 0.5)
     assert data["n"] == "2,-1,-1,1,-1"
     assert "ego" not in data
@@ -118,7 +119,7 @@ def test_timeline_of_each_third_frame() -> None:
         "frame": np.array([0.0, 3.0, 9.0]),
         "class": np.full(3, "car"),
     }
-    data = timeline(columns, {"frames": 5, "settings": {"every": 3}})
+    data = timeline(Rows(columns), {"frames": 5, "settings": {"every": 3}})
     assert (data["frame_s"], data["to_s"], data["n"]) == (0.3, 1.5, "1,0,-1,1,-1")
 
 
@@ -129,12 +130,12 @@ def test_timeline_with_ego_speed() -> None:
         "ego_mps": np.array([10.0, np.nan, 12.0]),
     }
     columns["class"] = np.full(3, "car")
-    assert timeline(columns, {})["ego"] == "100,,20"
+    assert timeline(Rows(columns), {})["ego"] == "100,,20"
 
 
 def test_timeline_without_rows() -> None:
     data = timeline(
-        {"time_s": np.zeros(0), "frame": np.zeros(0), "class": np.zeros(0, np.str_)},
+        Rows({"time_s": np.zeros(0), "frame": np.zeros(0), "class": np.zeros(0, np.str_)}),
         {"frames": 20, "starts_s": 3.0},
     )
     assert (data["from_s"], data["to_s"]) == (3.0, 5.0)
@@ -143,4 +144,4 @@ def test_timeline_without_rows() -> None:
 def test_timeline_of_a_long_run() -> None:
     columns = {"time_s": np.arange(36_000) / 10, "frame": np.arange(36_000.0)}
     columns["class"] = np.full(36_000, "car")
-    assert len(timeline(columns, {})["n"].split(",")) == MAX_BINS
+    assert len(timeline(Rows(columns), {})["n"].split(",")) == MAX_BINS

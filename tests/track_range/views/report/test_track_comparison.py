@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.views.report.report_rows import track_rows as rows
+from track_range.results.rows.rows import Rows
 from track_range.views.report.comparison import ComparedRun, compared_tracks
 from track_range.views.report.page import comparison_page
 from track_range.views.report.track_comparison import picture, track_differences
@@ -21,13 +22,13 @@ def measured(*tracks, sigma_m=1.0, factor=1.0):
     columns["fused_m"] = factor * np.full(len(columns["frame"]), 20.0)
     columns["fused_sigma_m"] = np.full(len(columns["frame"]), sigma_m)
     columns["closing_mps"] = np.full(len(columns["frame"]), 2.0 * factor)
-    return columns
+    return Rows(columns)
 
 
-def farther(columns):
+def farther(rows):
     """The first track 6 m farther in frame 7."""
-    columns["fused_m"][7] += 6.0
-    return columns
+    rows["fused_m"][7] += 6.0
+    return rows
 
 
 def test_largest_disagreement_of_matched_tracks_comes_first():
@@ -46,7 +47,7 @@ def test_largest_disagreement_of_matched_tracks_comes_first():
 def test_medians_of_all_common_frames():
     (one,), _ = track_differences(measured((1, 300.0)), measured((1, 300.0), factor=1.1))
     assert (one["difference_pct"], one["closing_mps"]) == (pytest.approx(10.0), pytest.approx(0.2))
-    for other in (measured((1, 800.0)), {}):
+    for other in (measured((1, 800.0)), Rows()):
         differences, matched = track_differences(measured((1, 300.0)), other)
         assert (differences, matched.shape) == ([], (2, 0))
 
@@ -85,7 +86,7 @@ def test_road_users_of_one_run_are_named():
 def test_road_users_with_few_common_distances_are_in_both_runs():
     """The second has two common distances; the first is a car in most frames, in some a truck."""
     first, second = (measured((1, 300.0), (2, 700.0)) for _ in range(2))
-    second["class"] = np.where(np.arange(80) < 15, "truck", "car")
+    second = second.with_columns({"class": np.where(np.arange(80) < 15, "truck", "car")})
     second["fused_m"][42:] = np.nan
     second["fused_m"][5] += 6.0  # the largest disagreement is in a frame of the other class
     runs = [

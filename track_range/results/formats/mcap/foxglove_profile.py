@@ -26,6 +26,7 @@ from track_range.results.formats.mcap import (
     Message,
     calibration_matrices,
 )
+from track_range.results.rows.columns import viewer_columns
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CALIBRATION, IMAGE, LOG = "/camera/calibration", "/camera/image", "/log"
@@ -41,29 +42,25 @@ _MESSAGES: Mapping[str, Any] = {
     LOG: fox.Log,
 }
 
-_TRACK_TYPES = {
-    "id": "integer",
-    "class": "string",
-    "observed": "boolean",
-    **dict.fromkeys(scene.FIGURES, "number"),
-}
 
-_RANGES_SCHEMA = {
-    "type": "object",
-    "title": "track_range.Ranges",
-    "description": "Distance, closing speed, time to collision, motion in the frame map; unknown "
-    "values are absent.",
-    "properties": {
-        "frame_time_ns": {"type": "integer", "description": "time of the frame"},
-        "tracks": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {name: {"type": kind} for name, kind in _TRACK_TYPES.items()},
-            },
+def _ranges_schema() -> dict[str, Any]:
+    kinds = {
+        "id": "integer",
+        "class": "string",
+        "observed": "boolean",
+        **dict.fromkeys(viewer_columns(), "number"),
+    }
+    track = {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
+    return {
+        "type": "object",
+        "title": "track_range.Ranges",
+        "description": "Distance, closing speed, time to collision, motion in the frame map; "
+        "unknown values are absent.",
+        "properties": {
+            "frame_time_ns": {"type": "integer", "description": "time of the frame"},
+            "tracks": {"type": "array", "items": track},
         },
-    },
-}
+    }
 
 
 class FoxgloveProfile:
@@ -79,7 +76,7 @@ class FoxgloveProfile:
     def schema(self, topic: str) -> tuple[str, str, bytes, str]:
         """Name, encoding and text of the schema of a topic, and the encoding of its messages."""
         if topic == RANGES:
-            return "track_range.Ranges", "jsonschema", json.dumps(_RANGES_SCHEMA).encode(), "json"
+            return "track_range.Ranges", "jsonschema", json.dumps(_ranges_schema()).encode(), "json"
         schema = _MESSAGES[topic].get_schema()
         return schema.name, schema.encoding, schema.data, "protobuf"
 

@@ -202,7 +202,9 @@ class Ros2Profile:
         """Box with its class and score, the cuboid's centre and the variance of the distance."""
         covariance = np.zeros(36)
         # z, z
-        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE
+        covariance[14] = (
+            shown.figures["sigma_m"] ** 2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE
+        )
         pose = self._pose(*(shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)))
         result = self._new(
             "vision_msgs/msg/ObjectHypothesisWithPose",

@@ -10,12 +10,11 @@ import numpy as np
 
 from track_range.pipeline.colours import track_colour
 from track_range.results.formats.poses_file import Poses
-from track_range.results.rows.columns import Columns, most_frequent, rows_by_track
+from track_range.results.rows.rows import Rows, most_frequent
 from track_range.views.report.content.series import (
     LINE_POINTS,
     TICKS_PER_M,
     TICKS_PER_S,
-    column,
     packed,
     thinned,
 )
@@ -26,7 +25,7 @@ _MAX_SIGMA = 0.15  # largest relative standard deviation of the distance of a po
 _MIN_ROWS = 5  # smallest number of positions of a path
 
 
-def drive_map(columns: Columns, poses: Poses | None) -> dict[str, Any] | None:
+def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
     """Paths for the page, None without a path of the camera.
 
     Keys: `ego` and `tracks`, with packed `t`, `x`, `y` each, tracks also with `id`, `name`,
@@ -35,28 +34,24 @@ def drive_map(columns: Columns, poses: Poses | None) -> dict[str, Any] | None:
     if poses is None or len(poses.frame) < 2:
         return None
     shown = thinned(len(poses.frame), LINE_POINTS)
-    x_m, y_m, state = (
-        column(columns, "world_x_m"),
-        column(columns, "world_y_m"),
-        columns.get("state"),
-    )
-    sigma_m, distance_m = column(columns, "fused_kf_sigma_m"), column(columns, "fused_kf_m")
+    x_m, y_m, is_parked = rows["world_x_m"], rows["world_y_m"], rows["state"] == "parked"
+    distance_m, sigma_m = rows.distance("fused_kf")
     is_placed = np.isfinite(x_m) & ~(sigma_m > _MAX_SIGMA * distance_m)
     tracks = []
-    for rows in sorted(rows_by_track(columns), key=len, reverse=True)[:_MAX_TRACKS]:
-        rows = rows[is_placed[rows]]
-        if len(rows) < _MIN_ROWS:
+    for own in sorted(rows.by_track(), key=len, reverse=True)[:_MAX_TRACKS]:
+        own = own[is_placed[own]]
+        if len(own) < _MIN_ROWS:
             continue
-        track_id = int(columns["track_id"][rows[0]])
+        track_id = int(rows["track_id"][own[0]])
         track: dict[str, Any] = {
             "id": track_id,
-            "name": most_frequent(columns["class"][rows]),
+            "name": most_frequent(rows["class"][own]),
             "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         }
-        if state is not None and np.mean(state[rows] == "parked") > 0.5:
-            track["at"] = [round(float(np.median(values[rows])), 2) for values in (x_m, y_m)]
-        drawn = rows[thinned(len(rows), _TRACK_POINTS)]
-        tracks.append({**track, **_path(columns["time_s"][drawn], x_m[drawn], y_m[drawn])})
+        if np.mean(is_parked[own]) > 0.5:
+            track["at"] = [round(float(np.median(values[own])), 2) for values in (x_m, y_m)]
+        drawn = own[thinned(len(own), _TRACK_POINTS)]
+        tracks.append({**track, **_path(rows["time_s"][drawn], x_m[drawn], y_m[drawn])})
     return {
         "ego": _path(*(values[shown] for values in (poses.time_s, poses.x_m, poses.y_m))),
         "tracks": tracks,

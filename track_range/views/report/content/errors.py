@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import erfinv
 
 from track_range.foundation.arrays import FloatArray
-from track_range.results.rows.columns import Columns, methods_measured
-from track_range.views.report.content.series import column, thinned
+from track_range.results.rows.rows import Rows
+from track_range.views.report.content.series import thinned
 from track_range.views.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 
 # maximum number of points of one method in the chart of errors; more would overlap
@@ -23,17 +23,17 @@ MIN_IN_BAND = 3  # minimum number of errors in a band for a median
 EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)  # expected within k sigma, of the calibration curve
 
 
-def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def error_curves(rows: Rows, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band,
     per method.
 
-    Without truth in the columns, the line holds the mean absolute error of each distance band in
+    Without truth in the rows, the line holds the mean absolute error of each distance band in
     the summary.
     """
     curves = {}
-    truth_m = _scored_truth_m(columns)
-    for method in methods_measured(columns):
-        distance_m = column(columns, f"{method}_m")
+    truth_m = _scored_truth_m(rows)
+    for method in rows.methods_measured:
+        distance_m, _ = rows.distance(method)
         known = np.flatnonzero(np.isfinite(distance_m) & (truth_m > 0))
         known = known[np.argsort(truth_m[known], kind="stable")]
         error_pct = 100.0 * (distance_m[known] / truth_m[known] - 1.0)
@@ -53,9 +53,9 @@ def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict
     }
 
 
-def _scored_truth_m(columns: Columns) -> FloatArray:
+def _scored_truth_m(rows: Rows) -> FloatArray:
     """(N,) true distances that the tables' errors refer to; see `results.summary`."""
-    return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
+    return rows["scored_truth_m" if "scored_truth_m" in rows else "truth_m"]
 
 
 def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
@@ -86,17 +86,17 @@ def median_by_distance(
     return middles_m, median_pct
 
 
-def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def calibration_curves(rows: Rows, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Fractions of errors expected (x) and observed (y) within k sigma, in %, per method.
 
-    Without truth in the columns, the line holds the summary's fractions within one and two sigma.
+    Without truth in the rows, the line holds the summary's fractions within one and two sigma.
     """
     k = np.sqrt(2.0) * erfinv(EXPECTED_FRACTIONS)
     curves: dict[str, dict[str, Any]] = {}
-    truth_m = _scored_truth_m(columns)
-    for method in methods_measured(columns):
-        sigma_m = column(columns, f"{method}_sigma_m")
-        error_m = np.abs(column(columns, f"{method}_m") - truth_m)
+    truth_m = _scored_truth_m(rows)
+    for method in rows.methods_measured:
+        distance_m, sigma_m = rows.distance(method)
+        error_m = np.abs(distance_m - truth_m)
         known = np.isfinite(error_m) & (sigma_m > 0) & (truth_m > 0)
         z = np.sort(error_m[known] / sigma_m[known])
         if len(z):

@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.rows.columns import Columns, boxes_px, rows_by_track
+from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.views.report.content.series import column
 
 # longest time to collision in s of the courses that the page contains; it draws the next 4 s
 COURSE_S = 8.0
@@ -54,17 +53,17 @@ def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:
     return None if is_known or not isinstance(video, str) else video
 
 
-def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
+def box_columns(rows: Rows, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
     """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` in px, for the calibration of one
     video's camera.
     """
-    if uncalibrated_video(summary) is None or "x1_px" not in columns:
+    if uncalibrated_video(summary) is None or "x1_px" not in rows:
         return {}
     names = ("box_left", "box_top", "box_right", "box_bottom")
-    return dict(zip(names, boxes_px(columns).T, strict=True))
+    return dict(zip(names, rows.boxes_px.T, strict=True))
 
 
-def road_columns(columns: Columns) -> dict[str, FloatArray]:
+def road_columns(rows: Rows) -> dict[str, FloatArray]:
     """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera
     cannot be recovered.
 
@@ -76,12 +75,11 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
     offset of the object at that time. It is relative to the ego path if the rows contain values of
     `path_offset_m`, else to the camera's axis.
     """
-    camera = camera_of_rows(columns)
+    camera = camera_of_rows(rows)
     if camera is None:
         return {}
-    boxes = boxes_px(columns)
-    fused_m, filtered_m = column(columns, "fused_m"), column(columns, "fused_kf_m")
-    ttc_s = column(columns, "ttc_s")
+    boxes = rows.boxes_px
+    fused_m, filtered_m, ttc_s = rows["fused_m"], rows["fused_kf_m"], rows["ttc_s"]
     m_per_px = np.where(np.isfinite(fused_m), fused_m, filtered_m) / camera.fx_px
     x_m = ((boxes[:, 0] + boxes[:, 2]) / 2 - camera.cx_px) * m_per_px
     width_m = (boxes[:, 2] - boxes[:, 0]) * m_per_px
@@ -94,38 +92,32 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
         "passing_sigma": np.full(len(x_m), np.nan),
     }
     sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_FRACTION * width_m
-    is_measured = is_whole & np.isfinite(x_m) & (column(columns, "observed") != 0)
+    is_measured = is_whole & np.isfinite(x_m) & rows["observed"]
     offset_m, window_s = x_m, WINDOW_S
-    if np.isfinite(column(columns, "path_offset_m")).any():
-        offset_m, window_s = column(columns, "path_offset_m"), FILTERED_WINDOW_S
+    if np.isfinite(rows["path_offset_m"]).any():
+        offset_m, window_s = rows["path_offset_m"], FILTERED_WINDOW_S
         is_measured = np.isfinite(offset_m)
-    for rows in rows_by_track(columns):
-        road["passing"][rows], road["passing_sigma"][rows] = _courses(
-            columns["time_s"][rows],
-            offset_m[rows],
-            sigma_m[rows],
-            is_measured[rows],
-            road["shown_ttc"][rows],
+    for own in rows.by_track():
+        road["passing"][own], road["passing_sigma"][own] = _courses(
+            rows["time_s"][own],
+            offset_m[own],
+            sigma_m[own],
+            is_measured[own],
+            road["shown_ttc"][own],
             window_s,
         )
     return road
 
 
-def camera_of_rows(columns: Columns) -> PinholeCamera | None:
+def camera_of_rows(rows: Rows) -> PinholeCamera | None:
     """The camera on whose rays the positions of the rows lie; None without distances, or for
     several cameras.
 
     The image is as wide as the rightmost box edge requires, and its height is unknown (1).
     """
-    if (
-        not len(columns["time_s"])
-        or not {"x1_px", "y1_px", "x2_px", "y2_px", "x_m", "fused_m"} <= columns.keys()
-    ):
-        return None
-    boxes = boxes_px(columns)
+    boxes, z_m = rows.boxes_px, rows["fused_m"]
     u_px = (boxes[:, 0] + boxes[:, 2]) / 2
-    z_m = column(columns, "fused_m")
-    slope = column(columns, "x_m") / np.where(z_m > 1.0, z_m, np.nan)
+    slope = rows["x_m"] / np.where(z_m > 1.0, z_m, np.nan)
     known = np.isfinite(slope) & np.isfinite(u_px)
     if np.sum(known) < _MIN_ROWS or np.ptp(u_px[known]) < 1.0:
         return None

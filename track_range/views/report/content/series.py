@@ -19,7 +19,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
 from track_range.results.approaches import track_extremes
 from track_range.results.folder import every_of
-from track_range.results.rows.columns import Columns, methods_measured, rows_by_track
+from track_range.results.rows.rows import Rows
 from track_range.views.tables import figure
 
 LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
@@ -49,13 +49,6 @@ _SERIES = (  # column, key in the page and resolution, besides the distances
 )
 
 
-def column(columns: Columns, name: str) -> FloatArray:
-    """A column as float64; all NaN where the run has no such column."""
-    if name in columns:
-        return np.asarray(columns[name], np.float64)
-    return np.full(len(columns["time_s"]), np.nan)
-
-
 def packed(values: FloatArray, ticks_per_unit: float) -> str:
     """(N,) values as text: rounded to ticks, each as the difference from the last finite value,
     empty where NaN.
@@ -76,42 +69,34 @@ def thinned(n: int, limit: int) -> IntArray:
     )
 
 
-def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
+def track_records(rows: Rows) -> Iterator[dict[str, Any]]:
     """Data of each track for the page, longest track first; series without values are omitted.
 
     Keys: id, name (class), is_user (no light or sign), colour, n (frames), from_s, to_s; near_m,
     ttc_s, error_pct (None = unknown); t, and the keys of `_SERIES`; observed ("1101": the third box
     was predicted; missing = all observed); m and s: distance and sigma by method.
     """
-    row_sets, methods = (
-        sorted(rows_by_track(columns), key=len, reverse=True),
-        methods_measured(columns),
-    )
+    row_sets, methods = sorted(rows.by_track(), key=len, reverse=True), rows.methods_measured
     names = [name for name, _, _ in _SERIES]
     names += [f"{method}_{part}" for method in methods for part in ("m", "sigma_m")]
-    n_series = 3 + sum(name in columns for name in names)
+    n_series = 3 + sum(name in rows for name in names)
     limit = LINE_POINTS  # of points per line with which all lines fit into a page
-    while limit > 8 and n_series * sum(min(len(rows), limit) for rows in row_sets) > MOST_CELLS:
+    while limit > 8 and n_series * sum(min(len(own), limit) for own in row_sets) > MOST_CELLS:
         limit = int(0.9 * limit)
-    extremes = {row["track_id"]: row for row in track_extremes(columns)}
-    for rows in row_sets:
-        track = {name: values[rows] for name, values in columns.items()}
-        shown = thinned(len(rows), limit)
+    extremes = {row["track_id"]: row for row in track_extremes(rows)}
+    for track in map(rows.select, row_sets):
+        shown = thinned(len(track), limit)
         yield {
             **_properties(track, extremes[int(track["track_id"][0])]),
-            **_series({name: values[shown] for name, values in track.items()}, methods),
+            **_series(track.select(shown), methods),
         }
 
 
-def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
+def _properties(track: Rows, extremes: Mapping[str, Any]) -> dict[str, Any]:
     near_m, ttc_s = (
         extremes[key] and round(extremes[key], 1) for key in ("min_distance_m", "min_ttc_front_s")
     )
-    time_s, fused_m, truth_m = (
-        column(track, "time_s"),
-        column(track, "fused_m"),
-        column(track, "truth_m"),
-    )
+    time_s, fused_m, truth_m = track["time_s"], track["fused_m"], track["truth_m"]
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
     error = error[np.isfinite(error)]
     track_id = extremes["track_id"]
@@ -129,15 +114,15 @@ def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
+def _series(track: Rows, methods: list[str]) -> dict[str, Any]:
     def series(name: str, key: str, ticks: float) -> dict[str, str]:
-        values = column(track, name)
+        values = track[name] if name in track else np.zeros(0)
         return {key: packed(values, ticks)} if np.isfinite(values).any() else {}
 
-    record: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
+    record: dict[str, Any] = {"t": packed(track["time_s"], TICKS_PER_S), "m": {}, "s": {}}
     for name, key, ticks in _SERIES:
         record |= series(name, key, ticks)
-    observed = column(track, "observed") != 0
+    observed = track["observed"]
     record |= (
         {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
     )
@@ -147,14 +132,14 @@ def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
     return record
 
 
-def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
+def timeline(rows: Rows, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Data of the timeline: number of road users and ego speed over the time of a run.
 
     Keys: `from_s`, `to_s`, `frame_s` (time between processed frames); `t`, `n`: packed times and
     largest numbers of road users; `ego`: ego speed, if known. Times are the starts of equal bins.
     The time span covers the frames of the summary and the rows.
     """
-    time_s, frame = column(columns, "time_s"), column(columns, "frame")
+    time_s, frame = rows["time_s"], rows["frame"]
     first_s, n_frames = figure(summary, "starts_s") or 0.0, figure(summary, "frames") or 0.0
     frame_s = _DEFAULT_FRAME_S
     last_s = first_s + n_frames * frame_s
@@ -168,11 +153,11 @@ def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
     n_bins = int(np.clip(round(span_s / frame_s), 1, MAX_BINS))
     width_s = span_s / n_bins
     row_bin = np.clip((time_s - first_s + 1e-6) // width_s, 0, n_bins - 1).astype(np.int64)
-    is_user = ~np.isin(columns["class"], STATIC_CLASSES)
+    is_user = ~np.isin(rows["class"], STATIC_CLASSES)
     _, row, count = np.unique(frame[is_user], return_index=True, return_counts=True)
     n_users = np.zeros(n_bins)
     np.maximum.at(n_users, row_bin[is_user][row], count)
-    ego_mps = column(columns, "ego_mps")
+    ego_mps = rows["ego_mps"]
     known = np.isfinite(ego_mps)
     ego = np.full(n_bins, np.nan)
     ego[row_bin[known]] = ego_mps[known]

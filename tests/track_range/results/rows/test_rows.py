@@ -1,0 +1,117 @@
+"""Rows by declared column, and a further column: one declaration, seen in every output."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from pyarrow import parquet
+
+from tests.support.results.frame_results import result, writing
+from track_range.results.folder import read_run_rows
+from track_range.results.replay import frames_of_rows
+from track_range.results.rows import columns
+from track_range.results.rows.column import ResultColumn
+from track_range.results.rows.rows import Rows
+from track_range.results.table import RunTable
+
+NAN = np.nan
+SIGMA = ResultColumn(
+    "path_offset_sigma_m",
+    "m",
+    "alarms.warnings.path_offset_sigma_m",
+    "standard deviation of `path_offset_m`",
+    viewer_name="path_offset_sigma_m",
+)
+
+
+@pytest.fixture
+def declared(monkeypatch):
+    """A further column, declared beside the others."""
+    monkeypatch.setattr(columns, "_SAFETY", (*columns._SAFETY, SIGMA))
+
+
+def frame():
+    """A frame of two tracks whose warnings have sigmas."""
+    given = result()
+    warnings = replace(given.alarms.warnings, path_offset_sigma_m=np.array([0.25, NAN]))
+    return replace(given, alarms=replace(given.alarms, warnings=warnings))
+
+
+@pytest.mark.usefixtures("declared")
+def test_one_declaration_is_seen_in_every_output(tmp_path):
+    with writing(tmp_path, ("csv", "parquet", "mcap")) as files, RunTable() as table:
+        files.write(frame())
+        table.append(frame())
+        np.testing.assert_equal(table.to_rows()[SIGMA.name], [0.25, NAN])
+        assert table.to_arrow()[SIGMA.name].to_pylist() == [0.25, None]
+    with (tmp_path / "tracks.csv").open() as file:
+        assert [row[SIGMA.name] for row in csv.DictReader(file)] == ["0.250", ""]
+    stored = parquet.read_table(tmp_path / "tracks.parquet")
+    assert stored[SIGMA.name].to_pylist() == [0.25, None]
+    assert stored.schema.field(SIGMA.name).metadata == {b"unit": b"m"}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        ((schema, _, message),) = make_reader(file).iter_messages(topics=["/tracks/ranges"])
+    shown = json.loads(message.data)["tracks"]
+    assert [track.get(SIGMA.name) for track in shown] == [0.25, None]
+    track_schema = json.loads(schema.data)["properties"]["tracks"]["items"]
+    assert track_schema["properties"][SIGMA.name] == {"type": "number"}
+
+
+@pytest.mark.usefixtures("declared")
+@pytest.mark.parametrize("file", ["tracks.csv", "tracks.parquet"])
+def test_one_declaration_is_read_back(tmp_path, file):
+    with writing(tmp_path, ("csv", "parquet")) as files:
+        files.write(frame())
+    rows = read_run_rows(tmp_path / file, [])
+    np.testing.assert_equal(rows[SIGMA.name], [0.25, NAN])
+    (again,) = frames_of_rows(rows, [4], ("mono", "fused", "fused_kf"), 10.0)
+    np.testing.assert_equal(again.warnings.path_offset_sigma_m, [0.25, NAN])
+    earlier = Rows({name: rows[name] for name in rows.columns if name != SIGMA.name})
+    assert SIGMA.name not in earlier
+    assert np.isnan(earlier[SIGMA.name]).all()
+
+
+def test_values_have_their_declared_types():
+    rows = Rows(
+        {
+            "frame": np.array([3.0, 4.0]),
+            "observed": np.array([0.0, NAN]),
+            "warning": np.array([1.0, NAN]),
+            "gap_m": np.array([8, 9]),
+            "radar_m": np.array([7.0, NAN]),
+        }
+    )
+    assert rows["frame"].tolist() == [3, 4]
+    assert rows["frame"].dtype == np.int64
+    # as an empty cell in a file of an earlier version
+    assert rows["observed"].tolist() == [False, True]
+    assert rows["warning"].tolist() == [True, False]
+    assert rows["gap_m"].dtype == np.float64
+    assert rows["state"].tolist() == ["", ""]
+    assert rows.methods_measured == ["radar"]
+    assert rows.select(rows["frame"] > 3)["frame"].tolist() == [4]
+    np.testing.assert_equal(rows.distance("sonar"), ([NAN, NAN], [NAN, NAN]))
+    with pytest.raises(KeyError):
+        rows["sonar_m"]
+
+
+def test_columns_have_one_length():
+    with pytest.raises(ValueError, match="equal length"):
+        Rows({"frame": np.zeros(2), "time_s": np.zeros(3)})
+
+
+def test_rows_do_not_change():
+    rows = Rows({"frame": np.zeros(2)})
+    with pytest.raises(TypeError):
+        rows.columns["frame"] = np.ones(2)
+    assert len(rows.with_columns({"gap_m": np.ones(2)}).columns) == 2
+    assert len(rows.columns) == 1
+
+
+def test_tracks_are_in_the_order_of_time():
+    rows = Rows({"track_id": np.array([2, 1, 2]), "time_s": np.array([1.0, 0.0, 0.5])})
+    assert [own.tolist() for own in rows.by_track()] == [[1], [2, 0]]
+    assert Rows().by_track() == []

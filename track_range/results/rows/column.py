@@ -1,0 +1,104 @@
+"""ResultColumn: declaration of a column of the rows of a run."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.foundation.arrays import FloatArray
+from track_range.pipeline.frame_result import FrameResult
+
+ColumnKind = Literal["number", "whole", "flag", "name"]
+
+DTYPES: Mapping[ColumnKind, Any] = {
+    "number": np.float64,
+    "whole": np.int64,
+    "flag": np.bool_,
+    "name": np.str_,
+}
+"""Types of the values in `Rows`."""
+
+_UNKNOWN: Mapping[ColumnKind, Any] = {"number": math.nan, "whole": 0, "flag": False, "name": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class ResultColumn:
+    """Declaration of a column: the writers, readers, replays and the documentation derive from it.
+
+    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; name =
+    one of `names`, "" = unknown. In a `FrameResult` a name is its index, NaN = unknown.
+    """
+
+    name: str  # heading
+    unit: str  # "" = none
+    # path of attributes and keys of a `FrameResult` to (N,) values of its tracks, or one value of
+    # the frame; a number is a column of an (N, ...) array; "" = not from frames
+    place: str
+    # Markdown; [words] are links that the page of the columns defines
+    meaning: str
+    kind: ColumnKind = "number"
+    decimals: int = 3  # to which numbers are rounded in files and tables
+    names: tuple[str, ...] = ()  # of the kind "name"
+    # value in rows of files without this column, or with an empty cell; None = that of the kind
+    missing: float | bool | None = None
+    largest: float = 1e10  # absolute value that is plausible in a file
+    viewer_name: str = ""  # in messages for viewers, such as those of run.mcap; "" = not in them
+
+    @property
+    def unknown(self) -> Any:
+        """Value in rows where it is not known."""
+        return _UNKNOWN[self.kind] if self.missing is None else self.missing
+
+    def read(self, result: FrameResult) -> npt.NDArray[Any]:
+        """(N,) values of the N tracks of a frame, NaN where it has no such part."""
+        value: Any = result
+        for step in self.place.split("."):
+            if isinstance(value, Mapping):
+                value = value.get(step)
+            elif step.isdigit():
+                value = value[:, int(step)]
+            else:
+                value = getattr(value, step)
+            if value is None:
+                value = math.nan
+                break
+        if isinstance(value, np.ndarray):
+            return value
+        return np.full(len(result.tracks), value)
+
+    def typed(self, values: npt.ArrayLike) -> npt.NDArray[Any]:
+        """(N,) values of a file or of frames with the type of the kind; NaN becomes `unknown`."""
+        given, dtype = np.asarray(values), np.dtype(DTYPES[self.kind])
+        if given.dtype.kind == dtype.kind:
+            return given.astype(np.float64, copy=False) if self.kind == "number" else given
+        if self.kind in ("whole", "flag") and given.dtype.kind == "f":
+            given = np.where(np.isnan(given), self.unknown, given)
+        return given.astype(dtype)
+
+    def codes(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """(N,) values of `Rows` as those of a `FrameResult`: names become their indices."""
+        if self.kind != "name":
+            return values
+        index: dict[str, float] = {name: code for code, name in enumerate(self.names)}
+        found: FloatArray = np.array(
+            [index.get(str(name), math.nan) for name in values], np.float64
+        )
+        return found
+
+    def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Numbers rounded to the decimals of the column; other values unchanged."""
+        if self.kind != "number":
+            return values
+        return np.round(values.astype(np.float64), self.decimals)
+
+    def text(self, result: FrameResult) -> list[str]:
+        """Values of a frame as text for tracks.csv; empty = not measured."""
+        values = self.read(result).tolist()
+        if self.kind == "name":
+            return ["" if math.isnan(value) else self.names[int(value)] for value in values]
+        if self.kind == "number":
+            return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
+        return list(map(str, map(int, values)))
