@@ -37,7 +37,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
 
-from track_range.detection.training.losses.assignment import LabelledObjects, Rows
+from track_range.detection.training.losses.assignment import LabelledObjects, TensorRows
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou
 from track_range.detection.training.losses.detection_loss import Batch, Losses
 from track_range.detection.training.networks.road_net import (
@@ -53,7 +53,7 @@ _EPSILON = 1e-9  # added to the largest a of an object, which is 0 if no predict
 
 
 @dataclass(frozen=True, slots=True)
-class AlignedCells(Rows):
+class AlignedCells(TensorRows):
     """P positive cells."""
 
     image: Tensor  # (P,) int64 index of the image

@@ -15,7 +15,7 @@ from torch import Tensor
 from track_range.detection.training.networks.network import AnchorNetwork
 
 
-class Rows:
+class TensorRows:
     """Parallel tensors with one row per item, the fields of a dataclass with slots."""
 
     __slots__: tuple[str, ...] = ()
@@ -36,7 +36,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True)
-class LabelledObjects(Rows):
+class LabelledObjects(TensorRows):
     """T labelled objects of a batch of images."""
 
     image: Tensor  # (T,) int64 index of the image in the batch
@@ -48,7 +48,7 @@ class LabelledObjects(Rows):
 
 
 @dataclass(frozen=True, slots=True)
-class Cells(Rows):
+class Cells(TensorRows):
     """P positive cells of one head, each with its anchor and its object; (P,) int64 indices."""
 
     image: Tensor

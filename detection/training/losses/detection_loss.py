@@ -25,7 +25,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy, one_hot
 
-from track_range.detection.training.losses.assignment import Cells, LabelledObjects, Rows, assign
+from track_range.detection.training.losses.assignment import (
+    Cells,
+    LabelledObjects,
+    TensorRows,
+    assign,
+)
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou
 from track_range.detection.training.networks.network import AnchorNetwork
 
@@ -36,7 +41,7 @@ _SAME_OBJECT_IOU = 0.5  # smallest IoU of a teacher's box and a label of the sam
 
 
 @dataclass(frozen=True, slots=True)
-class Completeness(Rows):
+class Completeness(TensorRows):
     """Completely labelled classes, by quarter of each image in a batch."""
 
     flags: Tensor  # (B, 2, 2, C) above and below, left and right of `meeting_xy`
@@ -76,7 +81,7 @@ Losses = Mapping[str, Tensor]
 
 
 @dataclass(frozen=True, slots=True)
-class _Positives(Rows):
+class _Positives(TensorRows):
     """P positive cells of one head, from labels and teacher, by their (P,) int64 indices, and their
     targets.
     """

@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 
 ColumnKind = Literal["number", "whole", "flag", "name"]
@@ -83,10 +82,7 @@ class ResultColumn:
         if self.kind != "name":
             return values
         index: dict[str, float] = {name: code for code, name in enumerate(self.names)}
-        found: FloatArray = np.array(
-            [index.get(str(name), math.nan) for name in values], np.float64
-        )
-        return found
+        return np.array([index.get(str(name), math.nan) for name in values], np.float64)
 
     def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Numbers rounded to the decimals of the column; other values unchanged."""
