@@ -1,3 +1,3 @@
-"""Benchmarks: named workloads that print tables and optionally write JSON; README.md has protocols
-and results.
+"""Benchmarks: named workloads that print tables and optionally write JSON; README.md says how to run
+them.
 """

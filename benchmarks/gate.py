@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 
 from benchmarks.harness import ROOT, Figures, numbers, option, workload
@@ -27,6 +29,21 @@ FAST = {
     "warnings": "--only hours --hours 0.1 --first-seed 120 --errors 2",
 }
 """Options of the workloads with baselines: they need no data, and a few minutes together."""
+
+COSTS = re.compile(r"(^|_)(s|ms|us|mib|mb|kb)(_|$)")
+"""Last names of times, memory and sizes, which depend on the machine."""
+
+ACCURACY = {
+    "larger": re.compile(
+        r"(^|_)(error|edges|distance|score|bias|worst|mean|median|p90|p95|90|95|remaining|failures"
+        r"|false|not_found|other_lane|chosen_wrong)(_|$)"
+    ),
+    "smaller": re.compile(
+        r"(^|_)(hota|idf1|mota|coverage|recall|hits|measured|noticed|named|corrected|kept|ids"
+        r"|classes|predicted|within_2)(_|$)"
+    ),
+}
+"""Last names of the figures of accuracy, by which direction is worse; signs do not count."""
 
 
 @workload(
@@ -60,15 +77,16 @@ def baseline(options: Namespace) -> Figures:
         "--tolerance",
         default=0.1,
         metavar="FRACTION",
-        help="largest deviation of a ratio from 1 without a mark",
+        help="largest deviation of a ratio from 1",
     ),
     option(
         "--all", default=False, help="show all figures, not only those outside of the tolerance"
     ),
 )
 def compare(options: Namespace) -> Figures:
-    """Ratios B / A of all figures that both recordings have; the exit status does not depend on
-    them.
+    """Ratios B / A of all figures that both recordings have. The exit status is 1 if a figure of
+    accuracy is worse by more than the tolerance, or missing in a workload of B, or if A has no
+    workload of B; times, memory and sizes do not change it.
 
     With one recording, A is the committed baselines and B this recording.
     """
@@ -91,7 +109,38 @@ def compare(options: Namespace) -> Figures:
         "only in A": len(before) - n_common,
         "only in B": len(after) - n_common,
         "figures": shown,
+        "failed": failures(before, after, options.tolerance),
     }
+
+
+def failures(
+    before: Mapping[str, float], after: Mapping[str, float], tolerance: float
+) -> dict[str, str]:
+    """Why `after` is refused, by the name of a figure or workload."""
+    workloads = {name.partition(".")[0] for name in after}
+    missing = workloads - {name.partition(".")[0] for name in before}
+    failed = dict.fromkeys(sorted(missing), "no baseline")
+    for name, a in before.items():
+        direction = worse_direction(name)
+        if direction is None or name.partition(".")[0] not in workloads:
+            continue
+        if name not in after:
+            failed[name] = "missing"
+            continue
+        change = abs(after[name]) - abs(a)
+        if (change if direction == "larger" else -change) > tolerance * abs(a):
+            failed[name] = f"worse: {a:.4g} -> {after[name]:.4g}"
+    return failed
+
+
+def worse_direction(name: str) -> str | None:
+    """Which direction of a figure is worse, "larger" or "smaller"; None: it is no figure of
+    accuracy.
+    """
+    last = name.rpartition(".")[2].replace(" ", "_")
+    if COSTS.search(last):
+        return None
+    return next((key for key, pattern in ACCURACY.items() if pattern.search(last)), None)
 
 
 def recorded(path: Path) -> dict[str, float]:

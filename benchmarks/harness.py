@@ -65,7 +65,7 @@ class Workload:
         parser = argparse.ArgumentParser(
             f"python -m benchmarks {name}",
             description=description,
-            epilog="Protocol and figures: benchmarks/README.md.",
+            epilog="Protocol and figures: docs/concepts/accuracy.md.",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             conflict_handler="resolve",  # a workload may have another --out
         )
@@ -80,7 +80,9 @@ class Workload:
         return self.measure(self.parsed(arguments))
 
     def run(self, name: str, arguments: Sequence[str]) -> None:
-        """Measure, print the tables, and write the JSON file if asked to."""
+        """Measure, print the tables, and write the JSON file if asked to; exit with 1 if the figures
+        name what `failed`.
+        """
         options = self.parsed(arguments, name)
         figures = self.measure(options)
         print_figures(name, figures)
@@ -93,6 +95,8 @@ class Workload:
             }
             text = json.dumps({name: figures, "about": about}, indent=1, default=json_value)
             options.json.write_text(text + "\n", encoding="utf-8")
+        if figures.get("failed"):
+            raise SystemExit(1)
 
 
 def workload(*options: Option) -> Callable[[Measure], Workload]:

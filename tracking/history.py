@@ -12,8 +12,8 @@ lag:
 
     l(t) = l(t') + (t - t') median_i((l_i - l_(i-1)) / (t_i - t_(i-1)))      t': time of the last detection
 
-and only where `PredictionGates` allow it; benchmarks/README.md has the effect of k, of the form and
-of each gate. Two gates may surprise. An occluded box is predicted after fewer detections than a
+and only where `PredictionGates` allow it; docs/concepts/accuracy.md has the effect of k, of the form and
+of the gates. Two gates may surprise. An occluded box is predicted after fewer detections than a
 visible one: occlusion explains why it is missing, while a visible one was most often a false alarm
 or has left. Boxes near the image border are not predicted, which matters most: leaving the image is
 the most frequent reason for a missing box.

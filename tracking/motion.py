@@ -84,7 +84,7 @@ class MotionNoise:
     drift: float = 0.27  # d, random walk of the value, heights per sqrt(s)
     acceleration: float = 1.0  # a, random walk of the rate, heights per s^1.5
     first_rate: float = 1.9  # standard deviation of the rate of a box detected once, heights per s
-    # gain of the rates of a person's w and h / K_v (benchmarks/README.md, "tracking")
+    # gain of the rates of a person's w and h / K_v (chosen on KITTI's and MOTChallenge's sequences)
     person_size_rate: float = 0.2
 
 

@@ -3,14 +3,16 @@ figures."""
 
 import importlib
 import json
+import re
 
 import pytest
 
 from benchmarks.__main__ import WORKLOADS
-from benchmarks.gate import compare
+from benchmarks.gate import BASELINES, FAST, compare
 from benchmarks.harness import Workload, numbers, option, print_figures, workload
 from benchmarks.speed.processor_time import STEPS, WAITS, functions_at
 
+README = BASELINES.with_name("README.md")
 FIGURES = {
     "frames": 300,
     "median": {"pair": 58.7, "ordinary": None},
@@ -23,6 +25,13 @@ FIGURES = {
 def test_every_workload_of_the_table_exists(name):
     module = importlib.import_module(f"benchmarks.{WORKLOADS[name][0]}")
     assert isinstance(getattr(module, name), Workload)
+
+
+def test_readme_has_a_row_for_each_workload():
+    text = README.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|", text.partition("| folder |")[0], re.MULTILINE)
+    assert rows == sorted(WORKLOADS)
+    assert len(text.splitlines()) <= 200
 
 
 def test_defaults_give_the_types_of_options():
@@ -108,6 +117,55 @@ def test_compare_reads_folders(tmp_path):
         write(tmp_path / folder / "stereo.json", "stereo", ms=2.0)
     result = compare(str(tmp_path / "a"), str(tmp_path / "b"))
     assert {name: row["B/A"] for name, row in result["figures"].items()} == {"pipeline.ms": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "failed"),
+    [
+        ({"error_px": 1.0}, {"error_px": 1.09}, []),
+        ({"error_px": 1.0}, {"error_px": 1.2}, ["stereo.error_px"]),
+        ({"error_px": 1.0}, {"error_px": 0.2}, []),
+        ({"bias_pct": -1.0}, {"bias_pct": 1.05}, []),
+        ({"bias_pct": -1.0}, {"bias_pct": -2.0}, ["stereo.bias_pct"]),
+        ({"failures": 0}, {"failures": 1}, ["stereo.failures"]),
+        ({"coverage": 0.9}, {"coverage": 0.7}, ["stereo.coverage"]),
+        ({"coverage": 0.7}, {"coverage": 0.9}, []),
+        (
+            {"ms_per_frame": 1.0, "median_lead_s": 2.0},
+            {"ms_per_frame": 9.0, "median_lead_s": 9.0},
+            [],
+        ),
+        (
+            {"growth_mib": 1.0, "n": 3, "sigma_px": 1.0},
+            {"growth_mib": 9.0, "n": 9, "sigma_px": 9.0},
+            [],
+        ),
+        ({"error_px": 1.0, "ms": 1.0}, {"ms": 1.0}, ["stereo.error_px"]),
+    ],
+)
+def test_exit_status_of_compare(tmp_path, before, after, failed):
+    files = [tmp_path / "a.json", tmp_path / "b.json"]
+    for path, figures in zip(files, (before, after), strict=True):
+        write(path, "stereo", **figures)
+    assert list(compare(*map(str, files))["failed"]) == failed
+    if failed:
+        with pytest.raises(SystemExit, match="1"):
+            compare.run("compare", list(map(str, files)))
+    else:
+        compare.run("compare", list(map(str, files)))
+
+
+def test_workloads_of_one_side_only(tmp_path):
+    """A baseline that is not recorded again is no failure; a recording without a baseline is one."""
+    for folder, names in (("a", ("stereo", "fusion")), ("b", ("stereo", "lanes"))):
+        for name in names:
+            write(tmp_path / folder / f"{name}.json", name, error_px=1.0)
+    failed = compare(str(tmp_path / "a"), str(tmp_path / "b"))["failed"]
+    assert failed == {"lanes": "no baseline"}
+
+
+def test_every_fast_workload_has_a_baseline():
+    assert {path.stem for path in BASELINES.glob("*.json")} == set(FAST)
 
 
 @pytest.mark.parametrize("content", ["", "[1, 2]", "{}", None])
