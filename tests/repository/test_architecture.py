@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import track_range
 from tests.repository import rooms
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -183,6 +184,11 @@ def test_forbidden_imports_are_seen():
 
 def test_documented_table_is_the_tested_one():
     assert rooms.table() in (PROJECT / "docs/project/architecture.md").read_text(encoding="utf-8")
+
+
+def test_modules_of_public_names_exist():
+    modules = {f"track_range.{module}" for module, _ in track_range._SOURCES.values()}
+    assert modules <= rooms.sources().keys()
 
 
 def test_nothing_imports_tests_or_benchmarks():
