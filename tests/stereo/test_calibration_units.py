@@ -93,7 +93,7 @@ def test_every_value_knows_its_file_and_key():
         Path("a.yml"),
         "left.K",
     )
-    assert given.stated[None, "T"].metres == 0.001
+    assert given.stated[None, "T"].meaning.metres == 0.001
     size = draft_of({}, Path("a.yml"), CITYSCAPES).stated[None, "size"]
     assert size.is_assumed
     assert size.value.tolist() == [2048, 1024]

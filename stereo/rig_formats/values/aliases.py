@@ -32,6 +32,7 @@ class Meaning(NamedTuple):
     side: Side
     quantity: Quantity
     metres: float | None = None  # per unit of its values; None = not stated
+    is_inverse: bool = False  # whether a transform is that from the second camera to the first
 
 
 QUANTITIES = (
@@ -99,8 +100,15 @@ _BEFORE = re.compile(rf"{_SIDE_IN_NAME}(?P<name>{_NAME})")
 _BEHIND = re.compile(rf"(?P<name>{_NAME}){_SIDE_IN_NAME}")
 
 
+def quantity_of(name: str) -> Quantity:
+    """The row of a quantity by its name, not an alias."""
+    return next(row for row in QUANTITIES if row.name == name)
+
+
 def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
-    """What the keys of a value, from the outside in, state about it; None if they name no quantity."""
+    """What the keys of a value, from the outside in, state about it; None if they name no quantity,
+    or one between other cameras, such as depth to colour.
+    """
     words = [_plain(key) for key in keys]
     # camera_matrix: {left: ...}
     if len(words) > 1 and words[-2] in _BY_ALIAS and re.fullmatch(_SIDES, words[-1]):
@@ -108,14 +116,13 @@ def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
     around: Side = None
     for word in words[:-1]:
         around = around if (side := _side_of_block(word)) is None else side
-    result = _by_name(words[-1], around, n_values)
-    ending = _UNIT_ENDING.search(keys[-1].lower())
-    if result is not None or ending is None:
+    result = _by_name(words[-1], around, n_values) or _by_length(keys[-1], around, n_values)
+    if result is None or result.quantity.name not in ("R", "T"):
         return result
-    result = _by_name(_plain(keys[-1].lower()[: ending.start()]), around, n_values)
-    if result is None or not result.quantity.is_length:
-        return None
-    return result._replace(metres=UNITS_M[ending[1]])
+    direction = _direction(words[:-1])
+    if direction is None:
+        return result
+    return result._replace(side=None, is_inverse=direction < 0) if direction else None
 
 
 def _plain(key: str) -> str:
@@ -136,12 +143,23 @@ def _by_name(name: str, around: Side, n_values: int) -> Meaning | None:
     return Meaning(_side(match["side"]), _BY_ALIAS["rect"] if is_rectification else quantity)
 
 
-def direction(keys: tuple[str, ...]) -> int | None:
+def _by_length(key: str, around: Side, n_values: int) -> Meaning | None:
+    """The meaning of the name of a length with its unit; None for other names."""
+    ending = _UNIT_ENDING.search(key.lower())
+    if ending is None:
+        return None
+    result = _by_name(_plain(key[: ending.start()]), around, n_values)
+    if result is None or not result.quantity.is_length:
+        return None
+    return result._replace(metres=UNITS_M[ending[1]])
+
+
+def _direction(blocks: list[str]) -> int | None:
     """Direction of the transform in a block between two cameras: 1 = from the first to the second,
     -1 = reverse, 0 = between others; None = no such block.
     """
-    for key in keys[:-1]:
-        if match := _BETWEEN.fullmatch(_plain(key)):
+    for word in blocks:
+        if match := _BETWEEN.fullmatch(word):
             first, second = map(_side_of_block, match.groups())
             if first is None or second is None or isinstance(first, str) != isinstance(second, str):
                 return 0

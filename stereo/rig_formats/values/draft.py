@@ -14,7 +14,13 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.values.aliases import Quantity, Side, direction, meaning
+from track_range.stereo.rig_formats.values.aliases import (
+    Meaning,
+    Quantity,
+    Side,
+    meaning,
+    quantity_of,
+)
 from track_range.stereo.rig_formats.values.containers import (
     MAX_NUMBERS,
     calibration_text,
@@ -58,9 +64,7 @@ class Stated(NamedTuple):
     value: Any  # (N,) array; the text of a unit or model
     path: Path  # the file
     key: str  # the keys of the file from the outside in, with dots; "" = assumed
-    metres: float | None = None  # per unit of a length, by the key; None = not stated
-    # whether the key is that of the transform from the second camera to the first
-    is_inverse: bool = False
+    meaning: Meaning  # what the key states
 
     @property
     def is_assumed(self) -> bool:
@@ -142,7 +146,7 @@ class RigDraft:
     def named_length(self, quantity: str) -> Stated | None:
         """The first value of a quantity whose key states its unit; None if there is none."""
         of_quantity = (value for (_, name), value in self.stated.items() if name == quantity)
-        return next((value for value in of_quantity if value.metres is not None), None)
+        return next((value for value in of_quantity if value.meaning.metres is not None), None)
 
     def __or__(self, other: RigDraft) -> RigDraft:
         """This draft, completed by the values of `other`."""
@@ -169,11 +173,10 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
     """The draft of the plain values of a file, and those that are assumed for its dialect; raises
     RigError for a matrix of OpenCV that is damaged.
     """
-    assumed = {
-        (None, quantity): Stated(np.array(values, np.float64), path, "")
-        for quantity, values in dialect.assumed.items()
-    }
-    stated = assumed | _stated_values(content, path)
+    stated = _stated_values(content, path)
+    for name, values in dialect.assumed.items():
+        understood = Meaning(None, quantity_of(name))
+        stated.setdefault((None, name), Stated(np.array(values, float), path, "", understood))
     transposed = stated.get((None, "R_transposed"))
     if transposed is not None:  # MATLAB's
         rotation = transposed.value.reshape(3, 3).T.ravel()
@@ -195,19 +198,15 @@ def _stated_values(content: Mapping[str, Any], path: Path) -> dict[tuple[Side, s
     stated: dict[tuple[Side, str], Stated] = {}
     for keys, value in _leaves(content, ()):
         key = ".".join(keys)
-        of_keys = meaning(keys, sum(1 for _ in _flat(value)))
-        if of_keys is None or any(word in key.lower() for word in _OTHER_SET):
+        understood = meaning(keys, sum(1 for _ in _flat(value)))
+        if understood is None or any(word in key.lower() for word in _OTHER_SET):
             continue
-        side, quantity = of_keys.side, of_keys.quantity
-        sense = direction(keys) if quantity.name in ("R", "T") else None
-        if sense == 0:  # of other streams, such as depth to colour
+        place = understood.side, understood.quantity.name
+        if place in stated:
             continue
-        side = side if sense is None else None
-        if (side, quantity.name) in stated:
-            continue
-        numbers = _value(value, quantity, key, path)
+        numbers = _value(value, understood.quantity, key, path)
         if numbers is not None:
-            stated[side, quantity.name] = Stated(numbers, path, key, of_keys.metres, sense == -1)
+            stated[place] = Stated(numbers, path, key, understood)
     return stated
 
 
@@ -265,7 +264,7 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
     if numbers is None:
         if is_exact or _is_matrix(value):
             raise RigError(
-                f"{path}: {key}: expected numbers, of_keys {quoted(value)}; calibrate again."
+                f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again."
             )
         return None
     return numbers if is_exact or numbers.size in quantity.counts else None
@@ -276,7 +275,7 @@ def _stored(value: dict[str, Any], name: str) -> FloatArray:
     matrix = validated(_Matrix, value, name, RigError)
     if len(matrix.data) != matrix.rows * matrix.cols:
         raise RigError(
-            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, of_keys {len(matrix.data)}; calibrate again."
+            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate again."
         )
     return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
 

@@ -53,7 +53,7 @@ def motion_of(draft: RigDraft) -> PairMotion:
 def motion_of_pair(draft: RigDraft) -> FloatArray:
     """(4, 4) transform of R and T of the pair."""
     motion, translation = _pose(draft, None), draft.get(None, "T")
-    is_inverse = translation is not None and translation.is_inverse
+    is_inverse = translation is not None and translation.meaning.is_inverse
     return inverse_motion(motion) if is_inverse else motion
 
 

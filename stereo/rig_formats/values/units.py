@@ -40,11 +40,12 @@ def _by_name(draft: RigDraft, length: float) -> Unit | None:
     """The unit in which `length` is as long as a length whose key ends in its unit."""
     for quantity in ("T", "baseline"):
         named = draft.named_length(quantity)
-        if named is None or named.metres is None:
+        named_metres = None if named is None else named.meaning.metres
+        if named is None or named_metres is None:
             continue
         stated = length if quantity == "T" else float(np.abs(named.value[0]))
-        for metres in (named.metres, 1.0, 0.01, 0.001):
-            if abs(length * metres - stated * named.metres) < TOLERANCE * stated * named.metres:
+        for metres in (named_metres, 1.0, 0.01, 0.001):
+            if abs(length * metres - stated * named_metres) < TOLERANCE * stated * named_metres:
                 return Unit(metres, f"in {UNIT_NAMES[metres]} by the name of {quantity}")
     return None
 
