@@ -34,7 +34,7 @@ DIALECTS = (
         title="Cityscapes' camera.json",
         pattern=re.compile(r'\A(?=[\s\S]*"baseline")[\s\S]*"u0"'),
         metres_per_unit=1.0,
-        assumed={"size": (2048, 1024)},
+        assumed={"size": [2048, 1024]},
         assumption="images of 2048x1024 px, the size of all Cityscapes images",
         is_rectified=True,
     ),
@@ -50,7 +50,7 @@ DIALECTS = (
         title="Virtual KITTI's intrinsic.txt",
         pattern=VIRTUAL_KITTI,
         metres_per_unit=1.0,
-        assumed={"baseline": (0.532725,), "size": (1242, 375)},  # europe.naverlabs.com
+        assumed={"baseline": 0.532725, "size": [1242, 375]},  # europe.naverlabs.com
         assumption="the baseline of Virtual KITTI 2 and its images of 1242x375 px",
         is_rectified=True,
     ),

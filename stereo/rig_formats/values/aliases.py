@@ -100,11 +100,6 @@ _BEFORE = re.compile(rf"{_SIDE_IN_NAME}(?P<name>{_NAME})")
 _BEHIND = re.compile(rf"(?P<name>{_NAME}){_SIDE_IN_NAME}")
 
 
-def quantity_of(name: str) -> Quantity:
-    """The row of a quantity by its name, not an alias."""
-    return next(row for row in QUANTITIES if row.name == name)
-
-
 def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
     """What the keys of a value, from the outside in, state about it; None if they name no quantity,
     or one between other cameras, such as depth to colour.

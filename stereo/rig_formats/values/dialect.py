@@ -1,7 +1,7 @@
 """Dialect: a kind of file with values by name, how it is recognised, and what its files do not state."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -24,8 +24,8 @@ class Dialect:
     expected: str = "a calibration"  # for messages on broken files
     metres_per_unit: float | None = None  # of lengths; None = by their size
     usual_unit: Unit | None = None  # of files that state none; None = by the lengths' size
-    # values by quantity of the cameras of all files of the kind, which the files do not state
-    assumed: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    # values by name of all files of the kind, which the files do not state
+    assumed: Mapping[str, object] = field(default_factory=dict)
     assumption: str = ""  # the same in words, for the note
     is_rectified: bool = False  # whether the images are rectified
     # whether a baseline beside distorted cameras is that of their rectified images

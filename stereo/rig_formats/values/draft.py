@@ -19,7 +19,6 @@ from track_range.stereo.rig_formats.values.aliases import (
     Quantity,
     Side,
     meaning,
-    quantity_of,
 )
 from track_range.stereo.rig_formats.values.containers import (
     MAX_NUMBERS,
@@ -173,10 +172,9 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
     """The draft of the plain values of a file, and those that are assumed for its dialect; raises
     RigError for a matrix of OpenCV that is damaged.
     """
-    stated = _stated_values(content, path)
-    for name, values in dialect.assumed.items():
-        understood = Meaning(None, quantity_of(name))
-        stated.setdefault((None, name), Stated(np.array(values, float), path, "", understood))
+    assumed = _stated_values(dialect.assumed, path)
+    stated = {place: value._replace(key="") for place, value in assumed.items()}
+    stated |= _stated_values(content, path)
     transposed = stated.get((None, "R_transposed"))
     if transposed is not None:  # MATLAB's
         rotation = transposed.value.reshape(3, 3).T.ravel()
