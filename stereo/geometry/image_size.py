@@ -50,6 +50,7 @@ class SizeFit:
 
     stated: PinholeCamera
     size_px: tuple[int, int]  # (width, height) of the images
+    calibrated_px: tuple[int, int]  # (width, height) that the file states, else that of the images
     reading: SizeReading  # how the images belong to the camera
     # the camera of the images; without a meaning if these have another aspect, or are off centre
     camera: PinholeCamera
@@ -58,11 +59,6 @@ class SizeFit:
     ]  # usual sizes in which the principal point is central
     # readings that a principal point off the centre supports, the likeliest first
     alternatives: tuple[FocalAlternative, ...]
-
-    @property
-    def calibrated_px(self) -> tuple[int, int]:
-        """The size that the file states, else that of the images."""
-        return self.stated.size_px if self.stated.width_px else self.size_px
 
 
 def fit_to_size(camera: PinholeCamera, size_px: tuple[int, int]) -> SizeFit:
@@ -78,14 +74,14 @@ def fit_to_size(camera: PinholeCamera, size_px: tuple[int, int]) -> SizeFit:
         fitted = camera.resized(size_px)
     calibrated_px = camera.size_px if camera.width_px else size_px
     sizes = _centred_sizes(camera, calibrated_px)
-    alternatives: tuple[FocalAlternative, ...] = ()
-    width = calibrated_px[0]
-    if abs(camera.cx_px - (width - 1) / 2) > _OFF_CENTRE * width:
-        alternatives = tuple(
-            FocalAlternative(w / width, f"K belongs to images of {w}x{h} px that were resized")
-            for w, h in sizes
-        )
-    return SizeFit(camera, size_px, reading, fitted, sizes, alternatives)
+    width, _ = calibrated_px
+    is_off_centre = abs(camera.cx_px - (width - 1) / 2) > _OFF_CENTRE * width
+    alternatives = tuple(
+        FocalAlternative(w / width, f"K belongs to images of {w}x{h} px that were resized")
+        for w, h in sizes
+        if is_off_centre
+    )
+    return SizeFit(camera, size_px, calibrated_px, reading, fitted, sizes, alternatives)
 
 
 def _reading_of(camera: PinholeCamera, size_px: tuple[int, int]) -> SizeReading:
@@ -93,9 +89,9 @@ def _reading_of(camera: PinholeCamera, size_px: tuple[int, int]) -> SizeReading:
         if is_size_of(camera, size_px):
             return "stated"
         return "scaled" if has_aspect_of(camera, size_px) else "other aspect"
-    centre_px = (camera.cx_px, camera.cy_px)
     is_central = all(
-        side / 3 <= place <= side * 2 / 3 for side, place in zip(size_px, centre_px, strict=True)
+        side / 3 <= centre <= side * 2 / 3
+        for side, centre in zip(size_px, (camera.cx_px, camera.cy_px), strict=True)
     )
     return "assumed" if is_central else "off centre"
 

@@ -292,6 +292,23 @@ def test_unit_in_a_name(tmp_path):
     assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(0.2 * BASELINE_M)
 
 
+@pytest.mark.parametrize(("name", "units_per_m"), [("T_mm", 1000), ("t_cm", 100), ("T_m", 1)])
+def test_unit_in_the_shortest_names(tmp_path, name, units_per_m):
+    """A baseline of 3.7 m, which without its unit would be read as centimetres or be in doubt."""
+    names = f"K1 D1 K2 D2 R {name}"
+    (tmp_path / "a.json").write_text(json.dumps(plain(values(names, 40 * units_per_m * T))))
+    assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(40 * BASELINE_M)
+
+
+def test_a_focal_length_in_millimetres_is_none_in_pixels(tmp_path):
+    content = plain(values(NAMES[0])) | {"focal_length_mm": 4.0, "sensor_width_mm": 6.4}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    check(load_calibration(tmp_path / "a.json"))
+    scalars = {"focal_length_mm": 4.0, "fx": 543.75, "fy": 546.25, "cx": 335.5, "cy": 236.75}
+    (tmp_path / "b.json").write_text(json.dumps(scalars | {"k1": 0.0}))
+    assert load_calibration(tmp_path / "b.json")[0].fx_px == 543.75
+
+
 def test_poses_by_flat_names_are_no_rectification(tmp_path):
     content = values(
         "camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right R T"

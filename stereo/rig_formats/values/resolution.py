@@ -175,8 +175,7 @@ def _unusable(draft: RigDraft) -> str:
         "expected the matrix M1 of a camera (or track_range_rig)",
         "track-range rig template FILE writes a rig.yaml with blanks",
     )
-    seen = draft.listed_keys or "none"
-    return f"{draft.path}: {advice[0]}, found the keys {seen}; {advice[1]}."
+    return f"{draft.path}: {advice[0]}, found the keys {draft.listed_keys or 'none'}; {advice[1]}."
 
 
 _SEEN = (

@@ -27,8 +27,8 @@ def unit_of(draft: RigDraft, length: float) -> Unit:
     """The unit of the lengths in a file; `length` is the baseline in that unit."""
     dialect = draft.dialect
     if dialect.metres_per_unit is not None:
-        name = UNIT_NAMES[dialect.metres_per_unit]
-        return Unit(dialect.metres_per_unit, f"in {name} as in all such files")
+        reason = f"in {UNIT_NAMES[dialect.metres_per_unit]} as in all such files"
+        return Unit(dialect.metres_per_unit, reason)
     stated = str(draft.of(None, "unit") or "").lower().rstrip("s").replace("metre", "meter")
     if stated in _METRES:
         metres = _METRES[stated]
@@ -65,5 +65,5 @@ def _by_size(draft: RigDraft, length: float) -> Unit:
     if not (length >= _MILLIMETRES or is_square_in_mm):
         metres = 0.01
         also = f" (in millimetres it would be {length * 0.001:.3g} m: rig convert --unit mm)"
-    name = UNIT_NAMES[metres]
-    return Unit(metres, f"since the length of T, {length:.4g}, is taken to be in {name}{also}")
+    unit = f"{UNIT_NAMES[metres]}{also}"
+    return Unit(metres, f"since the length of T, {length:.4g}, is taken to be in {unit}")
