@@ -35,6 +35,7 @@ from track_range.detection.yolo.network_outputs import (
     MASKS_NOTE,
     N_MASKS,
     STRIDES_PX,
+    DetectorLayout,
     NetworkOutputs,
     YoloModel,
 )
@@ -197,14 +198,8 @@ _LEVELS = (
     _Kind("yolox-heads", has_objectness=True, n_levels=(3,), n_dimensions=4),
     _Kind("yolov8-heads", n_box=64, n_levels=(3,), n_dimensions=4),
 )
-_PAIRS = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions"
-_SSD_PAIRS = "ssd ssd-last ssd-pixels ssd-pixels-last"
-GRID_NAMES = " ".join(kind.names for kind in _GRIDS)
-LEVEL_NAMES = " ".join(
-    kind.names if kind.n_dimensions == 3 else f"{kind.names} {kind.names}-activated"
-    for kind in _LEVELS
-)
-PAIR_NAMES = f"{_PAIRS} {_SSD_PAIRS}"
+_PAIR_NAMES = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions"
+_SSD_NAMES = "ssd ssd-last ssd-pixels ssd-pixels-last"
 
 
 def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -264,6 +259,11 @@ def _model(
 ) -> YoloModel:
     decoder = partial(decode_rows, levels)
     return YoloModel(reading.family, layout, n_classes, reading.input_format, decoder, name=name)
+
+
+def _names_of(kind: _Kind) -> tuple[str, ...]:
+    names = tuple(kind.names.split())
+    return names if kind.n_dimensions == 3 else (*names, f"{names[-1]}-activated")
 
 
 def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -412,7 +412,7 @@ def _pair_readings(
     cells = GridCells.of(network.input_hw, strides or ())
     is_tiny = n_rows == _ANCHORS_PER_CELL * network.n_cells((16, 32))
     has_background = _has_background(network, n_columns)
-    for name in (_SSD_PAIRS if has_background else _PAIRS).split():
+    for name in (_SSD_NAMES if has_background else _PAIR_NAMES).split():
         reading = _READINGS[name]
         if is_tiny and reading.family == "YOLOv4":
             reading = reading._replace(family="YOLOv4-tiny")
@@ -635,3 +635,32 @@ def _n_classes(network: NetworkOutputs, n_columns: int) -> tuple[int, str]:
     if 0 < n_keypoints < n_columns:
         return n_columns - n_keypoints, KEYPOINTS_NOTE
     return n_columns, ""
+
+
+# special cases of a grid with an output that is left out
+PAIRS = DetectorLayout(
+    title="YOLOv4, YOLO-NAS, SSD",
+    readings=boxes_and_scores,
+    names=tuple(f"{_PAIR_NAMES} {_SSD_NAMES}".split()),
+    priority=10,
+)
+GRIDS = DetectorLayout(
+    title="YOLOv5 to v8, YOLOX",
+    readings=grid_boxes,
+    names=tuple(" ".join(kind.names for kind in _GRIDS).split()),
+)
+LEVELS = DetectorLayout(
+    title="NanoDet, PicoDet, RTMDet",
+    readings=levels_apart,
+    names=tuple(name for kind in _LEVELS for name in _names_of(kind)),
+)
+FASTEST_HEADS = DetectorLayout(
+    title="Yolo-FastestV2", readings=fastest_heads, names=("yolo-fastestv2",)
+)
+# any outputs with the shapes of heads
+ANCHOR_HEADS = DetectorLayout(
+    title="Darknet",
+    readings=anchor_heads,
+    names=("darknet-heads", "yolov5-heads"),
+    priority=-20,
+)

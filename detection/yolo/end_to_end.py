@@ -23,6 +23,7 @@ from track_range.detection.yolo.network_outputs import (
     KEYPOINTS_NOTE,
     MASKS_NOTE,
     N_MASKS,
+    DetectorLayout,
     NetworkOutputs,
     YoloModel,
 )
@@ -486,3 +487,43 @@ def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
                 n_classes,
                 partial(decoders.decode_rows, [rows]),
             )
+
+
+# special cases of two outputs with boxes and scores
+LOGITS_AND_BOXES = DetectorLayout(
+    title="RF-DETR", readings=logits_and_boxes, names=("detr",), priority=20
+)
+LABELS_BOXES_SCORES = DetectorLayout(
+    title="D-FINE/DEIM",
+    readings=labels_boxes_scores,
+    names=(
+        "d-fine",
+        "end2end",
+        "end2end-fractions",
+        "mmdet",
+        "torchvision",
+        "tf-detections",
+    ),
+    priority=20,
+)
+LABELLED_QUERIES = DetectorLayout(
+    title="RT-DETR", readings=labelled_query_rows, names=("rt-detr-rows",)
+)
+# any rows of 6 or 7 numbers
+LABELLED_ROWS = DetectorLayout(
+    title="YOLOv10",
+    readings=labelled_rows,
+    names=(
+        "yolov10",
+        "yolov10-fractions",
+        "paddle-rows",
+        "yolov7-end2end",
+        "yolo-nas-flat",
+        "ssd-detections",
+    ),
+    priority=-10,
+)
+# any rows of boxes and scores
+QUERY_ROWS = DetectorLayout(
+    title="RT-DETR", readings=query_rows, names=("rt-detr-queries",), priority=-20
+)

@@ -1,4 +1,4 @@
-"""The table of output layouts, and the readings of a network's outputs: decoder, input format and
+"""The output layouts, and the readings of a network's outputs: decoder, input format and
 class names.
 
 `dense_layouts` has the layouts of networks without suppression; `end_to_end` has the layouts of
@@ -7,19 +7,17 @@ which readings are possible; `first_images` chooses between them by the values. 
 defaults can be overridden (`detection.yolo.metadata`).
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.yolo import dense_layouts, end_to_end
 from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.detection.yolo.metadata import Attribute, ModelMetadata
-from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
+from track_range.detection.yolo.network_outputs import DetectorLayout, NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import quoted, shortened
+from track_range.foundation.registry import Registry
 
 _DEFAULT_NAMES = {
     80: ("COCO", COCO_CLASSES),
@@ -30,45 +28,22 @@ _DEFAULT_NAMES = {
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/how-to/detectors.md)"
 
 
-class DetectorLayout(NamedTuple):
-    """A layout of network outputs."""
-
-    title: str  # for messages
-    # the possible meanings of outputs; none if their shapes do not fit
-    readings: Callable[[NetworkOutputs], Iterator[YoloModel]]
-    reading_names: str  # of `YoloModel.name`, for `--layout`
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the readings."""
-        return self.reading_names.split()
-
-
-DETECTOR_LAYOUTS = (
-    DetectorLayout("RF-DETR", end_to_end.logits_and_boxes, "detr"),
-    DetectorLayout(
-        "D-FINE/DEIM",
-        end_to_end.labels_boxes_scores,
-        "d-fine end2end end2end-fractions mmdet torchvision tf-detections",
-    ),
-    DetectorLayout(
-        "YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, dense_layouts.PAIR_NAMES
-    ),
-    DetectorLayout("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, dense_layouts.GRID_NAMES),
-    DetectorLayout(
-        "NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, dense_layouts.LEVEL_NAMES
-    ),
-    DetectorLayout("RT-DETR", end_to_end.labelled_query_rows, "rt-detr-rows"),
-    DetectorLayout(
-        "YOLOv10",
-        end_to_end.labelled_rows,
-        "yolov10 yolov10-fractions paddle-rows yolov7-end2end yolo-nas-flat ssd-detections",
-    ),
-    DetectorLayout("RT-DETR", end_to_end.query_rows, "rt-detr-queries"),
-    DetectorLayout("Yolo-FastestV2", dense_layouts.fastest_heads, "yolo-fastestv2"),
-    DetectorLayout("Darknet", dense_layouts.anchor_heads, "darknet-heads yolov5-heads"),
+DETECTOR_LAYOUTS = Registry(
+    "track_range.detector_layouts",
+    {
+        "queries": "track_range.detection.yolo.end_to_end:LOGITS_AND_BOXES",
+        "d-fine": "track_range.detection.yolo.end_to_end:LABELS_BOXES_SCORES",
+        "pairs": "track_range.detection.yolo.dense_layouts:PAIRS",
+        "grids": "track_range.detection.yolo.dense_layouts:GRIDS",
+        "levels": "track_range.detection.yolo.dense_layouts:LEVELS",
+        "labelled-queries": "track_range.detection.yolo.end_to_end:LABELLED_QUERIES",
+        "labelled-rows": "track_range.detection.yolo.end_to_end:LABELLED_ROWS",
+        "query-rows": "track_range.detection.yolo.end_to_end:QUERY_ROWS",
+        "fastest": "track_range.detection.yolo.dense_layouts:FASTEST_HEADS",
+        "anchors": "track_range.detection.yolo.dense_layouts:ANCHOR_HEADS",
+    },
+    DetectorLayout,
 )
-"""The known layouts, in the order in which they are tried."""
 
 
 def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
@@ -78,14 +53,14 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
     ModelError: no layout fits, or the model's attributes do not fit.
     """
     requested = network.metadata.get("layout", None, "").value
-    known = [name for layout in DETECTOR_LAYOUTS for name in layout.names]
+    known = [name for layout in DETECTOR_LAYOUTS.usable.values() for name in layout.names]
     if requested is not None and requested not in known:
         raise ModelError(
             f"{network.path}: unknown layout {quoted(requested)} (--layout); the layouts are "
             f"{', '.join(known)}."
         )
     refused: ModelError | None = None
-    for layout in DETECTOR_LAYOUTS:
+    for layout in DETECTOR_LAYOUTS.by_priority:
         if requested is not None and requested not in layout.names:
             continue
         readings, error = _readings_in(layout, network, requested)
@@ -121,7 +96,7 @@ def _unknown(network: NetworkOutputs, requested: str | None) -> ModelError:
         return ModelError(
             f"{network.path}: expected outputs of the layout {requested} (--layout), found {listed}."
         )
-    families = ", ".join(dict.fromkeys(layout.title for layout in DETECTOR_LAYOUTS))
+    families = ", ".join(dict.fromkeys(layout.title for layout in DETECTOR_LAYOUTS.usable.values()))
     return ModelError(
         f"{network.path}: expected the outputs of {families}, found {listed}; {_EXPORT_HINT}."
     )

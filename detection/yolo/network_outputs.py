@@ -111,3 +111,15 @@ class NetworkOutputs:
         """
         shape: tuple[int, ...] = self.metadata.get("kpt_shape", (0,), "").value
         return math.prod(shape)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorLayout:
+    """A layout of network outputs."""
+
+    title: str  # for messages
+    # the possible meanings of outputs; none if their shapes do not fit
+    readings: Callable[[NetworkOutputs], Iterator[YoloModel]]
+    names: tuple[str, ...]  # of `YoloModel.name`, for `--layout`
+    # 0 = the shapes fit no other layout, see `foundation.registry.Registry`
+    priority: int = 0
