@@ -78,11 +78,12 @@ DIALECTS = (
         name="opencv",
         title="the files of OpenCV's stereo_calib",
         pattern=re.compile("opencv-matrix|<opencv_storage>"),
+        priority=-10,  # other programs write OpenCV's files, too
         expected="a calibration of OpenCV",
     ),
     PLAIN,
 )
-"""Kinds of files in the order in which they are tried."""
+"""Kinds of files."""
 
 
 def read_dialect(dialect: Dialect, text: str, path: Path, *, is_pair: bool) -> RigCalibration:
@@ -101,6 +102,8 @@ FORMATS = {
         partial(read_dialect, dialect, is_pair=False),
         "M2, D2, R and T in this file or in intrinsics/extrinsics{suffix} in its folder",
         partial(read_dialect, dialect, is_pair=True),
+        dialect.priority,
     )
     for dialect in DIALECTS
 }
+READ_ONLY = tuple(form for name, form in FORMATS.items() if name != "opencv")

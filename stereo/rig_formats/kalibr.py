@@ -160,4 +160,11 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
     return PinholeCamera(fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), lens), block
 
 
-KALIBR = format_by_pattern("kalibr", "Kalibr's camchain.yaml", _CAMERA, _read, "a block cam1")
+KALIBR = format_by_pattern(
+    "kalibr",
+    "Kalibr's camchain.yaml",
+    _CAMERA,
+    _read,
+    "a block cam1",
+    priority=-10,  # other files have cameras of such names
+)

@@ -301,4 +301,5 @@ KITTI = RigFormat(
     recognises=_has_projections,
     read=_read,
     missing=_missing,
+    priority=-20,  # files of OpenCV have lines P1 and P2, too
 )

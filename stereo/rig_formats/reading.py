@@ -1,5 +1,5 @@
-"""Reading camera calibrations from files: a new format is a module with a RigFormat, and an entry
-of `RIG_FORMATS`.
+"""Reading camera calibrations from files: a new format is a module with a RigFormat and a row of
+`RIG_FORMATS`, or an entry point of the group `track_range.rig_formats`.
 """
 
 import contextlib
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.registry import Registry
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
@@ -18,30 +19,28 @@ from track_range.stereo.geometry.rig_checks import (
     shared_view_notes,
 )
 from track_range.stereo.geometry.size_notes import fitted_rig, fitted_to_size
-from track_range.stereo.rig_formats.body_frames import EUROC, VINS
-from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
-from track_range.stereo.rig_formats.dialects import FORMATS
-from track_range.stereo.rig_formats.kalibr import KALIBR
-from track_range.stereo.rig_formats.kitti import KITTI
-from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
-from track_range.stereo.rig_formats.rig_yaml import RIG_YAML
-from track_range.stereo.rig_formats.ros import ROS, read_folder
+from track_range.stereo.rig_formats.ros import read_folder
 from track_range.stereo.rig_formats.values.containers import calibration_text
 from track_range.stereo.rig_formats.values.partners import files_of
 
-_NAMED = {
-    name: rig_format for name, rig_format in FORMATS.items() if name not in ("opencv", "matrices")
-}
-RIG_FORMATS: tuple[RigFormat, ...] = (
-    *(RIG_YAML, ZED, OAK, REALSENSE, EUROC, VINS, *_NAMED.values(), OPENCV, KALIBR, KITTI, ROS),
-    FORMATS["matrices"],
+RIG_FORMATS = Registry(
+    "track_range.rig_formats",
+    {
+        "ours": "track_range.stereo.rig_formats.rig_yaml:RIG_YAML",
+        "zed": "track_range.stereo.rig_formats.devices:ZED",
+        "oak": "track_range.stereo.rig_formats.devices:OAK",
+        "realsense": "track_range.stereo.rig_formats.devices:REALSENSE",
+        "euroc": "track_range.stereo.rig_formats.body_frames:EUROC",
+        "vins": "track_range.stereo.rig_formats.body_frames:VINS",
+        "dialects": "track_range.stereo.rig_formats.dialects:READ_ONLY",
+        "opencv": "track_range.stereo.rig_formats.opencv:OPENCV",
+        "kalibr": "track_range.stereo.rig_formats.kalibr:KALIBR",
+        "kitti": "track_range.stereo.rig_formats.kitti:KITTI",
+        "ros": "track_range.stereo.rig_formats.ros:ROS",
+    },
+    RigFormat,
 )
-"""Formats in the order in which they are tried; the first that recognises a file reads it.
-
-OpenCV's precedes KITTI's, because both have lines P1 and P2. The last one reads any matrices by
-name.
-"""
 # largest relative difference of the factors by which left and right images are scaled
 _SCALE_TOLERANCE = 0.01
 
@@ -186,7 +185,7 @@ def find_rig(left_video: Path) -> Path | None:
 def format_of(path: Path) -> tuple[RigFormat, str]:
     """The format of a calibration file, and its text; raises RigError if it cannot be read."""
     text = calibration_text(path)
-    return next(rig_format for rig_format in RIG_FORMATS if rig_format.recognises(text)), text
+    return next(form for form in RIG_FORMATS.by_priority if form.recognises(text)), text
 
 
 def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
@@ -223,6 +222,6 @@ def rig_writers() -> dict[str, RigWriter]:
     """The writers by name of the format, rig.yaml's first."""
     return {
         rig_format.name: rig_format.write
-        for rig_format in RIG_FORMATS
+        for rig_format in RIG_FORMATS.usable.values()
         if rig_format.write is not None
     }

@@ -1,4 +1,4 @@
-"""RigFormat: a file format of camera calibrations, one row of `reading.RIG_FORMATS`."""
+"""RigFormat: a file format of camera calibrations, one of `reading.RIG_FORMATS`."""
 
 import os
 import re
@@ -31,6 +31,8 @@ class RigFormat:
     # as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`
     read_pair: Callable[[str, Path, bool], RigCalibration] | None = None
     write: RigWriter | None = None  # writes a file; None = the format is only read
+    # 0 = `recognises` asks for a mark that no other format has, see `foundation.registry.Registry`
+    priority: int = 0
 
 
 def format_by_pattern(
@@ -40,6 +42,7 @@ def format_by_pattern(
     read: Callable[[str, Path], RigCalibration],
     missing: str,
     read_pair: Callable[[str, Path], RigCalibration] | None = None,
+    priority: int = 0,
 ) -> RigFormat:
     """A format that is only read, without grey images; {suffix} in `missing` is the file's
     suffix.
@@ -51,6 +54,7 @@ def format_by_pattern(
         read=lambda text, path, _is_grey: read(text, path),
         read_pair=lambda text, path, _is_grey: (read_pair or read)(text, path),
         missing=lambda _text, path, _is_grey: missing.format(suffix=path.suffix),
+        priority=priority,
     )
 
 

@@ -273,4 +273,5 @@ ROS = RigFormat(
     read=_read,
     read_pair=_read_pair,
     missing=_missing,
+    priority=-20,
 )

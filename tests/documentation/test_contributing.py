@@ -10,7 +10,7 @@ import pytest
 import track_range as tr
 from track_range.ranging.registry import METHODS
 from track_range.results.writers import WRITERS, create_writer
-from track_range.stereo.rig_formats import reading as rig_reading
+from track_range.stereo.rig_formats.reading import RIG_FORMATS
 from track_range.tracking.registry import TRACKERS
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -66,12 +66,13 @@ def test_result_writer_example(tmp_path):
     assert (tmp_path / "lines.txt").exists()
 
 
-def test_rig_format_example(tmp_path, monkeypatch):
+def test_rig_format_example(tmp_path):
     names = {}
     exec(EXAMPLES["A rig format"], names)  # noqa: S102 - our own text
-    monkeypatch.setattr(rig_reading, "RIG_FORMATS", (names["FLAT"], *rig_reading.RIG_FORMATS))
     (tmp_path / "flat.txt").write_text("flat 700 320 180 640 360 0.5\n")
-    rig = tr.load_rig(tmp_path / "flat.txt")
+    with RIG_FORMATS.restored():
+        RIG_FORMATS.registered["flat"] = names["FLAT"]
+        rig = tr.load_rig(tmp_path / "flat.txt")
     assert (rig.left.fx_px, rig.left.width_px, rig.baseline_m) == (700.0, 640, 0.5)
 
 

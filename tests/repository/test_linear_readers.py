@@ -164,7 +164,7 @@ def own_module(function: Callable[..., object]) -> str:
 READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module of its expressions
     **{
         f"rig {form.name}": (partial(of_rig, form), ".txt", own_module(form.read))
-        for form in RIG_FORMATS
+        for form in RIG_FORMATS.usable.values()
     },
     **{
         f"labels {form.name}": (partial(of_labels, form), ".txt", own_module(form.read))

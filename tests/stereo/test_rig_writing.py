@@ -115,12 +115,14 @@ def test_written_files_are_recognised(tmp_path, name, cameras):
     rig_writers()[name](cameras, path, ["2 views"])
     text = path.read_text()
     assert (
-        next(rig_format.name for rig_format in RIG_FORMATS if rig_format.recognises(text)) == name
+        next(
+            rig_format.name for rig_format in RIG_FORMATS.by_priority if rig_format.recognises(text)
+        )
+        == name
     )
     again, _ = load_calibration(path)
     assert type(again) is type(cameras)
 
 
-def test_names_of_rig_formats_are_unique():
-    assert len({rig_format.name for rig_format in RIG_FORMATS}) == len(RIG_FORMATS) == 18
-    assert list(rig_writers()) == ["ours", "opencv"]
+def test_number_of_rig_formats():
+    assert len(RIG_FORMATS.usable) == 18

@@ -21,6 +21,7 @@ class Dialect:
     name: str  # for messages and the table of formats
     title: str
     pattern: re.Pattern[str]  # in the text
+    priority: int = 0  # see `RigFormat`
     expected: str = "a calibration"  # for messages on broken files
     metres_per_unit: float | None = None  # of lengths; None = by their size
     usual_unit: Unit | None = None  # of files that state none; None = by the lengths' size
@@ -34,4 +35,9 @@ class Dialect:
 
 
 # any file with matrices by name
-PLAIN = Dialect(name="matrices", title="matrices by name, K1 D1 K2 D2 R T", pattern=re.compile(""))
+PLAIN = Dialect(
+    name="matrices",
+    title="matrices by name, K1 D1 K2 D2 R T",
+    pattern=re.compile(""),
+    priority=-30,
+)
