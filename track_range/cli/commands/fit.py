@@ -3,7 +3,6 @@ detector's boxes.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +39,7 @@ from track_range.ranging.size_models.log_linear import SizeCurves
 from track_range.ranging.size_models.plain_curves import TableSizes
 from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.run.options.detection import SizeField, ThreadsField
-from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views import tables
@@ -94,8 +93,18 @@ def _fit_detector_boxes(options: FitOptions) -> None:
         raise ModelError(
             f"{out}: expected the attributes of a model, found other YAML; choose another --out."
         )
-    detector = open_detector(path, replace(DetectorOptions.of(options), min_score=str(MIN_SCORE)))
-    source = LabelledSource.of(options)
+    detector = open_detector(
+        path,
+        DetectorOptions(min_score=str(MIN_SCORE), size_px=options.size_px, threads=options.threads),
+    )
+    source = LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+    )
     frames = source.open()
     samples = BoxErrorSamples()
     with frame_progress(console, frames.n_images) as advance:

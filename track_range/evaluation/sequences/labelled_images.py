@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.recording.sources.open_video import open_video
-from track_range.run.options.opened import class_names
 
 
 class LabelledFrames(Protocol):
@@ -55,15 +54,6 @@ class LabelledSource:
     split: str = "val"  # split of the manifest to use
     leave_out: frozenset[Path] = frozenset()  # images of the folder to exclude
     classes: tuple[str, ...] = ()  # road classes to evaluate; empty = all
-
-    @classmethod
-    def of(cls, options: object) -> Self:
-        """The source from the attributes of the same names that the options of a command have."""
-        names = ("images", "labels", "label_format", "label_names", "manifest", "split", "classes")
-        values: dict[str, Any] = {
-            name: getattr(options, name) for name in names if hasattr(options, name)
-        }
-        return cls(**{**values, "label_names": class_names(values["label_names"])})
 
     @property
     def is_video(self) -> bool:

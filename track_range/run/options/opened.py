@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -14,6 +14,7 @@ from track_range.detection.yolo.metadata import ModelOptions
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number
+from track_range.run.options.detection import DetectionOptions
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.registry import TrackerOptions
 
@@ -35,12 +36,19 @@ class DetectorOptions:
     classes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, settings: object) -> Self:
-        """Options from the attributes of the same names that `settings` has; defaults for missing
-        attributes.
-        """
-        names = (field.name for field in fields(cls))
-        return cls(**{name: getattr(settings, name) for name in names if hasattr(settings, name)})
+    def of(cls, settings: DetectionOptions) -> Self:
+        """Those of a run."""
+        return cls(
+            names=settings.names,
+            anchors=settings.anchors,
+            letterbox=settings.letterbox,
+            layout=settings.layout,
+            min_score=settings.min_score,
+            size_px=settings.size_px,
+            threads=settings.threads,
+            device=settings.device,
+            classes=settings.classes,
+        )
 
 
 def open_detector(

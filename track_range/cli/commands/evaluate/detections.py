@@ -2,7 +2,6 @@
 images.
 """
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +17,7 @@ from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.schemas.options import option
-from track_range.run.options.opened import DetectorOptions
+from track_range.run.options.opened import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.detection_tables import (
@@ -42,9 +41,25 @@ class DetectionsOptions(DetectionEvaluationSettings):
 
 def _detections(options: DetectionsOptions) -> None:
     check_result_files(options)
-    # these two apply to the evaluation
-    detector = replace(DetectorOptions.of(options), min_score=None, classes=())
-    source = LabelledSource.of(options)
+    # the confidence and the classes apply to the evaluation
+    detector = DetectorOptions(
+        names=options.names,
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        layout=options.layout,
+        size_px=options.size_px,
+        threads=options.threads,
+        device=options.device,
+    )
+    source = LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+        classes=options.classes,
+    )
     candidates = open_candidates(options.models, detector, lambda name: ready_model(name, console))
     figures = evaluate_source(
         candidates,

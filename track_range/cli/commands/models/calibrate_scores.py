@@ -1,6 +1,5 @@
 """`track-range models calibrate-scores`: a copy of a detector whose scores are probabilities."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -32,7 +31,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import ThreadsField
-from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.tables import Column, Grid, grid_of
@@ -75,10 +74,12 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_attributes(path, options.out)
     detector = open_detector(
         path,
-        replace(DetectorOptions.of(options), device="cpu", min_score=str(score_fit.LOWEST_SCORE)),
+        DetectorOptions(
+            min_score=str(score_fit.LOWEST_SCORE), threads=options.threads, device="cpu"
+        ),
     )
     score_outputs(detector)
-    frames = LabelledSource.of(options).open()
+    frames = _labelled_source(options).open()
     detections: list[Detections] = []
     truth: list[ImageTruth] = []
     with frame_progress(console, frames.n_images) as advance:
@@ -132,6 +133,17 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         "cross_validated": None if after is None else after.as_dict(),
     }
     write_json(options.json_file, figures, allow_nan=True)
+
+
+def _labelled_source(options: CalibrateScoresOptions) -> LabelledSource:
+    return LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+    )
 
 
 def _coefficient_grid(fit: score_fit.ScoreFit, detector: YoloDetector) -> Grid:

@@ -62,7 +62,12 @@ class InfoOptions(Options):
 
 
 def _info(options: InfoOptions) -> None:
-    detector = DetectorOptions.of(options)
+    detector = DetectorOptions(
+        names=options.names,
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        layout=options.layout,
+    )
     model = find_model(options.model)
     is_local = model.origin != "catalogue" or model.entry is None
     table = Table(

@@ -37,7 +37,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_json
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options import detection as fields
-from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 
@@ -119,8 +119,25 @@ def _quantize(options: QuantizeOptions) -> None:
     other images.
     """
     images, out = options.images, options.out
-    detector = replace(DetectorOptions.of(options), device="cpu")
-    source = None if options.labels is None else LabelledSource.of(options)
+    detector = DetectorOptions(
+        names=options.names,
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        layout=options.layout,
+        size_px=options.size_px,
+        threads=options.threads,
+        device="cpu",
+    )
+    source = None
+    if options.labels is not None:
+        source = LabelledSource(
+            images=images,
+            labels=options.labels,
+            label_format=options.label_format,
+            label_names=class_names(options.label_names),
+            manifest=options.manifest,
+            split=options.split,
+        )
     make_folder(out)
     path = ready_model(options.model, console)
     original = open_detector(path, replace(detector, min_score=str(WORKING_SCORE)))
