@@ -123,6 +123,8 @@ class _Reading(NamedTuple):
     code: str  # of `_CODES`
     input_format: InputFormat
     background: slice | None = None  # column of the scores that is no class
+    # whether the objectness of all boxes is 1, where readings differ by it
+    has_constant_objectness: bool | None = None
 
     @property
     def classes(self) -> slice:
@@ -138,8 +140,8 @@ _READINGS = {  # by name
     "nanodet": _Reading("NanoDet", _BINS8, _NANODET),
     "nanodet-plus": _Reading("NanoDet-Plus", _BINS8_CORNER, _NANODET_PLUS),
     "yolox": _Reading("YOLOX", _OFFSETS, _YOLOX),
-    "yolox-decoded": _Reading("YOLOX", _CENTRES, _YOLOX),
-    "yolov6": _Reading("YOLOv6", _CENTRES, _PLAIN),
+    "yolox-decoded": _Reading("YOLOX", _CENTRES, _YOLOX, has_constant_objectness=False),
+    "yolov6": _Reading("YOLOv6", _CENTRES, _PLAIN, has_constant_objectness=True),
     "yolov8-rows": _Reading("YOLOv8/YOLO11", _CENTRES, _PLAIN),
     "ppyoloe": _Reading("PP-YOLOE", _CORNERS, _STRETCHED),
     "yolov8-rows-fractions": _Reading("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
@@ -241,13 +243,9 @@ def _grid_readings(
         )
         layout = f"boxes of all cells {list(network.shapes[output])}: {reading.code}"
         model = _model(reading, name, layout, n_classes, [rows])
-        if name in _OBJECTNESS:
-            is_constant = partial(_has_constant_objectness, output, name == "yolov6")
-            model = replace(model, accepts=is_constant)
+        if (expected := reading.has_constant_objectness) is not None:
+            model = replace(model, accepts=partial(_has_constant_objectness, output, expected))
         yield replace(model, note=note)
-
-
-_OBJECTNESS = ("yolox-decoded", "yolov6")  # readings that differ by it: it is 1 in YOLOv6
 
 
 def _has_constant_objectness(output: int, expected: bool, outputs: Sequence[FloatArray32]) -> bool:
