@@ -9,7 +9,7 @@ GOOD = ([1.0, 2.0, 3.0, 4.0], 0.5, 2)
 
 
 def test_shapes_are_checked():
-    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(2, 4\), got \(3, 4\)"):
+    with pytest.raises(ValueError, match=r"xyxy_px: .*\(3, 4\)"):
         Detections(
             np.zeros((3, 4)), np.zeros(2), np.zeros(2, np.int64), np.zeros((2, 0), np.float32)
         )

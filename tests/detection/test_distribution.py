@@ -165,5 +165,5 @@ def test_yolox_rows_of_the_same_shape(tmp_path):
 def test_incomplete_heads(tmp_path, missing):
     heads = [array[None] for stride in (8, 16, 32) for array in head(stride)]
     heads[missing] = np.zeros((1, 7, 80))
-    with pytest.raises(ModelError, match=r"m\.onnx: expected the outputs of .*NanoDet"):
+    with pytest.raises(ModelError, match=r"m\.onnx: .*NanoDet"):
         written(tmp_path, {str(i): array for i, array in enumerate(heads)})

@@ -376,7 +376,7 @@ def test_blobs_of_wrong_size(network, tmp_path, position):
 
 def test_no_folder_to_write_into(network, tmp_path):
     for convert in both(network, tmp_path / "missing" / "out.onnx"):
-        with pytest.raises(ModelError, match=r"out\.onnx: expected an existing folder"):
+        with pytest.raises(ModelError, match=r"out\.onnx: .*folder"):
             convert()
 
 

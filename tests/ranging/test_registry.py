@@ -66,16 +66,14 @@ def test_registered_is_limited_to_the_block():
 
 @pytest.mark.parametrize("change", [{"fallback_for": "monoo"}, {"reads": ("mono", "monoo")}])
 def test_unknown_names_of_methods_are_refused(change):
-    with pytest.raises(MethodError, match=r"'radar': .* among mono, ground, lane, .* got 'monoo'"):
+    with pytest.raises(MethodError, match=r"'radar': .*mono, ground, lane, .*'monoo'"):
         registry.register(replace(RADAR, **change))
     with registered_method(replace(RADAR, fallback_for="stereo", reads=("mono",))):
         assert registry.origins() == {"radar": "tests.ranging.test_registry:<lambda>"}
 
 
 def test_create_that_returns_no_ranger():
-    with pytest.raises(
-        MethodError, match=r"'radar': expected create\(\) to return a Ranger or None, got object"
-    ):
+    with pytest.raises(MethodError, match=r"'radar': .*create\(\).*object"):
         registry.create_rangers(
             MethodContext(camera=CAMERA), [replace(RADAR, create=lambda context: object())]
         )

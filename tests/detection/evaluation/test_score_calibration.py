@@ -147,7 +147,7 @@ def test_json():
 
 @pytest.mark.parametrize("n_bins", [0, -3])
 def test_too_few_bins(n_bins):
-    with pytest.raises(ValueError, match=f"n_bins: expected at least 1, got {n_bins}"):
+    with pytest.raises(ValueError, match=f"n_bins: .*{n_bins}"):
         evaluate_calibration([], [], known_class_id=np.arange(N), n_bins=n_bins)
 
 

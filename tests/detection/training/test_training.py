@@ -176,9 +176,7 @@ def test_epochs_without_mosaics():
     settings = TrainingSettings(n_epochs=5, n_last_epochs=2)
     assert [settings.augmentation_in(i).mosaic > 0 for i in range(5)] == [True] * 3 + [False] * 2
     assert TrainingSettings(n_epochs=5, n_last_epochs=5).augmentation_in(0).mosaic == 0
-    with pytest.raises(
-        TrainingError, match=r"--last-epochs: expected at most 1, .*--epochs, got 5"
-    ):
+    with pytest.raises(TrainingError, match=r"--last-epochs: .*--epochs.* 5"):
         TrainingSettings(n_epochs=1, n_last_epochs=5)
 
 
@@ -186,9 +184,7 @@ def test_rounded_epochs():
     settings = TrainingSettings(n_epochs=5, n_int8_epochs=2)
     assert [settings.is_rounded_in(i) for i in range(5)] == [False] * 3 + [True] * 2
     assert not TrainingSettings(n_epochs=5).is_rounded_in(4)
-    with pytest.raises(
-        TrainingError, match=r"--int8-epochs: expected at most 1, .*--epochs, got 5"
-    ):
+    with pytest.raises(TrainingError, match=r"--int8-epochs: .*--epochs.* 5"):
         TrainingSettings(n_epochs=1, n_int8_epochs=5)
 
 
@@ -196,7 +192,7 @@ def test_rounded_epochs():
 def test_checkpoint_without_the_number_of_last_epochs(option):
     saved = {"model": "road"}
     check_same_run(Path(LAST), saved, saved | {f"n_{option}_epochs": 0})
-    with pytest.raises(CheckpointError, match=rf"expected --{option}-epochs 3, got a run with 0"):
+    with pytest.raises(CheckpointError, match=f"--{option}-epochs 3"):
         check_same_run(Path(LAST), saved, saved | {f"n_{option}_epochs": 3})
 
 
@@ -276,9 +272,7 @@ def test_initial_weights_are_the_mean_of_several_checkpoints(sets, tmp_path):
             assert torch.allclose(value, expected, atol=1e-6), name
     other = training(sets, tmp_path / "other", replace(SMALL, n_epochs=1), name="road")
     other.run(Quiet())
-    with pytest.raises(
-        CheckpointError, match=r"other.last\.pt: expected model yolov5n as in .*last\.pt, got road;"
-    ):
+    with pytest.raises(CheckpointError, match=r"other.last\.pt: .*yolov5n.*road"):
         mean.start_from(tmp_path / "1" / LAST, tmp_path / "other" / LAST)
 
 

@@ -388,5 +388,5 @@ def test_docstring_example(small_drive, tmp_path, monkeypatch, name):
     ],
 )
 def test_objects_of_other_kinds_are_refused(option, value, found):
-    with pytest.raises(tr.ConfigError, match=rf"^{option}: expected .* or .*, found {found}\.$"):
+    with pytest.raises(tr.ConfigError, match=rf"^{option}: .*{found}\.$"):
         tr.Run.mono("a.mp4", **{option: value})

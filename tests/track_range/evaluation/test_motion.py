@@ -198,7 +198,7 @@ def test_messages_name_the_option_and_the_file(labels_calib_poses, cli):
     assert status == 2
     assert "--poses" in error
     (poses / "0001.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
-    with pytest.raises(LabelFileError, match=r"0001.txt: expected a pose for each labelled frame"):
+    with pytest.raises(LabelFileError, match=r"0001\.txt: .*pose"):
         kitti_motion(labels, calib, poses)
     (poses / "0001.txt").write_text("1 2 3\n")
     with pytest.raises(LabelFileError, match="12 numbers"):
@@ -307,7 +307,7 @@ def test_motion_of_mono3d_labels(tmp_path, yaw_rad_s):
 def test_other_files_are_no_mono3d_labels(tmp_path):
     path = tmp_path / "other.json"
     path.write_text('{"categories": [], "images": []}')
-    with pytest.raises(LabelFileError, match=r"other.json: expected mono3d labels"):
+    with pytest.raises(LabelFileError, match=r"other\.json: .*mono3d"):
         nuscenes_motion(path)
 
 

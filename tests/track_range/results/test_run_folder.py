@@ -154,9 +154,7 @@ def test_run_without_rows_is_refused(run: Path, tmp_path: Path, cli: Cli) -> Non
         assert status == 1
         assert "found neither; restore" in stderr
     (run / "truth.txt").unlink()
-    with pytest.raises(
-        LabelFileError, match=r"rows of the run in .*tracks\.csv, found no such file"
-    ):
+    with pytest.raises(LabelFileError, match=r"tracks\.csv, .*no such file"):
         find_sequences(run, "det")
     assert page.read_bytes() == before
     assert not (tmp_path / "boxes.json").exists()
@@ -184,9 +182,9 @@ def test_clip_of_a_fleet(run: Path, tmp_path: Path, cli: Cli) -> None:
     ]
     before = (runs / "report.html").read_bytes()
     (tracks / "tracks.parquet").unlink()
-    with pytest.raises(OutputError, match=r"clip=a/tracks\.parquet, found no such file"):
+    with pytest.raises(OutputError, match=r"clip=a/tracks\.parquet"):
         report([runs])
-    with pytest.raises(LabelFileError, match=r"clip=a/tracks\.parquet, found no such file"):
+    with pytest.raises(LabelFileError, match=r"clip=a/tracks\.parquet"):
         find_sequences(runs, "det")
     assert (runs / "report.html").read_bytes() == before
 
