@@ -41,7 +41,8 @@ from track_range.recording.sources.files.image_names import named_images
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.recording.telemetry.exiftool import track_of_records
 from track_range.recording.telemetry.found import READERS, embedded
-from track_range.recording.telemetry.sidecars.reading import SIDECARS, Sidecar
+from track_range.recording.telemetry.sidecars.reading import SIDECARS
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.results.events.files import read_events
 from track_range.results.formats.csv_file import read_tracks_csv
@@ -171,10 +172,10 @@ READ: dict[str, tuple[Read, str, str]] = {  # function, suffix, folder or module
         for form in LABEL_FORMATS.usable.values()
     },
     **{
-        f"sidecar {number} {sidecar.suffixes[0]}": (
+        f"sidecar {name} {sidecar.suffixes[0]}": (
             partial(of_sidecar, sidecar), sidecar.suffixes[0], own_module(sidecar.read),
         )
-        for number, sidecar in enumerate(SIDECARS)
+        for name, sidecar in SIDECARS.usable.items()
     },
     **{
         f"container {read.__name__}": (

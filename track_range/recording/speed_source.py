@@ -24,8 +24,8 @@ from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction
 from track_range.recording.telemetry.sidecars.reading import (
     OXTS_NAME,
     SPEED_TABLE_SUFFIXES,
-    SUFFIXES,
     TABLE_NAME,
+    sidecar_suffixes,
 )
 from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
 from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
@@ -154,7 +154,10 @@ def _is_table(path: Path) -> bool:
     """Whether a file is a CSV with times of the video, or a CSV without telemetry, whose error
     names these columns.
     """
-    if path.suffix.lower() in SUFFIXES and path.suffix.lower() not in SPEED_TABLE_SUFFIXES:
+    if (
+        path.suffix.lower() in sidecar_suffixes()
+        and path.suffix.lower() not in SPEED_TABLE_SUFFIXES
+    ):
         return False
     is_csv = path.suffix.lower() in (".csv", ".tsv")
     try:

@@ -33,10 +33,10 @@ from track_range.recording.telemetry.containers.tesla import read_tesla
 from track_range.recording.telemetry.containers.text_tracks import read_text_tracks
 from track_range.recording.telemetry.exiftool import read_with_exiftool
 from track_range.recording.telemetry.sidecars.reading import (
-    SUFFIXES,
     kind_of,
     read_sidecar,
     sidecar_names,
+    sidecar_suffixes,
 )
 from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
@@ -87,7 +87,7 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     first = parts[0]
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
-    is_sidecar = path.suffix.lower() in SUFFIXES
+    is_sidecar = path.suffix.lower() in sidecar_suffixes()
     track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.files.numeric_text import plain_number
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.tracks.track import (
     TelemetryError,
@@ -56,3 +57,6 @@ def _sample(record: Any) -> Sample:
         lat * _DEGREES,
         lon * _DEGREES,
     )
+
+
+FIT = Sidecar(suffixes=(".fit",), read=of_file(read_fit), priority=-10)

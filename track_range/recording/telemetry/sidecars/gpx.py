@@ -13,6 +13,7 @@ import numpy as np
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number, plain_number
 from track_range.foundation.files.xml_events import parse_xml
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.tracks.positions import speed_from_positions
 from track_range.recording.telemetry.tracks.samples import Sample, plain_track
 from track_range.recording.telemetry.tracks.track import (
@@ -96,3 +97,6 @@ def _sample(point: Any) -> Sample:
         plain_number(point.latitude),
         plain_number(point.longitude),
     )
+
+
+GPX = Sidecar(suffixes=(".gpx",), read=of_file(read_gpx))

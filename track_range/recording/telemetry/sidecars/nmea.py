@@ -17,6 +17,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import plain_number
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.tracks.samples import Sample, plain_track, track
@@ -151,3 +152,7 @@ def _fix(pynmea2: Any, sentence: str) -> Sample | None:
     return Sample(
         math.nan, utc_s, speed_kn * MPS_PER_UNIT["kn"], course_deg, latitude_deg, longitude_deg
     )
+
+
+NMEA = Sidecar(suffixes=(".nmea", ".log"), read=of_file(read_nmea))
+NMEA_TEXT = Sidecar(suffixes=(".txt", ".gps"), read=of_file(read_nmea), priority=-30)

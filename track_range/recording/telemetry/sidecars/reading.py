@@ -1,56 +1,46 @@
 """read_sidecar: telemetry of a file of any supported format, and the names of such files beside a
 video.
 
-A format is a module with a reader, and a row of `SIDECARS`.
+A format is a module with a `Sidecar` and a row of `SIDECARS`, or an entry point of the group
+`track_range.sidecars`.
 """
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
-from track_range.recording.telemetry.sidecars.fit import read_fit
-from track_range.recording.telemetry.sidecars.gpx import read_gpx
-from track_range.recording.telemetry.sidecars.nmea import read_nmea
-from track_range.recording.telemetry.sidecars.seventymai import read_seventymai
-from track_range.recording.telemetry.sidecars.speed_csv import read_csv
-from track_range.recording.telemetry.sidecars.srt import read_srt
-from track_range.recording.telemetry.sidecars.vbo import read_vbo
-from track_range.recording.telemetry.sidecars.xml_tracks import read_xml_track
+from track_range.foundation.registry import Registry
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 # speeds beside a video that are no telemetry: a table, KITTI's folder
 TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"
 
 
-class Sidecar(NamedTuple):
-    """Suffixes and reader of a format, which returns None for files without telemetry or of another
-    format.
-    """
-
-    suffixes: tuple[str, ...]
-    read: Callable[[Path, str, float], TelemetryTrack | None]
-    name: str = ""  # of a file that does not have the name of the video
-
-
-SIDECARS = (  # in the order in which their files are looked for, and in which a file is tried
-    Sidecar((".gpx",), lambda path, video, duration_s: read_gpx(path)),
-    Sidecar((".nmea", ".log"), lambda path, video, duration_s: read_nmea(path)),
-    Sidecar((".srt",), lambda path, video, duration_s: read_srt(path)),
-    Sidecar((".csv", ".tsv"), lambda path, video, duration_s: read_csv(path)),
-    Sidecar((".vbo",), lambda path, video, duration_s: read_vbo(path)),
-    Sidecar((".tcx", ".kml"), lambda path, video, duration_s: read_xml_track(path)),
-    Sidecar((".fit",), lambda path, video, duration_s: read_fit(path)),
-    Sidecar((".txt", ".gps"), read_seventymai, name="GPSData000001.txt"),
-    Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_nmea(path)),
+SIDECARS = Registry(
+    "track_range.sidecars",
+    {
+        "gpx": "track_range.recording.telemetry.sidecars.gpx:GPX",
+        "nmea": "track_range.recording.telemetry.sidecars.nmea:NMEA",
+        "srt": "track_range.recording.telemetry.sidecars.srt:SRT",
+        "csv": "track_range.recording.telemetry.sidecars.speed_csv:CSV",
+        "vbo": "track_range.recording.telemetry.sidecars.vbo:VBO",
+        "xml": "track_range.recording.telemetry.sidecars.xml_tracks:XML_TRACK",
+        "fit": "track_range.recording.telemetry.sidecars.fit:FIT",
+        "70mai": "track_range.recording.telemetry.sidecars.seventymai:SEVENTYMAI",
+        "nmea-text": "track_range.recording.telemetry.sidecars.nmea:NMEA_TEXT",
+    },
+    Sidecar,
 )
-
-SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 
 # of tables of times and speeds, too (`--ego-speed FILE`)
 SPEED_TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 # BlackVue's letter of the camera, which its logs lack
 _CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")
+
+
+def sidecar_suffixes() -> tuple[str, ...]:
+    """Suffixes of files with telemetry, in the order in which they are looked for."""
+    return tuple(dict.fromkeys(end for form in SIDECARS.by_priority for end in form.suffixes))
 
 
 def sidecar_names(video: str) -> tuple[str, ...]:
@@ -61,11 +51,11 @@ def sidecar_names(video: str) -> tuple[str, ...]:
     stems = dict.fromkeys((stem, _CAMERA_LETTER.sub("", stem)))
     names = [
         f"{name}{shown}"
-        for suffix in SUFFIXES
+        for suffix in sidecar_suffixes()
         for name in stems
         for shown in (suffix, suffix.upper())
     ]
-    return (*names, *(sidecar.name for sidecar in SIDECARS if sidecar.name))
+    return (*names, *(form.file_name for form in SIDECARS.by_priority if form.file_name))
 
 
 def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
@@ -74,8 +64,8 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
     The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A
     TelemetryError means that the file cannot be read or used.
     """
-    readers = [sidecar.read for sidecar in SIDECARS if path.suffix.lower() in sidecar.suffixes]
-    tracks = (read(path, video, duration_s) for read in readers)
+    formats = [form for form in SIDECARS.by_priority if path.suffix.lower() in form.suffixes]
+    tracks = (form.read(path, video, duration_s) for form in formats)
     return next((track for track in tracks if track is not None), None)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import first_line, read_text
 from track_range.foundation.files.numeric_text import numbers
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.recording.telemetry.tracks.samples import plain_track
 from track_range.recording.telemetry.tracks.track import (
     MAX_SIDECAR_BYTES,
@@ -78,3 +79,11 @@ def _start_s(seconds: np.ndarray, own: list[int], duration_s: float) -> float:
 def _base(name: str) -> str:
     """Name of a video without its suffix and the letter of the camera."""
     return name.strip().rpartition(".")[0].rstrip("FBRI").lower()
+
+
+SEVENTYMAI = Sidecar(
+    suffixes=(".txt", ".gps"),
+    read=read_seventymai,
+    file_name="GPSData000001.txt",
+    priority=-20,
+)

@@ -20,6 +20,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
 from track_range.recording.telemetry.tracks.positions import (
     MPS_PER_UNIT,
@@ -327,3 +328,6 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
     return values * (
         stated or next((scale for least, scale in _STEP_UNITS if step > least), 1.0)
     ), "video"
+
+
+CSV = Sidecar(suffixes=(".csv", ".tsv"), read=of_file(read_csv), priority=-10)

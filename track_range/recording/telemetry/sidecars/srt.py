@@ -12,6 +12,7 @@ import numpy as np
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.sidecars.nmea import fixes_in
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT, speed_from_positions
 from track_range.recording.telemetry.tracks.samples import Sample, plain_track, signed, unit_in
 from track_range.recording.telemetry.tracks.track import (
@@ -126,3 +127,6 @@ def _position(text: str) -> tuple[float, float]:
     if marked := _HEMISPHERES.search(text):
         return signed(float(marked[2]), marked[1]), signed(float(marked[4]), marked[3])
     return math.nan, math.nan
+
+
+SRT = Sidecar(suffixes=(".srt",), read=of_file(read_srt), priority=-10)

@@ -12,6 +12,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.tracks.samples import Sample, date_s, plain_track, unit_in
@@ -80,3 +81,6 @@ def _clock_s(text: str) -> float:
     if not 0 <= value < 240_000:
         return math.nan
     return 3600.0 * (value // 10_000) + 60.0 * (value // 100 % 100) + value % 100
+
+
+VBO = Sidecar(suffixes=(".vbo",), read=of_file(read_vbo), priority=-10)

@@ -10,6 +10,7 @@ from pathlib import Path
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.tracks.samples import Sample, track
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
@@ -79,3 +80,6 @@ def read_xml_track(path: Path) -> TelemetryTrack | None:
         parse_xml(file, path, points, TelemetryError, _EXPECTED)
     has_speed = any(math.isfinite(sample.speed_mps) for sample in points.samples)
     return track(points.samples, path.name, "utc", has_own_speed=has_speed)
+
+
+XML_TRACK = Sidecar(suffixes=(".tcx", ".kml"), read=of_file(read_xml_track), priority=-10)
