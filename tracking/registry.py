@@ -141,7 +141,7 @@ def find_tracker(name: str) -> RegisteredTracker:
         )
     if listed is None:
         search_current_folder()
-    factory = _imported(listed or name)
+    factory = _imported(listed or name, TRACKERS.origin(name) or name)
     try:
         inspect.signature(factory).bind(TrackerOptions())
     except (TypeError, ValueError) as error:
@@ -159,7 +159,7 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
     Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has
     no method `update`.
     """
-    factory = _imported(find_tracker(name).factory)
+    factory = _imported(find_tracker(name).factory, name)
     try:
         tracker = factory(options or TrackerOptions())
     except TypeError as error:
@@ -202,16 +202,17 @@ def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     return result
 
 
-def _imported(factory: TrackerFactory | str) -> TrackerFactory:
-    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if
-    that fails.
+def _imported(factory: TrackerFactory | str, origin: str) -> TrackerFactory:
+    """The class or function, imported if it is given as "package.module:attribute"; TrackerError
+    with its origin if that fails.
     """
     try:
         made_by = imported(factory)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise TrackerError(f"{factory}: cannot be imported as a tracker ({error}).") from error
+    # a module of another package may raise anything
+    except Exception as error:
+        raise TrackerError(f"{origin}: cannot be imported as a tracker ({error}).") from error
     if not callable(made_by):
         raise TrackerError(
-            f"{factory}: expected a class or function, found {type(made_by).__name__}."
+            f"{origin}: expected a class or function, found {type(made_by).__name__}."
         )
     return made_by

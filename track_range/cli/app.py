@@ -239,12 +239,15 @@ def main() -> None:
             arguments = run_of_recordings(arguments, PROGRAM)
         app(arguments, prog_name=PROGRAM)
     except SystemExit as ended:
+        if arguments[:1] != ["run"]:  # whose notes these are among
+            _print_plugin_notes()
         if ended.code != 130:  # the shell's status for Ctrl-C
             raise
         _print_error("stopped by the user.")
         raise SystemExit(1) from None
     except UserError as error:
         _print_error(str(error))
+        _print_plugin_notes()
         raise SystemExit(error.exit_status) from None
     except Exception as error:
         _exit_if_full(error)
@@ -305,6 +308,14 @@ def _print_error(message: str) -> None:
         markup=False,
         soft_wrap=True,
     )
+
+
+def _print_plugin_notes() -> None:
+    """Print what other packages were to add to this command, and cannot."""
+    from track_range.foundation.registry import plugin_notes
+
+    for note in plugin_notes():
+        _print_error(note)
 
 
 def _complete_as_run(environment: MutableMapping[str, str]) -> None:

@@ -127,7 +127,8 @@ def create_writer(name: str) -> ResultWriter:
     # other packages may raise anything; runs without this writer are not affected
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
-        raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
+        origin = WRITERS.origin(name) or factory
+        raise WriterError(f"the writer '{name}' ({origin}) cannot be used: {reason}.") from error
     problem = _problem(writer)
     if problem:
         raise WriterError(f"the writer '{name}': expected {problem}.")

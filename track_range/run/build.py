@@ -7,6 +7,7 @@ from dataclasses import replace
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.foundation.registry import plugin_notes
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.detecting import DetectionStage
@@ -20,7 +21,7 @@ from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
-from track_range.ranging.registry import METHODS, create_rangers
+from track_range.ranging.registry import create_rangers
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -119,7 +120,7 @@ def open_pipeline(
         ),
         world=WorldStage(camera),
         alarming=AlarmStage(camera, warning),
-        notes=(*appearance_notes, *METHODS.notes, *(() if is_ahead else (_SIDE_VIEW,))),
+        notes=(*appearance_notes, *plugin_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )
 
 
