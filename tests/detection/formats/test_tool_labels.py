@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tool_labels import reader
 from track_range.detection.formats.tool_labels.annotation_tools import TOOLS
+from track_range.detection.formats.tool_labels.content import content_of
+from track_range.detection.formats.tool_labels.tool import Tool, centred
 
 WITHOUT_IDENTITIES = (
     "bdd100k det_20",
@@ -121,6 +124,44 @@ def test_bad_files(tmp_path: Path, name: str, old: str, new: str, key_word: str)
         assert path.name in str(caught.value)
     else:
         assert set(read_labels(path).frame.tolist()) == {0}
+
+
+def test_a_tool_is_described_by_the_names_of_its_values(tmp_path: Path) -> None:
+    toy = Tool(
+        name="toy",
+        title="Toy",
+        mark=re.compile("toy"),
+        objects=lambda content: (
+            {"at": place, "thing": t} for place in content for t in place["t"]
+        ),
+        frame="at.n at.number",
+        first_frame=1,
+        label="thing.what",
+        edges=centred("thing.where", "cx cy w h"),
+        is_per_cent=True,
+        identity="thing.who",
+        size_px=("at.size.w", "at.size.h"),
+    )
+    where = {"cx": 20, "cy": 60, "w": 20, "h": 40}
+    things = [{"what": "car", "where": where, "who": "a"}, {"what": "bus", "where": where}]
+    path = tmp_path / "labels.dat"
+    path.write_text(json.dumps([{"number": 3, "size": {"w": 100, "h": 50}, "t": things}]))
+    table = reader.read_tool(path, toy, VideoFacts())
+    assert table.frame.tolist() == [2, 2]
+    assert table.class_name.tolist() == ["bus", "car"]
+    assert table.track_id.tolist() == [-1, 0]
+    np.testing.assert_allclose(table.xyxy_px, [[9.5, 19.5, 29.5, 39.5]] * 2)
+    assert table.video.size_px == (100, 50)
+    things[0].pop("what")
+    path.write_text(json.dumps([{"number": 3, "size": {"w": 100, "h": 50}, "t": things}]))
+    with pytest.raises(LabelFileError, match=r"labels\.dat.*Toy.*thing\.what"):
+        reader.read_tool(path, toy, VideoFacts())
+
+
+def test_elements_as_plain_values(tmp_path: Path) -> None:
+    path = tmp_path / "a.xml"
+    path.write_text('<a><b>1</b><b>2</b><c d="3"/><c><e> f </e></c></a>')
+    assert content_of(path, "Toy") == {"a": [{"b": "1", "c": [{"d": "3"}, {"e": "f"}]}]}
 
 
 def test_entities_are_refused(tmp_path: Path) -> None:
