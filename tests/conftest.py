@@ -75,7 +75,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
     monkeypatch.syspath_prepend(str(folder))
 
     def installed(group: str, **entry_points: str) -> Path:
-        name = f"package{len(list(folder.iterdir()))}"
+        name = f"package{len(list(folder.glob('*.dist-info')))}"
         info = folder / f"{name}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")

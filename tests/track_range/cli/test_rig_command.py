@@ -98,7 +98,7 @@ def test_wrong_usage(tmp_path, cli):
         (("show", tmp_path / "b.yaml", "--size", "64000x36000"), 2, "20000 px"),
         (("convert", tmp_path / "b.yaml", "."), 1, "folder"),
         (("show", tmp_path / "a.yaml"), 1, "a.yaml: "),
-        (("convert", tmp_path / "b.yaml", tmp_path / "c.yaml", "--to", "kitti"), 2, "ours, opencv"),
+        (("convert", tmp_path / "b.yaml", "c.yaml", "--to", "kitti"), 2, "'ours', 'opencv'"),
         (("show", tmp_path / "none.yaml"), 1, "no such file"),
         (("convert", tmp_path / "b.yaml", tmp_path / "none" / "c.yaml"), 1, "cannot be written"),
     ):

@@ -48,7 +48,7 @@ class ConvertOptions(Options):
         str,
         option(
             "Format of OUT: track-range's rig.yaml (ours) or OpenCV's stereo_calib (opencv).",
-            metavar="ours|opencv",
+            choices=reading.rig_writers,
         ),
     ] = "ours"
     size: _Size = None
@@ -83,8 +83,6 @@ _SHOWN_M = np.array([10.0, 30.0, 60.0])  # distances for which disparities are s
 
 def _convert(options: ConvertOptions) -> None:
     source, out, writers = options.source, options.out, reading.rig_writers()
-    if options.to not in writers:
-        raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if real_path(source) == real_path(out):
         raise UsageError(
             f"{out}: expected a file other than the input; choose another name for OUT."
