@@ -143,12 +143,6 @@ def test_colour_is_bgr_without_alpha(folder: Path) -> None:
     assert not reader.is_grey
 
 
-def test_folder_without_numbered_images(folder: Path) -> None:
-    (folder / "readme.txt").write_text("nothing", encoding="ascii")
-    with pytest.raises(VideoError, match=r"data: .*numbered images"):
-        open_video(folder)
-
-
 def test_two_cameras_in_one_folder(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1], name="left_{}.png")
     fill(folder, level, [0, 1], name="right_{}.png")
@@ -179,25 +173,27 @@ def test_damaged_first_images(folder: Path, level: Level) -> None:
     assert "skipped 2 unreadable images" in reader.notes[0]
 
 
-def test_no_readable_image(folder: Path, level: Level) -> None:
-    fill(folder, level, [0, 1])
-    for file in folder.iterdir():
-        file.write_bytes(b"no image at all")
-    with pytest.raises(VideoError, match=r"000000.png: .*damaged"):
-        open_video(folder)
-
-
-def test_images_of_another_size(folder: Path, level: Level) -> None:
-    fill(folder, level, [0, 1])
-    cv2.imwrite(str(folder / "000002.png"), level(2, width_px=60))
-    with pytest.raises(VideoError, match=r"000002.png: expected .*60x48"):
+@pytest.mark.parametrize(
+    ("name", "images", "word"),
+    [
+        ("0.tiff", [np.zeros((8, 8, 3), np.float32)], "float32"),
+        ("2.png", [np.zeros((48, width, 3), np.uint8) for width in (64, 64, 60)], "60x48"),
+        ("0.png", [b"no image at all"] * 2, "damaged"),
+        ("data", [], "numbered images"),
+    ],
+)
+def test_unusable_images(
+    folder: Path, name: str, images: list[np.ndarray | bytes], word: str
+) -> None:
+    (folder / "readme.txt").write_text("nothing", encoding="ascii")
+    for number, image in enumerate(images):
+        path = folder / f"{number}{Path(name).suffix}"
+        if isinstance(image, bytes):
+            path.write_bytes(image)
+        else:
+            cv2.imwrite(str(path), image)
+    with pytest.raises(VideoError, match=rf"{name}: .*{word}"):
         list(open_video(folder))
-
-
-def test_float_pixels(folder: Path) -> None:
-    cv2.imwrite(str(folder / "0.tiff"), np.zeros((8, 8, 3), np.float32))
-    with pytest.raises(VideoError, match=r"0.tiff: .*float32"):
-        open_video(folder)
 
 
 def test_image_is_deleted_while_reading(folder: Path, level: Level) -> None:
