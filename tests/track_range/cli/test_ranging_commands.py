@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.track_range.labelled_drives import F_PX, drive, row
+from tests.support.recordings.label_rows import F_PX, approaching_rows, label_row as row
 from track_range.ranging.fitting.fit import MODEL_NAMES
 from track_range.ranging.size_models.curve import load_curves
 
@@ -26,7 +26,7 @@ def folders(tmp_path):
 
 
 def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
-    given = folders(a=drive(0), b=drive(1), c=drive(2))
+    given = folders(a=approaching_rows(0), b=approaching_rows(1), c=approaching_rows(2))
     files = ("--json", tmp_path / "f.json", "--table", tmp_path / "f.md")
     status, out, err = cli(
         "evaluate", "ranges", *given, "--cross-validate", "--region", "europe", *files
@@ -73,7 +73,7 @@ def car_by(cli, file, method, *arguments):
 
 
 def test_noise_is_seeded(cli, folders, tmp_path):
-    given = folders(a=drive(0), b=drive(1), c=drive(2))
+    given = folders(a=approaching_rows(0), b=approaching_rows(1), c=approaching_rows(2))
     exact, noisy, again, other = (
         car_by(cli, tmp_path / "f.json", "log-linear", *given, *options)["mean_relative_error_pct"]
         for options in ((), ("--noise-px", 2), ("--noise-px", 2), ("--noise-px", 2, "--seed", 1))
@@ -84,7 +84,11 @@ def test_noise_is_seeded(cli, folders, tmp_path):
 
 @pytest.mark.slow
 def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
-    given = (*folders(a=drive(0), b=drive(1), c=drive(2)), "--noise-px", 2)
+    given = (
+        *folders(a=approaching_rows(0), b=approaching_rows(1), c=approaching_rows(2)),
+        "--noise-px",
+        2,
+    )
     none, paper, default = (
         car_by(cli, tmp_path / "f.json", "mono", *given, "--filter", name)
         for name in ("none", "paper", "default")
@@ -121,7 +125,7 @@ def test_fit_and_test_on_the_same_drive(cli, folders, tmp_path):
 
 
 def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
-    given = folders(a=drive(0))
+    given = folders(a=approaching_rows(0))
     status, out, _ = cli(
         "evaluate", "ranges", *given, "--method", "ground,log-linear", "--json", tmp_path / "f.json"
     )
@@ -145,13 +149,15 @@ def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
     ],
 )
 def test_invalid_usage_of_evaluate_ranges(cli, folders, options, status, message):
-    actual_status, _, err = cli("evaluate", "ranges", *folders(a=drive(0)), *options)
+    actual_status, _, err = cli("evaluate", "ranges", *folders(a=approaching_rows(0)), *options)
     assert (actual_status, message in err) == (status, True), err
 
 
 @pytest.mark.slow
 def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
-    given = folders(a=drive(0), b=drive(1), c=drive(2, n_frames=20))
+    given = folders(
+        a=approaching_rows(0), b=approaching_rows(1), c=approaching_rows(2, n_frames=20)
+    )
     outputs = (
         "--compare",
         "--picture",
@@ -186,7 +192,7 @@ def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("curve", MODEL_NAMES)
 def test_fitted_curves_are_usable_in_a_run(cli, folders, tmp_path, curve):
-    given = folders(a=drive(0), b=drive(1))
+    given = folders(a=approaching_rows(0), b=approaching_rows(1))
     assert cli("fit", *given, "--curve", curve, "--out", tmp_path / "c.json")[0] == 0
     assert (
         cli(
@@ -213,7 +219,7 @@ def test_fitted_curves_are_usable_in_a_run(cli, folders, tmp_path, curve):
 
 
 def test_curve_file_of_another_version(cli, folders, tmp_path):
-    given = folders(a=drive(0), b=drive(1))
+    given = folders(a=approaching_rows(0), b=approaching_rows(1))
     assert cli("fit", *given, "--out", tmp_path / "c.json")[0] == 0
     old = json.loads((tmp_path / "c.json").read_text()) | {"track_range_size_curves": 1}
     (tmp_path / "c.json").write_text(json.dumps(old))
@@ -253,7 +259,7 @@ def test_fit_on_a_csv(cli, tmp_path):
     ],
 )
 def test_too_few_boxes(cli, folders, tmp_path, kinds, n_frames, message):
-    given = folders(a=drive(0, kinds, n_frames))
+    given = folders(a=approaching_rows(0, kinds, n_frames))
     status, _, err = cli("fit", *given, "--out", tmp_path / "c.json")
     assert (status, message in err) == (1, True), err
     assert not (tmp_path / "c.json").exists()

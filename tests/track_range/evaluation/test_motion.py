@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.track_range.labelled_drives import F_PX, row
+from tests.support.recordings.label_rows import F_PX, label_row as row
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
