@@ -28,24 +28,24 @@ def is_running(pid: int) -> bool:
     return True
 
 
-def n_usable_cores() -> int:
+def n_usable_cores(root: Path = Path("/")) -> int:
     """Cores that this process may use by its affinity (`taskset`), at most the quota of its
-    container.
+    container, which is read below `root`.
     """
     n_cores = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
-    return max(1, math.ceil(min(n_cores, _quota_cores())))
+    return max(1, math.ceil(min(n_cores, quota_cores(root))))
 
 
-def n_limited_cores() -> int:
+def n_limited_cores(root: Path = Path("/")) -> int:
     """`n_usable_cores` if they are fewer than the machine has, else 0: libraries then choose by the
     physical cores.
     """
-    return n_cores if (n_cores := n_usable_cores()) < (os.cpu_count() or 1) else 0
+    return n_cores if (n_cores := n_usable_cores(root)) < (os.cpu_count() or 1) else 0
 
 
-def _quota_cores(root: Path = Path("/")) -> float:
+def quota_cores(root: Path) -> float:
     """Processor time per time that the control groups of this process and their parents allow, in
     cores.
 

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.detection.training.road_scenes import write_data_set
 from tests.detection.training.short_trainings import SMALL, Killed, Quiet, weights
-from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError
 from track_range.detection.training.feature_loss import FeatureLoss, correlation
 from track_range.detection.training.networks.registry import make_network
@@ -25,13 +22,6 @@ def test_correlation_is_that_of_numpy():
     assert correlation(first, second).tolist() == pytest.approx(expected, abs=1e-5)
     assert correlation(first, -3 * first + 1).tolist() == pytest.approx([-1, -1], abs=1e-5)
     assert correlation(torch.ones_like(first), second).tolist() == pytest.approx([0, 0], abs=1e-5)
-
-
-@pytest.fixture(scope="module")
-def sets(tmp_path_factory):
-    data = read_data_yaml(write_data_set(tmp_path_factory.mktemp("drawn"), n_train=12, n_val=4))
-    train, val = (CachedImages(items, data.road_class_id) for items in (data.train, data.val))
-    return TrainingSets(train, val, data.road_class_id)
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.detection.training.road_scenes import write_data_set
 from tests.detection.training.short_trainings import SMALL, Killed, Quiet, weights
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.batches import BatchMaker
-from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.registry import make_network
@@ -42,13 +39,6 @@ from track_range.detection.training.train import Training, export_onnx, prepare_
 PLAIN = AugmentationSettings(
     mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
 )
-
-
-@pytest.fixture(scope="module")
-def sets(tmp_path_factory):
-    data = read_data_yaml(write_data_set(tmp_path_factory.mktemp("drawn"), n_train=12, n_val=4))
-    train, val = (CachedImages(items, data.road_class_id) for items in (data.train, data.val))
-    return TrainingSets(train, val, data.road_class_id)
 
 
 def training(sets, out, settings=SMALL, *, name="yolov5n", teacher=None, **options):

@@ -11,12 +11,12 @@ from pathlib import Path
 import cv2
 import pytest
 
-from track_range.foundation import processes
 from track_range.foundation.processes import (
     is_running,
     n_limited_cores,
     n_usable_cores,
     one_opencv_thread,
+    quota_cores,
     tuned_process,
 )
 
@@ -26,12 +26,6 @@ def test_processes() -> None:
     ended.wait()
     assert is_running(os.getpid())
     assert not is_running(ended.pid)
-
-
-@pytest.fixture
-def without_quota(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The control group of these tests does not matter."""
-    monkeypatch.setattr(processes, "_quota_cores", lambda: math.inf)
 
 
 @pytest.mark.parametrize(
@@ -52,41 +46,45 @@ def test_quota_of_a_container(
     tmp_path: Path, groups: str, files: dict[str, str], quota: float
 ) -> None:
     """Version 1 has a period of 100 ms in each group."""
+    write_groups(tmp_path, groups, files)
+    assert quota_cores(tmp_path) == quota
+
+
+def write_groups(root: Path, groups: str, files: dict[str, str]) -> None:
+    """The files of Linux's control groups below `root`."""
     for name, text in {
         "proc/self/cgroup": groups,
         **{f"sys/fs/cgroup/{name}": text for name, text in files.items()},
     }.items():
-        file = tmp_path / name
+        file = root / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
         if file.name == "cpu.cfs_quota_us":
             file.with_name("cpu.cfs_period_us").write_text("100000\n")
-    assert processes._quota_cores(tmp_path) == quota
 
 
-def test_cores_of_a_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cores_of_a_quota(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)), raising=False)
-    for quota, n_usable, n_limited in (
-        (0.5, 1, 1),
-        (2.5, 3, 3),
-        (63.9, 64, 0),
-        (100.0, 64, 0),
-        (math.inf, 64, 0),
+    for quota_us, n_usable, n_limited in (
+        ("50000", 1, 1),
+        ("250000", 3, 3),
+        ("6390000", 64, 0),
+        ("10000000", 64, 0),
+        ("max", 64, 0),
     ):
-        monkeypatch.setattr(processes, "_quota_cores", lambda quota=quota: quota)
-        assert (n_usable_cores(), n_limited_cores()) == (n_usable, n_limited)
+        write_groups(tmp_path, "0::/\n", {"cpu.max": f"{quota_us} 100000"})
+        assert (n_usable_cores(tmp_path), n_limited_cores(tmp_path)) == (n_usable, n_limited)
 
 
-@pytest.mark.usefixtures("without_quota")
-def test_usable_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usable_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3, 8}, raising=False)
-    assert n_usable_cores() == 2
+    assert n_usable_cores(tmp_path) == 2
     monkeypatch.delattr(os, "sched_getaffinity")  # macOS, Windows
-    assert n_usable_cores() == 64
+    assert n_usable_cores(tmp_path) == 64
     monkeypatch.setattr(os, "cpu_count", lambda: None)
-    assert n_usable_cores() == 1
+    assert n_usable_cores(tmp_path) == 1
 
 
 def test_switching_interval() -> None:
@@ -108,7 +106,7 @@ def test_opencv_threads_are_restored_after_an_error() -> None:
         cv2.setNumThreads(before)
 
 
-@pytest.mark.usefixtures("without_quota")
+@pytest.mark.skipif(quota_cores(Path("/")) < 4, reason="a container with fewer than four cores")
 @pytest.mark.parametrize(
     ("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)]
 )
