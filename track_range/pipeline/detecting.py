@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
@@ -46,6 +46,14 @@ class DetectionStage:
     lane_finder: LaneFinder | None = None  # lines of the ego lane, ten times per second; None = off
     _lanes: LaneLines | None = None
     _lanes_due_s: float = -math.inf
+
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about the lane lines."""
+        return () if self.lane_finder is None else self.lane_finder.notes
+
+    def summary(self) -> dict[str, Any]:
+        """No entries of summary.json."""
+        return {}
 
     def prepared(self, frame: Frame, clock: StageClock) -> Prepared:
         """The frame in the network's input, with its lane lines."""

@@ -3,6 +3,7 @@ order.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.alarming import AlarmStage
@@ -36,7 +37,7 @@ class FramePipeline:
     filtering: FilterStage  # distances over time
     world: WorldStage  # positions and motion over ground
     alarming: AlarmStage  # warnings and measures of safety
-    notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
+    setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     # from the frames so far; used with the next one
     scale: DriveScale = field(default_factory=DriveScale, init=False)
@@ -95,6 +96,14 @@ class FramePipeline:
             disparity=measured.disparity,
             candidates=candidates,
         )
+
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about the parts of the pipeline, besides those of the stages."""
+        return self.setup_notes
+
+    def summary(self) -> dict[str, Any]:
+        """The scale of the drive for summary.json; no entry without evidence."""
+        return {"drive_bias": self.scale.summary()} if self.scale.n_tracks else {}
 
     def close(self) -> None:
         """End the threads of the stages; no frame follows."""

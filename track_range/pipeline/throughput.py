@@ -149,7 +149,6 @@ class FrameMeter:
         dropped = (f"{self.n_dropped} dropped",) if self.n_dropped else ()
         return (*rate, f"latency {1000 * self.latency_s[-1]:.0f} ms", *dropped)
 
-    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user after a live run."""
         if not self.latency_s:

@@ -120,7 +120,7 @@ def open_pipeline(
         ),
         world=WorldStage(camera),
         alarming=AlarmStage(camera, warning),
-        notes=(*appearance_notes, *plugin_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
+        setup_notes=(*appearance_notes, *plugin_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )
 
 

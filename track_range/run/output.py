@@ -116,10 +116,10 @@ class RunOutput:
         if self.folder is None:
             return
         settings, folder = self._settings, self.folder
-        self._session, self._clock, self._n_frames = session, session.pipeline.clock, 0
+        self._session, self._clock, self._n_frames = session, session.opened.pipeline.clock, 0
         # from now on, the folder and its files are kept at the end, except progress.json
         names = result_names()
-        inputs = [*input_files(settings), *session.speed.files]
+        inputs = [*input_files(settings), *session.opened.speed.files]
         output_files.clear_results(
             folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs
         )
@@ -135,11 +135,13 @@ class RunOutput:
         if self._rig is not None:
             save_rig(self._rig, folder / "rig.yaml")
             settings = settings.model_copy(update={"rig": folder / "rig.yaml"})
-        save_settings(settings, folder / "settings.yaml", detected=session.detected())
+        save_settings(settings, folder / "settings.yaml", detected=session.origin.detected())
         recording = session.recording
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}
-        info = session.info(folder / self.videos["overlay"] if "overlay" in drawn else None)
+        info = session.origin.info(
+            folder / self.videos["overlay"] if "overlay" in drawn else None, session.notes
+        )
         self._events = self._open.enter_context(EventFiles(folder, info.provenance.metadata()))
         self._writers = self._open.enter_context(OpenWriters(settings.write, info, folder))
         self._open.enter_context(self._videos_open)
@@ -157,7 +159,7 @@ class RunOutput:
         ]
         rows = (*self._events.files, *self._writers.files)
         positions = (
-            () if not settings.keep_gps or session.speed.track is None else (TELEMETRY_FILE,)
+            () if not settings.keep_gps or session.opened.speed.track is None else (TELEMETRY_FILE,)
         )
         rigs = () if self._rig is None else ("rig.yaml",)
         names = (
@@ -233,7 +235,7 @@ class RunOutput:
             self._settings,
             self.folder,
             self._session.rows,
-            self._session.speed.track,
+            self._session.opened.speed.track,
         )
         clips = folder / CLIPS_FOLDER if settings.clips else None
         shown = {

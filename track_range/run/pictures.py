@@ -38,20 +38,3 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
     if settings.overlay_disparity and recording.rig is not None:
         return StackedPicture(overlay, recording.rig).draw
     return overlay.draw
-
-
-def missing_outputs(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
-    """Messages about requested videos that are not possible because the recording has no rig."""
-    notes = []
-    if settings.overlay_recorded and not recording.calibration.has_wide_lens:
-        notes.append(
-            "--overlay-recorded: the calibration has no wide lens, so the overlay shows "
-            "the rectified images."
-        )
-    if settings.disparity and recording.rig is None:
-        notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
-    if settings.overlay_disparity and recording.rig is None:
-        notes.append(
-            "There are no disparities below the overlay: dense stereo requires a calibrated pair."
-        )
-    return tuple(notes)

@@ -114,7 +114,7 @@ class _Parts:
         return (
             *self.current.notes,
             *(() if self.aligner is None else self.aligner.notes),
-            *stages.notes,
+            *stages.notes(),
             *stages.ranging.notes(),
             *stages.doubting.notes(),
         )

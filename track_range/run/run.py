@@ -30,6 +30,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
 from track_range.run.box_source import class_name
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
+from track_range.run.opening import open_run
 from track_range.run.options.opened import open_detector
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.python_keywords import options_and_objects
@@ -185,7 +186,7 @@ class Run:
         if self._session is None:
             try:
                 output = self._output_of_folder()
-                self._session = RunSession(
+                opened = open_run(
                     self.settings,
                     detector=self._detector,
                     tracker=self._tracker,
@@ -194,6 +195,7 @@ class Run:
                     console=self._console,
                     report=output.report,
                 )
+                self._session = RunSession(opened)
             except BaseException:
                 self._output.close()
                 raise
@@ -278,7 +280,7 @@ class Run:
                     stopped_by = error
                     with suppress(Exception):  # the first error is the one to report
                         output.finish_videos()
-                session.end(time.perf_counter() - start_s, stopped_by)
+                session.course.end(time.perf_counter() - start_s, stopped_by)
                 with ignore_interrupts(), suppress(*(UserError,) if stopped_by else ()):
                     self._finish(output)
             if stopped_by is not None:
@@ -356,7 +358,10 @@ class Run:
         """Name of the one recorded video, if its focal length is not known exactly; None for other
         recordings.
         """
-        shown, calibration = self.session.inputs.get("mono"), self.session.recording.calibration
+        shown, calibration = (
+            self.session.origin.inputs.get("mono"),
+            self.session.recording.calibration,
+        )
         is_known = calibration.kind == "rig" and not calibration.focal_sigma
         is_live = self.session.recording.live is not None
         return None if is_known or is_live or not isinstance(shown, str) else shown

@@ -101,7 +101,7 @@ def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Ro
     for _ in run:
         pass
     rows = run.session.rows.table.to_rows(is_rounded=False)
-    truth = truth or run.session.truth
+    truth = truth or run.session.opened.truth
     return run, rows if truth is None else with_truth(rows, matched_truth(rows, truth))
 
 

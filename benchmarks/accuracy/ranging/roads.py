@@ -202,7 +202,7 @@ def _runs(options: Namespace, folder: Path) -> Figures:
             if known == NO_CALIBRATION:
                 settings |= {"rig": None, "focal_px": None, "truth": None}
             run, columns = finished(RunSettings(**settings), truth)
-            truth = truth or run.session.truth
+            truth = truth or run.session.opened.truth
             if known == NO_CALIBRATION:
                 focal[case] |= {
                     "estimate_px": run.camera.fx_px,

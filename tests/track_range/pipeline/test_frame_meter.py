@@ -33,7 +33,7 @@ def test_rate_over_two_seconds() -> None:
     meter = meter_of([0.0, 5.0, 5.5, 6.0, 6.5], [(number, 0.1 * number) for number in range(5)])
     assert meter.rate_hz == 2.0
     assert meter.captions() == ("processed at 2.0 fps",)
-    assert meter.notes == ()
+    assert meter.notes() == ()
 
 
 def test_one_frame_has_no_rate() -> None:
@@ -41,14 +41,14 @@ def test_one_frame_has_no_rate() -> None:
     assert np.isnan(meter.rate_hz)
     assert meter.captions() == ()
     assert FrameMeter().captions() == ()
-    assert FrameMeter(Camera(0.0)).notes == ()
+    assert FrameMeter(Camera(0.0)).notes() == ()
 
 
 def test_live_run_reports_latency_and_drops() -> None:
     """Frames 5, 6 and 9 of 100.0, 100.1 and 100.4 s; results at 100.2, 100.35 and 100.45 s."""
     meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Camera(100.0))
     assert meter.captions() == ("processed at 8.0 fps", "latency 50 ms", "2 dropped")
-    (note,) = meter.notes
+    (note,) = meter.notes()
     assert "200 ms" in note
     assert "250 ms" in note
     assert meter.summary() == {

@@ -13,9 +13,9 @@ from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.results.rows.rows import Rows
 from track_range.run.box_source import boxes_of, outside_regions, region_mask
-from track_range.run.findings import still_boxes_note
 from track_range.run.options.anonymity import without_folders
 from track_range.run.options.precedence import settings_from
+from track_range.run.reports.still_boxes import StillBoxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 
@@ -113,7 +113,7 @@ def rows(box, *, jitter_px=0.0, speed_mps=10.0, seconds=12.0):
     ],
 )
 def test_boxes_that_do_not_move(columns, is_noted):
-    notes = still_boxes_note(Rows(columns), CALIBRATION)
+    notes = StillBoxes(Rows(columns), CALIBRATION).notes()
     assert len(notes) == is_noted
     if is_noted and columns["y1_px"][0] > 50:
         assert "Track 3 did not move" in notes[0]
@@ -125,8 +125,8 @@ def test_still_boxes_of_several_tracks():
     one, other = rows(BOXES[0]), rows([90, 40, 110, 60]) | {"track_id": np.full(120, 1)}
     order = np.argsort(np.concatenate([one["time_s"], other["time_s"]]), kind="stable")
     both = {name: np.concatenate([one[name], other[name]])[order] for name in one}
-    assert "Track 3 did" in still_boxes_note(Rows(both), CALIBRATION)[0]
-    assert still_boxes_note(Rows(both).select(slice(0)), CALIBRATION) == ()
+    assert "Track 3 did" in StillBoxes(Rows(both), CALIBRATION).notes()[0]
+    assert StillBoxes(Rows(both).select(slice(0)), CALIBRATION).notes() == ()
 
 
 def test_ignored_boxes_of_a_run(cli, tmp_path):

@@ -59,7 +59,7 @@ def _check_baseline(
     )
     for _ in run:
         pass
-    check = run.session.pipeline.doubting.check
+    check = run.session.opened.pipeline.doubting.check
     if check is None:
         return BaselineCheck("", {})
     sentence = (

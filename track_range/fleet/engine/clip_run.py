@@ -170,7 +170,7 @@ class _ClipRun:
         progress.phase = "publishing"
         table = run.session.rows.table.to_arrow(is_rounded=False)
         metadata = {
-            **run.session.provenance.metadata(),
+            **run.session.origin.provenance.metadata(),
             "track_range.settings_hash": plan.settings_hash,
             "track_range.content_hash": self._record.content_hash,
             "track_range.clip": name,

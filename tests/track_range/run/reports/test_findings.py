@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.results.overlay_results import BOX, result
 from track_range.detection.detections import Detections
-from track_range.run.findings import Findings
+from track_range.run.reports.findings import Findings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -20,11 +20,11 @@ NOISE = np.random.default_rng(0).integers(0, 6, (374, 1242, 3)).astype(np.uint8)
 
 
 def notes_of(image, *, boxes=(), right=None, detect=None, rig=None, ranges=None, n=30):
-    findings = Findings()
+    findings = Findings(detect, rig)
     for index in range(n):
         frame = result(list(boxes), image=image, ranges=ranges, index=index, time_s=index / 10)
         findings.add(replace(frame, frame=replace(frame.frame, right=right)))
-    return findings.notes(detect, rig)
+    return findings.notes()
 
 
 def boxes_if_bright_above(frame):
@@ -52,7 +52,7 @@ def test_a_run_with_road_users_has_no_note():
     assert notes_of(SKY, boxes=[BOX], detect=boxes_if_bright_above) == ()
     dark = SKY // 10  # a night drive: 14 of 255
     assert notes_of(dark, boxes=[BOX], detect=boxes_if_bright_above) == ()
-    assert Findings().notes(boxes_if_bright_above, None) == ()
+    assert Findings(boxes_if_bright_above, None).notes() == ()
 
 
 def test_upside_down_images_with_some_boxes():

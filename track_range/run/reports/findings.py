@@ -1,5 +1,5 @@
-"""Findings: notes on a run that found no road user, or measured nothing with its second camera, and
-on its images.
+"""Findings: what images and boxes show of a run that found no road user, or measured nothing with
+its second camera.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ import numpy as np
 from track_range.detection.detections import Detections
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
-from track_range.recording.cameras.calibration import RecordingCalibration
-from track_range.results.rows.rows import Rows
+from track_range.run.reports.report import Reports
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -31,18 +30,18 @@ _BRIGHTER = 20.0
 _MIN_SCORE, _MIN_BOXES, _MANY_MORE = 0.5, 4, 3.0
 _MIN_DISPARITY_PX = 2.0  # below it, stereo can hardly measure
 _MIN_TRACKED = 20  # boxes of which none has a distance that are worth a note
-_STILL_SPEED_MPS, _STILL_S, _STILL_FRAMES = 3.0, 10.0, 50  # of a drive with boxes that do not move
-# standard deviation of the edges of such a box in image widths; its zone in image heights
-_STILL, _EDGE = 0.001, 0.15
-
 # mean and standard deviation of grey levels 0 to 255; lower minus upper third
 Levels = tuple[float, float, float]
 
 
-class Findings:
-    """Evidence from the images and boxes of a run, whose frames are passed in order."""
+class Findings(Reports):
+    """Evidence from the images and boxes of a run, whose frames are passed in order.
 
-    def __init__(self) -> None:
+    At the end, `detect` is used on a few more images (None = not possible); `rig` None = no pair.
+    """
+
+    def __init__(self, detect: Callable[[Frame], Detections] | None, rig: StereoRig | None) -> None:
+        self._detect, self._rig = detect, rig
         self._n_frames, self._n_boxes = 0, 0
         self._left, self._right, self._kept = list[Levels](), list[Levels](), list[Frame]()
         self._n_measured: dict[str, int] = {}  # number of boxes with a distance, by method
@@ -65,16 +64,12 @@ class Findings:
             if name == "fused" and len(known_m):
                 self._distances_m.append(float(np.median(known_m)))
 
-    def notes(
-        self, detect: Callable[[Frame], Detections] | None, rig: StereoRig | None
-    ) -> tuple[str, ...]:
-        """Messages for the user at the end of the run; `detect` is used on a few more images (None
-        = not possible).
-        """
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user at the end of the run."""
         if not self._left:
             return ()
         notes = _problem("", self._left)
-        if not notes and detect is not None and self._is_upside_down(detect):
+        if not notes and self._is_upside_down():
             notes += (
                 f"The images appear to be upside down: in a sample of {len(self._kept)} more road "
                 "users are found after a rotation by 180 degrees. Rotate the video, for example "
@@ -92,18 +87,18 @@ class Findings:
         silent = [name for name in by_pair if self._n_measured.get(name) == 0]
         if silent and self._n_boxes >= _MIN_TRACKED:
             notes += (
-                f"{' and '.join(silent)} measured none of {self._n_boxes} boxes. "
-                f"{self._reason(rig)}",
+                f"{' and '.join(silent)} measured none of {self._n_boxes} boxes. {self._reason()}",
             )
         return notes
 
-    def _reason(self, rig: StereoRig | None) -> str:
+    def _reason(self) -> str:
         """Sentence on the reason why a pair has no distances, as far as the run shows the
         reason.
         """
         if problem := _problem("right ", self._right):
             return problem[0]
         distance_m = float(np.median(self._distances_m or [np.nan]))
+        rig = self._rig
         disparity_px = np.nan if rig is None else rig.left.fx_px * rig.baseline_m / distance_m
         if disparity_px < _MIN_DISPARITY_PX:
             return (
@@ -116,10 +111,13 @@ class Findings:
             "cameras (track-range rig check)."
         )
 
-    def _is_upside_down(self, detect: Callable[[Frame], Detections]) -> bool:
+    def _is_upside_down(self) -> bool:
         """Whether the detector finds more road users in rotated images; tried only if there is
         other evidence.
         """
+        detect = self._detect
+        if detect is None:
+            return False
         is_brighter_below = np.median(self._left, axis=0)[2] > _BRIGHTER
         if not is_brighter_below and self._n_boxes:
             return False
@@ -134,38 +132,6 @@ class Findings:
         return n_rotated >= max(
             _MIN_BOXES, n_upright + 1 if is_brighter_below else _MANY_MORE * n_upright
         )
-
-
-def still_boxes_note(rows: Rows, calibration: RecordingCalibration) -> tuple[str, ...]:
-    """A note that proposes `--ignore` for tracks that do not move in the image while the car
-    drives.
-
-    They are at the upper or lower edge of the image, where no vehicle ahead stays; the camera's
-    pitch moves such a vehicle in the image, too.
-    """
-    width, height = calibration.sizes_px[0]
-    rows = rows.select((rows["ego_mps"] >= _STILL_SPEED_MPS) & rows["observed"])
-    box, time_s = calibration.rectifier.recorded_boxes(rows.boxes_px), rows["time_s"]
-    track, first, group, n = np.unique(rows["track_id"], True, True, True)
-    last = np.zeros(len(track), np.int64)
-    last[group] = np.arange(len(rows))
-    mean, square = (
-        np.stack([np.bincount(group, edge) / n for edge in values.T], axis=1)
-        for values in (box, box**2)
-    )
-    deviation = np.sqrt(np.maximum(square - mean**2, 0)).max(axis=1)
-    at_edge = (mean[:, 3] > (1 - _EDGE) * height) | (mean[:, 1] < _EDGE * height)
-    is_long = (time_s[last] - time_s[first] >= _STILL_S) & (n >= _STILL_FRAMES)
-    still = np.flatnonzero((deviation < _STILL * width) & at_edge & is_long)[:3]
-    if not len(still):
-        return ()
-    corners = np.rint(mean[still]).astype(int)
-    polygons = " / ".join(f"{x1},{y1} {x2},{y1} {x2},{y2} {x1},{y2}" for x1, y1, x2, y2 in corners)
-    names = f"Track{'s' * (len(still) > 1)} {', '.join(f'{name:g}' for name in track[still])}"
-    return (
-        f"{names} did not move in the image while the car drove. If this is the bonnet, or text in "
-        f"the image, drop the boxes with --ignore '{polygons}' (Python ignore).",
-    )
 
 
 def _levels(image: ImageView) -> Levels:

@@ -1,0 +1,158 @@
+"""Opens the inputs of a run: recording, boxes, ground truth, speed, and the pipeline for them."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from track_range.calibration.road.from_road import focal_from_video
+from track_range.detection.detector import ObjectDetector
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.progress import StepProgress
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.region import Region, region_at
+from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.truth.truth import Truth, read_truth
+from track_range.recording.recording import Recording
+from track_range.recording.speed_source import AUTO, SpeedSource, open_speed
+from track_range.recording.telemetry.tracks.positions import has_position
+from track_range.recording.telemetry.tracks.track import TelemetryTrack
+from track_range.recording.video.address import LiveAddress
+from track_range.results.progress_note import LOADING
+from track_range.run.box_source import BoxSource, boxes_of, open_box_source, outside_regions
+from track_range.run.build import open_input, open_pipeline
+from track_range.run.options.opened import DetectorOptions
+from track_range.run.options.settings import RunSettings
+from track_range.run.progress import step_progress
+from track_range.run.ready_model import ready_model
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.tracking.registry import ObjectTracker
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenedRun:
+    """The opened inputs of a run."""
+
+    settings: RunSettings
+    recording: Recording
+    box_source: BoxSource
+    truth: Truth | None  # None = not given
+    speed: SpeedSource
+    region: Region
+    pipeline: FramePipeline
+    opening_s: float  # time for opening the videos, without the estimation of the alignment
+
+
+def open_run(
+    settings: RunSettings,
+    *,
+    detector: ObjectDetector | None,
+    tracker: ObjectTracker | None,
+    rig: StereoRig | None,
+    open_detector: Callable[[Path, DetectorOptions], YoloDetector],
+    console: Console,
+    report: Callable[[str], None],
+) -> OpenedRun:
+    """The opened inputs of a run; an unusable input raises its error.
+
+    `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name
+    of each task of the opening.
+    """
+
+    def progress(task: str) -> AbstractContextManager[Callable[[int, int | None], None]]:
+        report(task)
+        return step_progress(console, task)
+
+    # cars of one region show the focal length better than of any
+    shapes = load_curves(settings.curves, "europe")
+    start_s = time.perf_counter()
+    recording = open_input(settings, progress, rig)
+    alignment = recording.calibration.alignment
+    opening_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
+    with ExitStack() as on_error:
+        on_error.callback(recording.close)
+        report(LOADING)
+        if detector is None:
+            models = partial(ready_model, console=console)
+            boxes = open_box_source(settings, recording, models, open_detector)
+        else:
+            boxes = boxes_of(detector)
+        box_source = outside_regions(boxes, settings.ignore, recording.calibration)
+        if detector is None:  # an object may depend on the order of the frames
+            recording = _with_focal_length(recording, settings, box_source, shapes, progress)
+        calibration, path = recording.calibration, settings.truth
+        shift_m = calibration.left_from_reference_m
+        truth = None if path is None else read_truth(path, calibration.camera, shift_m)
+        speed = open_speed(
+            settings.ego_speed,
+            recording,
+            start_s=settings.start_s,
+            duration_s=settings.duration_s,
+            folder_fps=settings.folder_fps,
+        )
+        region = settings.region or _region_of(speed.track)
+        pipeline = open_pipeline(
+            settings,
+            calibration,
+            box_source,
+            region=region,
+            tracker=tracker,
+            ego_speed=speed.ego,
+            measures_speed=settings.ego_speed == AUTO,
+            needs_candidates=settings.anonymize,
+        )
+        on_error.pop_all()
+    return OpenedRun(
+        settings=settings,
+        recording=recording,
+        box_source=box_source,
+        truth=truth,
+        speed=speed,
+        region=region,
+        pipeline=pipeline,
+        opening_s=opening_s,
+    )
+
+
+def _with_focal_length(
+    recording: Recording,
+    settings: RunSettings,
+    boxes: BoxSource,
+    shapes: SizeModel,
+    progress: StepProgress,
+) -> Recording:
+    """The recording with its unknown focal length estimated from the boxes in its first seconds,
+    unless it is live.
+    """
+    guesses, video = recording.calibration.guesses, recording.videos[0].path
+    if not guesses or recording.live is not None or isinstance(video, LiveAddress):
+        return recording
+    with progress("estimating the focal length") as advance:
+        posterior = focal_from_video(
+            video,
+            guesses,
+            boxes.detect,
+            shapes,
+            span_s=(settings.start_s, settings.duration_s),
+            folder_fps=settings.folder_fps,
+            advance=advance,
+        )
+    return recording.with_focal_length(posterior.as_guess(guesses))
+
+
+def _region_of(track: TelemetryTrack | None) -> Region:
+    if track is None:
+        return "unknown"
+    is_known = has_position(track.latitude_deg, track.longitude_deg)
+    if not is_known.any():
+        return "unknown"
+    return region_at(
+        float(np.median(track.latitude_deg[is_known])),
+        float(np.median(track.longitude_deg[is_known])),
+    )

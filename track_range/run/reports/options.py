@@ -1,0 +1,70 @@
+"""Options of a run that are not possible with its recording, or have no effect."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from track_range.recording.recording import Recording
+from track_range.recording.video.address import LiveAddress
+from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.settings import RunSettings
+from track_range.run.reports.report import Reports
+
+_OF_NETWORK = [  # options of a detector network, which recorded detections do not need
+    name
+    for name, field in DetectionOptions.model_fields.items()
+    if field.default is None and name not in ("detector", "detections", "ignore")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class OptionsWithoutEffect(Reports):
+    """Options that were given but do nothing."""
+
+    settings: RunSettings
+    recording: Recording
+    has_positions: bool  # whether the recording has telemetry with positions
+
+    def notes(self) -> Sequence[str]:
+        """A note on each such option."""
+        return (*self._missing_outputs(), *self._unused())
+
+    def _missing_outputs(self) -> Sequence[str]:
+        """Notes on requested files that are not possible with the recording."""
+        settings, recording = self.settings, self.recording
+        notes = []
+        if settings.keep_gps and not self.has_positions:
+            notes.append(
+                "--keep-gps: the recording has no telemetry with positions that can be used."
+            )
+        if settings.overlay_recorded and not recording.calibration.has_wide_lens:
+            notes.append(
+                "--overlay-recorded: the calibration has no wide lens, so the overlay shows "
+                "the rectified images."
+            )
+        if settings.disparity and recording.rig is None:
+            notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
+        if settings.overlay_disparity and recording.rig is None:
+            notes.append(
+                "There are no disparities below the overlay: dense stereo requires a calibrated "
+                "pair."
+            )
+        return notes
+
+    def _unused(self) -> Sequence[str]:
+        """Notes on options of the input and the detector that are not used."""
+        settings = self.settings
+        notes = []
+        if settings.mono is not None and settings.align not in ("auto", "off"):
+            notes.append("--align is not used with one camera.")
+        if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
+            notes.append(
+                "--realtime has no effect on cameras and streams, which are read in real time "
+                "already."
+            )
+        given = [
+            RunSettings.flag(name) for name in _OF_NETWORK if getattr(settings, name) is not None
+        ]
+        if settings.detections is not None and given:
+            verb = "is" if len(given) == 1 else "are"
+            notes.append(f"{', '.join(given)} {verb} not used with --detections.")
+        return notes
