@@ -71,7 +71,7 @@ def _rooms() -> dict[str, Room]:
     add("pipeline", "`Frame` -> `FrameResult`", but=apart)
     add(
         "results",
-        "`FrameResult` -> columns, files of each format, events; finished run folders",
+        "`FrameResult` -> `Rows`, files of each format, events; finished run folders",
         but=apart,
     )
     add(

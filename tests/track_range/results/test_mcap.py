@@ -35,6 +35,7 @@ from track_range.results.formats.mcap import LAYOUT
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
 from track_range.results.replay import frames_of_rows
+from track_range.results.rows.columns import viewer_columns
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, create_writers
 from track_range.run.export.export import ExportSettings, export
@@ -255,7 +256,7 @@ def test_ros2_messages(ros2: dict[str, Any]) -> None:
         20.0,
     )
     (solid,) = ros2["/tracks/detections"][0][2].detections
-    (expected, _) = track_objects(frame(0), CAMERA)
+    (expected, _) = track_objects(frame(0), CAMERA, viewer_columns())
     assert (solid.id, solid.results[0].pose.covariance[14]) == ("3", 0.25)
     position, size = solid.bbox.center.position, solid.bbox.size
     assert (position.x, position.y, position.z) == expected.centre_m

@@ -28,6 +28,7 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.results.formats.scene import track_objects
+from track_range.results.rows.columns import viewer_columns
 from track_range.results.writers import OpenWriters, create_writers
 
 Rows = dict[str, list[dict[str, Any]]]
@@ -84,7 +85,7 @@ def test_entities(recording: Rows) -> None:
 
 
 def test_scene(recording: Rows) -> None:
-    (car, _) = track_objects(frame(0), CAMERA)
+    (car, _) = track_objects(frame(0), CAMERA, viewer_columns())
     centres = values(recording, "/world/tracks", ":centers")
     assert [len(boxes) for boxes in centres] == [1, 1, 0, 1]
     np.testing.assert_allclose(centres[0][0], car.centre_m, rtol=1e-6)

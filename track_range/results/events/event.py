@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
 EventKind = Literal[
@@ -29,60 +30,78 @@ CLIPS_FOLDER = "clips"  # folder of the clips of events in that of a run
 _CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.ASCII)
 
 
+@dataclass(frozen=True, slots=True)
+class EventNumber:
+    """A column of numbers: unit, limits of plausible values, decimals in events.csv."""
+
+    unit: str
+    low: float
+    high: float
+    decimals: int = 3
+    is_integer: bool = False
+
+
+_TIME = {"column": EventNumber("s", 0.0, 1e9)}  # 30 years of video
+_TIME_INTEGRAL = {"column": EventNumber("s2", 0.0, 1e9)}
+_SPEED = {"column": EventNumber("m/s", -1e4, 1e4)}
+_DECELERATION = {"column": EventNumber("m/s2", 0.0, 1e6)}
+_DISTANCE = {"column": EventNumber("m", 0.0, 1e6)}
+_PROBABILITY = {"column": EventNumber("", 0.0, 1.0, decimals=4)}
+_NUMBER = {"column": EventNumber("", 0, 1e9, is_integer=True)}
+_IDENTITY = {"column": EventNumber("", 0, 2.0**53, is_integer=True)}
+_FLAG = {"column": EventNumber("", 0, 1, is_integer=True)}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or
     none.
+
+    The attributes are the columns of events.csv, in this order; `class_name` is the column `class`.
     """
 
     kind: EventKind  # one of `EVENT_KINDS`
-    start_s: float  # time at which it started
-    peak_s: float  # time of its most critical frame
-    end_s: float  # time at which it ended
-    warning_s: float  # time of the collision warning; NaN = no warning
-    frame: int  # number of the most critical frame
-    track_id: int  # identity of the object at the peak
+    start_s: float = field(metadata=_TIME)  # time at which it started
+    peak_s: float = field(metadata=_TIME)  # time of its most critical frame
+    end_s: float = field(metadata=_TIME)  # time at which it ended
+    warning_s: float = field(metadata=_TIME)  # time of the collision warning; NaN = no warning
+    frame: int = field(metadata=_NUMBER)  # number of the most critical frame
+    track_id: int = field(metadata=_IDENTITY)  # identity of the object at the peak
     class_name: str  # road class of the object
-    min_distance_m: float  # smallest distance of the object
-    min_distance_sigma_m: float  # standard deviation of that distance
-    min_ttc_s: float  # smallest time to collision with the front, `SafetyMeasures.ttc_front_s`
-    closing_mps: float  # largest closing speed
-    ego_mps: float  # speed of the ego vehicle at the peak
-    probability: float  # largest probability of contact, 0..1
+    min_distance_m: float = field(metadata=_DISTANCE)  # smallest distance of the object
+    min_distance_sigma_m: float = field(metadata=_DISTANCE)  # standard deviation of that distance
+    # smallest time to collision with the front, `SafetyMeasures.ttc_front_s`
+    min_ttc_s: float = field(metadata=_TIME)
+    closing_mps: float = field(metadata=_SPEED)  # largest closing speed
+    ego_mps: float = field(metadata=_SPEED)  # speed of the ego vehicle at the peak
+    probability: float = field(metadata=_PROBABILITY)  # largest probability of contact, 0..1
     reason: str  # what happened in one sentence
-    headway_s: float  # smallest headway, gap / ego speed
+    headway_s: float = field(metadata=_TIME)  # smallest headway, gap / ego speed
     # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
-    scale_in_doubt: int = 0
-    gap_m: float = math.nan  # smallest distance from the front of the ego vehicle
-    drac_mps2: float = math.nan  # largest required deceleration
-    mdrac_mps2: float = math.nan  # the same after the reaction time
-    tet_s: float = math.nan  # time exposed below `TTC_LIMIT_S`
-    tit_s2: float = math.nan  # integral below it
-    pet_s: float = math.nan  # post-encroachment time of paths that cross
-    peak_distance_m: float = math.nan  # the state in the most critical frame
-    peak_closing_mps: float = math.nan
-    peak_ttc_s: float = math.nan
-    peak_headway_s: float = math.nan
-    peak_probability: float = math.nan
+    scale_in_doubt: int = field(default=0, metadata=_FLAG)
+    # smallest distance from the front of the ego vehicle
+    gap_m: float = field(default=math.nan, metadata=_DISTANCE)
+    # largest required deceleration
+    drac_mps2: float = field(default=math.nan, metadata=_DECELERATION)
+    # the same after the reaction time
+    mdrac_mps2: float = field(default=math.nan, metadata=_DECELERATION)
+    tet_s: float = field(default=math.nan, metadata=_TIME)  # time exposed below `TTC_LIMIT_S`
+    tit_s2: float = field(default=math.nan, metadata=_TIME_INTEGRAL)  # integral below it
+    # post-encroachment time of paths that cross
+    pet_s: float = field(default=math.nan, metadata=_TIME)
+    # the state in the most critical frame
+    peak_distance_m: float = field(default=math.nan, metadata=_DISTANCE)
+    peak_closing_mps: float = field(default=math.nan, metadata=_SPEED)
+    peak_ttc_s: float = field(default=math.nan, metadata=_TIME)
+    peak_headway_s: float = field(default=math.nan, metadata=_TIME)
+    peak_probability: float = field(default=math.nan, metadata=_PROBABILITY)
 
 
-# of events.csv, in order; `class` is `Event.class_name`, the others are its attributes
-EVENT_COLUMNS = (
-    *("kind", "start_s", "peak_s", "end_s", "warning_s", "frame", "track_id", "class"),
-    *(
-        "min_distance_m",
-        "min_distance_sigma_m",
-        "min_ttc_s",
-        "closing_mps",
-        "ego_mps",
-        "probability",
-        "reason",
-    ),
-    "headway_s",
-    "scale_in_doubt",
-    *("gap_m", "drac_mps2", "mdrac_mps2", "tet_s", "tit_s2", "pet_s"),
-    *("peak_distance_m", "peak_closing_mps", "peak_ttc_s", "peak_headway_s", "peak_probability"),
-)
+EVENT_COLUMNS = tuple("class" if one.name == "class_name" else one.name for one in fields(Event))
+
+EVENT_NUMBERS: Mapping[str, EventNumber] = {  # all other columns are texts
+    one.name: one.metadata["column"] for one in fields(Event) if one.metadata
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -26,7 +25,13 @@ from track_range.foundation.files.input_files import (
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.foundation.schemas.schema_version import check_schema_version
-from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event, EventKind
+from track_range.results.events.event import (
+    EVENT_COLUMNS,
+    EVENT_KINDS,
+    EVENT_NUMBERS,
+    Event,
+    EventKind,
+)
 from track_range.results.formats.row_file import RowFile, csv_text
 
 if TYPE_CHECKING:
@@ -34,53 +39,12 @@ if TYPE_CHECKING:
 
 EVENTS_FILE, EVENTS_PARQUET = "events.csv", "events.parquet"
 NEEDED_COLUMNS = ("kind", "start_s", "end_s")  # those of other programs may lack the others
-_MAX_TIME_S = 1e9  # 30 years of video
 _MAX_TEXT = 2000
 _MAX_ROWS = 1_000_000  # one event per second for 11 days
 
 
 class EventFileError(UserError):
     """A file of events or contacts cannot be used; the message names the file and the row."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Number:
-    """A column of numbers: unit, limits of plausible values, decimals in events.csv."""
-
-    unit: str
-    low: float
-    high: float
-    decimals: int = 3
-    is_integer: bool = False
-
-
-_TIME = _Number("s", 0.0, _MAX_TIME_S)
-_SPEED = _Number("m/s", -1e4, 1e4)
-_DISTANCE = _Number("m", 0.0, 1e6)
-
-_NUMBERS: Mapping[str, _Number] = {  # all other columns are texts
-    "start_s": _TIME,
-    "peak_s": _TIME,
-    "end_s": _TIME,
-    "warning_s": _TIME,
-    "frame": _Number("", 0, 1e9, is_integer=True),
-    "track_id": _Number("", 0, 2.0**53, is_integer=True),
-    "min_distance_m": _DISTANCE,
-    "min_distance_sigma_m": _DISTANCE,
-    "min_ttc_s": _TIME,
-    "closing_mps": _SPEED,
-    "ego_mps": _SPEED,
-    "probability": _Number("", 0.0, 1.0, decimals=4),
-    "headway_s": _TIME,
-    "scale_in_doubt": _Number("", 0, 1, is_integer=True),
-    "gap_m": _DISTANCE,
-    **dict.fromkeys(("drac_mps2", "mdrac_mps2"), _Number("m/s2", 0.0, 1e6)),
-    **dict.fromkeys(("tet_s", "pet_s", "peak_ttc_s", "peak_headway_s"), _TIME),
-    "tit_s2": _Number("s2", 0.0, _MAX_TIME_S),
-    "peak_distance_m": _DISTANCE,
-    "peak_closing_mps": _SPEED,
-    "peak_probability": _Number("", 0.0, 1.0, decimals=4),
-}
 
 
 class EventFiles:
@@ -146,7 +110,7 @@ def events_text(events: Iterable[Event]) -> str:
 
 def _rows_text(events: Iterable[Event]) -> str:
     def text(name: str, value: Any) -> str:
-        column = _NUMBERS.get(name)
+        column = EVENT_NUMBERS.get(name)
         if value is None:
             return ""
         if column is None:
@@ -166,7 +130,7 @@ def events_table(events: Sequence[Event], metadata: Mapping[str, str] | None = N
 
     fields = []
     for name in EVENT_COLUMNS:
-        column = _NUMBERS.get(name)
+        column = EVENT_NUMBERS.get(name)
         kind = pa.string() if column is None else pa.int64() if column.is_integer else pa.float64()
         fields.append(
             pa.field(name, kind, metadata={"unit": column.unit} if column and column.unit else None)
@@ -189,7 +153,7 @@ def event_values(event: Event) -> dict[str, Any]:
 def rounded_values(event: Event) -> dict[str, Any]:
     """Values of an event by column, with numbers as in events.csv; None = unknown or none."""
     return {
-        name: round(value, _NUMBERS[name].decimals) if isinstance(value, float) else value
+        name: round(value, EVENT_NUMBERS[name].decimals) if isinstance(value, float) else value
         for name, value in event_values(event).items()
     }
 
@@ -299,7 +263,7 @@ def _event(cells: Mapping[str, Any], row_name: str) -> Event:
 
 def _value(name: str, cell: Any, row_name: str) -> Any:
     """Value of a cell; NaN = unknown, for integers 0. EventFileError if it is not plausible."""
-    column = _NUMBERS.get(name)
+    column = EVENT_NUMBERS.get(name)
     if column is None:
         text = "" if cell is None else cell
         if not isinstance(text, str) or len(text) > _MAX_TEXT:

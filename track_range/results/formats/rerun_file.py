@@ -36,6 +36,7 @@ from track_range.results.formats.scene import (
     map_from_vehicle,
     track_objects,
 )
+from track_range.results.rows.columns import viewer_columns
 
 RERUN_FILE = "run.rrd"
 APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it
@@ -95,6 +96,7 @@ class RerunWriter:
         self._times_s: list[float] = []
         self._last_s, self._named = 0.0, set[int]()
         self._first_notes = info.notes
+        self._columns = viewer_columns()
         self._file = folder / RERUN_FILE
 
     def write(self, result: FrameResult) -> None:
@@ -139,7 +141,7 @@ class RerunWriter:
             self._recording.set_time("time", timestamp=self._last_s)
         self._log_notes(self._first_notes)
         self._first_notes = ()
-        objects = list(track_objects(result, self._info.camera))
+        objects = list(track_objects(result, self._info.camera, self._columns))
         self._log_objects(objects)
         self._log_map(objects, result.ego_pose)
 

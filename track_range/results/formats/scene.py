@@ -18,7 +18,7 @@ from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.results.rows.columns import viewer_columns
+from track_range.results.rows.column import ResultColumn
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
@@ -69,12 +69,14 @@ class TrackObject:
         return f"{name}  {self.distance_m:.1f}{sigma} m"
 
 
-def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackObject]:
+def track_objects(
+    result: FrameResult, camera: PinholeCamera, columns: Mapping[str, ResultColumn]
+) -> Iterator[TrackObject]:
     """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no
-    rotation.
+    rotation; `columns` are the `viewer_columns`.
     """
     tracks = result.tracks
-    figures = {name: column.read(result) for name, column in viewer_columns().items()}
+    figures = {name: column.read(result) for name, column in columns.items()}
     distance_m = figures["distance_m"]
     x1, y1, x2, y2 = tracks.xyxy_px.T
     names = [ROAD_CLASSES[class_id] for class_id in tracks.class_id.tolist()]

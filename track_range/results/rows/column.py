@@ -1,8 +1,10 @@
 """ResultColumn: declaration of a column of the rows of a run."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -53,20 +55,10 @@ class ResultColumn:
 
     def read(self, result: FrameResult) -> npt.NDArray[Any]:
         """(N,) values of the N tracks of a frame, NaN where it has no such part."""
-        value: Any = result
-        for step in self.place.split("."):
-            if isinstance(value, Mapping):
-                value = value.get(step)
-            elif step.isdigit():
-                value = value[:, int(step)]
-            else:
-                value = getattr(value, step)
-            if value is None:
-                value = math.nan
-                break
+        value = _reader(self.place)(result)
         if isinstance(value, np.ndarray):
             return value
-        return np.full(len(result.tracks), value)
+        return np.full(len(result.tracks), math.nan if value is None else value)
 
     def typed(self, values: npt.ArrayLike) -> npt.NDArray[Any]:
         """(N,) values of a file or of frames with the type of the kind; NaN becomes `unknown`."""
@@ -98,3 +90,22 @@ class ResultColumn:
         if self.kind == "number":
             return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
         return list(map(str, map(int, values)))
+
+
+@cache  # of few places, for each frame of a run
+def _reader(place: str) -> Callable[[FrameResult], Any]:
+    """Reads the value at a place of a `FrameResult`; None = it has no such part."""
+    first, *steps = place.split(".")
+    if first == "ranges":
+        return lambda result: _of_ranges(result, *steps)
+    if steps[-1].isdigit():
+        values, axis = attrgetter(place.rpartition(".")[0]), int(steps[-1])
+        return lambda result: values(result)[:, axis]
+    return attrgetter(place)
+
+
+def _of_ranges(result: FrameResult, method: str, part: str, detail: str = "") -> Any:
+    ranges = result.ranges.get(method)
+    if ranges is None:
+        return None
+    return ranges.details.get(detail) if part == "details" else getattr(ranges, part)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.support.results.events import event
 from track_range.results.events import files
-from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event
+from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, EVENT_NUMBERS, Event
 from track_range.results.events.files import (
     EVENTS_FILE,
     EVENTS_PARQUET,
@@ -44,7 +44,7 @@ def test_columns_begin_as_promised():
 
 def test_every_number_has_a_unit_and_limits():
     numbers = {f.name for f in dataclasses.fields(Event) if f.type in ("float", "int")}
-    assert set(files._NUMBERS) == numbers
+    assert set(EVENT_NUMBERS) == numbers
 
 
 def test_files_without_events_have_a_header(tmp_path):

@@ -23,6 +23,7 @@ from track_range.results.formats.mcap import NANOSECONDS, PROFILES, Message
 from track_range.results.formats.row_file import RowFile
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import check_extra, track_objects
+from track_range.results.rows.columns import viewer_columns
 
 if TYPE_CHECKING:
     from track_range.results.formats.mcap.foxglove_profile import FoxgloveProfile
@@ -76,12 +77,13 @@ class McapWriter:
         self._file = RowFile(folder / MCAP_FILE, self._sink.pop())
         self._has_gap = False
         self._first_notes = info.notes
+        self._columns = viewer_columns()
 
     def write(self, result: FrameResult) -> None:
         """Write the previous frame, and hold this frame."""
         self._release()
         time_ns = self._time_ns(result)
-        objects = list(track_objects(result, self._info.camera))
+        objects = list(track_objects(result, self._info.camera, self._columns))
         messages = list(self._profile.frame(objects, time_ns, result.ego_pose))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
