@@ -3,7 +3,7 @@ import torch
 
 from tests.detection.training.road_scenes import write_data_set
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.data_yaml import read_data_yaml
 
 
 @pytest.fixture(scope="session", autouse=True)
