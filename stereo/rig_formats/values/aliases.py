@@ -2,7 +2,7 @@
 
     K  camera matrix, or fx fy cx cy     D  distortion coefficients, or k1 k2 p1 p2 k3 ...     size  of the images
     R, T  x2 = R x1 + T                  rect, P  rotation to the rectified frame, projection in it
-    baseline, bf  their scalars          second_from_first, first_from_second  4 x 4 transforms
+    baseline, bf  their scalars          transform  from camera 1 to camera 2, 4 x 4 or 3 x 4
 
 Names are compared without case and punctuation, with the side before or behind them (`K1`,
 `left_camera_matrix`, `mtxR`) or around them (`cam1: {K: ...}`, `LEFT.K`). Sides are left and right,
@@ -22,6 +22,9 @@ class Quantity(NamedTuple):
     aliases: str  # its names in files, in lower case without punctuation
     counts: tuple[int, ...] = (1,)  # possible numbers of values; () = a text
     is_length: bool = False  # whether the name may end with the unit of its values
+    # whether a transform is that from the second camera to the first; a matrix is column by column
+    is_inverse: bool = False
+    is_transposed: bool = False
     # where the side of its camera stands: in the name, else in the block around it; only in the block
     side_in: Literal["name", "block", "nothing"] = "name"
 
@@ -32,7 +35,7 @@ class Meaning(NamedTuple):
     side: Side
     quantity: Quantity
     metres: float | None = None  # per unit of its values; None = not stated
-    is_inverse: bool = False  # whether a transform is that from the second camera to the first
+    is_inverse: bool = False  # as of the quantity, or of the block of R and T
 
 
 QUANTITIES = (
@@ -50,15 +53,16 @@ QUANTITIES = (
     Quantity("T", "t trans transl translation translationvector translationmatrix transvec tvec tvector tmat stereot"
              " trns stereotranslation relativetranslation tlefttoright", (3,), is_length=True),
     Quantity("T", "translationofcamera2", (3,), is_length=True, side_in="nothing"),  # MATLAB's
-    Quantity("R_transposed", "rotationofcamera2", (9,), side_in="nothing"),
+    Quantity("R", "rotationofcamera2", (9,), is_transposed=True, side_in="nothing"),
     Quantity("rect", "rect rrect recttrans recttransform rectify rectification rectificationmatrix rectrotation"
              " rectifiedrotation", (9,)),
     Quantity("P", "p proj projection projectionmatrix projmat projmats projmatrix prect", (12, 9)),
     Quantity("Q", "q disparitytodepth disptodepth disptodepthmatrix disptodepthmat reprojection reprojectionmatrix",
              (16,), side_in="block"),
-    Quantity("second_from_first", "tc2c1 trl t21 trightleft rightfromleft tcncnm1 lefttoright extrinsic extrinsics",
+    Quantity("transform", "tc2c1 trl t21 trightleft rightfromleft tcncnm1 lefttoright extrinsic extrinsics",
              (16, 12), side_in="block"),
-    Quantity("first_from_second", "tc1c2 tlr t12 tleftright leftfromright righttoleft", (16, 12), side_in="block"),
+    Quantity("transform", "tc1c2 tlr t12 tleftright leftfromright righttoleft", (16, 12), is_inverse=True,
+             side_in="block"),
     Quantity("baseline", "baseline b stereob stereobaseline", is_length=True, side_in="block"),
     Quantity("bf", "bf camerabf stereobf", side_in="block"),
     Quantity("fx", "fx f focal focallength focallengthpx focallengthx focalx fxpx fu gamma1 fc", (1, 2)),
@@ -128,7 +132,8 @@ def _by_name(name: str, around: Side, n_values: int) -> Meaning | None:
     """The meaning of a name, which may begin or end with its side, in a block of the side `around`."""
     quantity = _BY_ALIAS.get(name)
     if quantity is not None and (name not in COEFFICIENTS or n_values == 1):
-        return Meaning(None if quantity.side_in == "nothing" else around, quantity)
+        side = None if quantity.side_in == "nothing" else around
+        return Meaning(side, quantity, is_inverse=quantity.is_inverse)
     match = _BEFORE.fullmatch(name) or _BEHIND.fullmatch(name)
     if match is None:
         return None

@@ -34,7 +34,6 @@ _EXACT_KEYS = (
     *("M1", "D1", "M2", "D2", "K1", "K2", "R", "T"),
     *("camera_matrix", "distortion_coefficients"),
 )
-_EXTRINSIC = ("R", "T", "second_from_first", "first_from_second")
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
 _Value = Annotated[Number, Field(ge=-1e12, le=1e12)]  # products of larger ones would overflow
@@ -128,7 +127,7 @@ class RigDraft:
     @property
     def has_extrinsics(self) -> bool:
         """Whether R or T, or a transform, is known."""
-        return self.has(*_EXTRINSIC)
+        return self.has("R", "T", "transform")
 
     @property
     def title(self) -> str:
@@ -175,10 +174,6 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
     assumed = _stated_values(dialect.assumed, path)
     stated = {place: value._replace(key="") for place, value in assumed.items()}
     stated |= _stated_values(content, path)
-    transposed = stated.get((None, "R_transposed"))
-    if transposed is not None:  # MATLAB's
-        rotation = transposed.value.reshape(3, 3).T.ravel()
-        stated[None, "R"] = transposed._replace(value=rotation)
     draft = RigDraft(path, stated, tuple(dict.fromkeys(_top_keys(content))), dialect=dialect)
     q = stated.get((None, "Q"))
     if q is not None and not draft.has("K", "fx", "P"):
@@ -265,6 +260,8 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
                 f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again."
             )
         return None
+    if quantity.is_transposed and numbers.size in quantity.counts:
+        numbers = numbers.reshape(3, 3).T.ravel()
     return numbers if is_exact or numbers.size in quantity.counts else None
 
 

@@ -15,7 +15,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.rig import inverse_motion, rigid_motion
 from track_range.stereo.rig_formats.values.aliases import Side
 from track_range.stereo.rig_formats.values.cameras import incomplete, shaped
-from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.draft import RigDraft, Stated
 from track_range.stereo.rig_formats.values.units import TOLERANCE
 
 _SECOND_CAMERA = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}  # its matrices, and quantities
@@ -30,9 +30,10 @@ class PairMotion(NamedTuple):
 
 def motion_of(draft: RigDraft) -> PairMotion:
     """The transform by the quantities of a draft; RigError if they are incomplete."""
-    transform = _stated_transform(draft)
+    transform = draft.get(None, "transform")
     if transform is not None:
-        return PairMotion(transform)
+        rotation, translation = np.split(transform.value.reshape(-1, 4)[:3], [3], axis=1)
+        return PairMotion(_from_first(rigid_motion(rotation, translation), transform))
     first, second = draft.pair
     if not draft.pair_has("T"):
         if draft.own(second, "T") is not None:  # a pose of each camera
@@ -52,8 +53,12 @@ def motion_of(draft: RigDraft) -> PairMotion:
 
 def motion_of_pair(draft: RigDraft) -> FloatArray:
     """(4, 4) transform of R and T of the pair."""
-    motion, translation = _pose(draft, None), draft.get(None, "T")
-    is_inverse = translation is not None and translation.meaning.is_inverse
+    return _from_first(_pose(draft, None), draft.get(None, "T"))
+
+
+def _from_first(motion: FloatArray, stated: Stated | None) -> FloatArray:
+    """The transform from the first camera to the second of one in a stated direction."""
+    is_inverse = stated is not None and stated.meaning.is_inverse
     return inverse_motion(motion) if is_inverse else motion
 
 
@@ -83,17 +88,6 @@ def projections_of(draft: RigDraft) -> list[FloatArray] | None:
 def offset_of(first: FloatArray, second: FloatArray) -> float:
     """-B of two projection matrices (3, 4), in the unit of the file."""
     return float(second[0, 3] / second[0, 0] - first[0, 3] / first[0, 0])
-
-
-def _stated_transform(draft: RigDraft) -> FloatArray | None:
-    """The transform in a matrix of 4 x 4 or 3 x 4 numbers; None without one."""
-    for quantity in ("second_from_first", "first_from_second"):
-        numbers = draft.of(None, quantity)
-        if numbers is not None:
-            rotation, translation = np.split(numbers.reshape(-1, 4)[:3], [3], axis=1)
-            motion = rigid_motion(rotation, translation)
-            return motion if quantity == "second_from_first" else inverse_motion(motion)
-    return None
 
 
 def _motion_of_rectification(draft: RigDraft) -> FloatArray | None:
