@@ -221,6 +221,20 @@ def test_only_tests_of_benchmarks_import_them():
     assert users == []
 
 
+def test_modules_that_tests_import_exist():
+    """Also those of tests that are not in the fast tier."""
+    pattern = re.compile(
+        r"^ *(?:from|import) +((?:track_range|tests|benchmarks)[\w.]*)", re.MULTILINE
+    )
+    missing = {
+        f"{path.relative_to(PROJECT)}: {name}"
+        for path in sources("tests", "benchmarks")
+        for name in pattern.findall(path.read_text(encoding="utf-8"))
+        if not any((PROJECT / f"{name.replace('.', '/')}{end}").exists() for end in (".py", ""))
+    }
+    assert missing == set()
+
+
 def test_no_test_imports_another_one():
     """What tests share is a module beside them, in tests/support, or a fixture of a conftest.py."""
     pattern = re.compile(r"(from|import) +tests(\.\w+)*(\.| +import +)test_|noqa: F811")
