@@ -4,7 +4,7 @@ registered at run time.
 
 import os
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, reduce
 from importlib import import_module, metadata
@@ -49,7 +49,7 @@ class Registry(Generic[T]):
         self.group, self.built_in = group, built_in
         self.registered: dict[str, T] = {}  # things that were added at run time, in this order
         self._kind, self._check = kind, check
-        self._packages: _Packages[T] | None = None  # None = not needed yet
+        self._found: _Found[T] | None = None  # None = not needed yet
         self.all.append(self)
 
     @property
@@ -79,15 +79,12 @@ class Registry(Generic[T]):
     def usable(self) -> Mapping[str, T]:
         """The objects by name, imported, in the order of `names`.
 
-        Entry points that cannot be used are left out; `notes` has the reasons.
+        Entry points are read once for each `sys.path`, since a frame needs the objects often. Those
+        that cannot be used are left out; `notes` has the reasons.
         """
-        own: dict[str, T] = {}
-        for name, thing in self.built_in.items():
-            own |= self._named(name, imported(thing))
-        points = self.installed
-        if self._packages is None or self._packages.points is not points:
-            self._packages = self._imported(points, own)
-        return {**own, **self._packages.things, **self.registered}
+        if self._found is None or self._found.path != sys.path:
+            self._found = self._import_all()
+        return {**self._found.things, **self.registered}
 
     def named(self, name: str) -> T:
         """The usable object with a name; KeyError if there is none."""
@@ -103,8 +100,7 @@ class Registry(Generic[T]):
         """One sentence for each entry point that was to be used and cannot be; it names the
         package.
         """
-        packages = self._packages
-        return packages.notes if packages and packages.points is self.installed else ()
+        return self._found.notes if self._found and self._found.path == sys.path else ()
 
     def origin(self, name: str) -> str:
         """The entry point and package, "package.module:attribute (package 1.0)", of an object from
@@ -113,7 +109,7 @@ class Registry(Generic[T]):
         if name in self.built_in or name in self.registered:
             return ""
         origins = {point.name: _origin(point) for point in self.installed}
-        origins |= self._packages.origins if self._packages else {}
+        origins |= self._found.origins if self._found else {}
         return origins.get(name, "")
 
     @contextmanager
@@ -125,19 +121,16 @@ class Registry(Generic[T]):
         finally:
             self.registered = before
 
-    def _imported(
-        self, points: tuple[metadata.EntryPoint, ...], own: Mapping[str, T]
-    ) -> "_Packages[T]":
-        known, origins, notes = dict(own), dict[str, str](), list[str]()
-        pending = [point.name for point in points]
+    def _import_all(self) -> "_Found[T]":
+        known: dict[str, T] = {}
+        for name, thing in self.built_in.items():
+            known |= self._named(name, imported(thing))
+        origins, notes = dict[str, str](), list[str]()
+        points = self.installed
         for point in points:
             try:
                 loaded = self._named(point.name, _loaded(point))
-                for name, thing in loaded.items():
-                    if self._check is not None:
-                        self._check(thing, known.values(), pending)
-                    if name in known:
-                        raise PluginError(f"the name {name!r} is already in use")
+                self._check_all(loaded, known, [other.name for other in points])
             except UserError as error:
                 reason = " ".join(str(error).removesuffix(".").split())
                 notes.append(
@@ -146,8 +139,16 @@ class Registry(Generic[T]):
             else:
                 known |= loaded
                 origins |= dict.fromkeys(loaded, _origin(point))
-        things = {name: known[name] for name in origins}
-        return _Packages(points, things, origins, tuple(notes))
+        return _Found([*sys.path], known, origins, tuple(notes))
+
+    def _check_all(
+        self, loaded: Mapping[str, T], known: Mapping[str, T], pending: Sequence[str]
+    ) -> None:
+        for name, thing in loaded.items():
+            if self._check is not None:
+                self._check(thing, known.values(), pending)
+            if name in known:
+                raise PluginError(f"the name {name!r} is already in use")
 
     def _named(self, name: str, thing: Any) -> dict[str, T]:
         """The object, or the objects of a tuple, by name; PluginError: not of the registry's kind."""
@@ -160,11 +161,11 @@ class Registry(Generic[T]):
         return {getattr(one, "name", name): one for one in things}
 
 
-class _Packages(NamedTuple, Generic[T]):
-    """What entry points stand for."""
+class _Found(NamedTuple, Generic[T]):
+    """The built-in objects, and those of entry points."""
 
-    points: tuple[metadata.EntryPoint, ...]
-    things: Mapping[str, T]  # by name
+    path: list[str]  # `sys.path` when they were imported
+    things: dict[str, T]  # by name
     origins: dict[str, str]  # by name, see `Registry.origin`
     notes: tuple[str, ...]
 

@@ -119,6 +119,7 @@ class RangingStage:
             for of_method in self._answers(lambda ranger: tuple(ranger.notes))
             for note in of_method
         ]
+        self.summary()  # its failures are notes, too
         for name in self.rangers:
             counts = {
                 column: n for (method, column), n in self._n_invalid.items() if method == name and n
