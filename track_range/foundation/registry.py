@@ -49,7 +49,7 @@ class Registry(Generic[T]):
         self.group, self.built_in = group, built_in
         self.registered: dict[str, T] = {}  # things that were added at run time, in this order
         self._kind, self._check = kind, check
-        self._found: _Found[T] | None = None  # None = not needed yet
+        self._objects: _Objects[T] | None = None  # None = not needed yet
         self.all.append(self)
 
     @property
@@ -82,9 +82,9 @@ class Registry(Generic[T]):
         Entry points are read once for each `sys.path`, since a frame needs the objects often. Those
         that cannot be used are left out; `notes` has the reasons.
         """
-        if self._found is None or self._found.path != sys.path:
-            self._found = self._import_all()
-        return {**self._found.things, **self.registered}
+        if self._objects is None or self._objects.path != sys.path:
+            self._objects = self._import_all()
+        return {**self._objects.things, **self.registered}
 
     def named(self, name: str) -> T:
         """The usable object with a name; KeyError if there is none."""
@@ -100,7 +100,7 @@ class Registry(Generic[T]):
         """One sentence for each entry point that was to be used and cannot be; it names the
         package.
         """
-        return self._found.notes if self._found and self._found.path == sys.path else ()
+        return self._objects.notes if self._objects and self._objects.path == sys.path else ()
 
     def origin(self, name: str) -> str:
         """The entry point and package, "package.module:attribute (package 1.0)", of an object from
@@ -109,7 +109,7 @@ class Registry(Generic[T]):
         if name in self.built_in or name in self.registered:
             return ""
         origins = {point.name: _origin(point) for point in self.installed}
-        origins |= self._found.origins if self._found else {}
+        origins |= self._objects.origins if self._objects else {}
         return origins.get(name, "")
 
     @contextmanager
@@ -121,7 +121,7 @@ class Registry(Generic[T]):
         finally:
             self.registered = before
 
-    def _import_all(self) -> "_Found[T]":
+    def _import_all(self) -> "_Objects[T]":
         known: dict[str, T] = {}
         for name, thing in self.built_in.items():
             known |= self._named(name, imported(thing))
@@ -139,7 +139,7 @@ class Registry(Generic[T]):
             else:
                 known |= loaded
                 origins |= dict.fromkeys(loaded, _origin(point))
-        return _Found([*sys.path], known, origins, tuple(notes))
+        return _Objects([*sys.path], known, origins, tuple(notes))
 
     def _check_all(
         self, loaded: Mapping[str, T], known: Mapping[str, T], pending: Sequence[str]
@@ -161,7 +161,7 @@ class Registry(Generic[T]):
         return {getattr(one, "name", name): one for one in things}
 
 
-class _Found(NamedTuple, Generic[T]):
+class _Objects(NamedTuple, Generic[T]):
     """The built-in objects, and those of entry points."""
 
     path: list[str]  # `sys.path` when they were imported
