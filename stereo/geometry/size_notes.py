@@ -103,8 +103,10 @@ def _advice(fit: SizeFit) -> str:
         return f"give the calibration of these images (fy {fy_px:.0f} px)"
     if camera.width_px:
         return "state this size in the calibration"
-    command = f"track-range rig convert FILE rig.yaml --size {width_px}x{height_px}"
-    return f"state this size in the calibration ({command})"
+    return (
+        "state this size in the calibration (track-range rig convert FILE rig.yaml --size "
+        f"{width_px}x{height_px})"
+    )
 
 
 def field_notes(camera: PinholeCamera, source: object) -> tuple[str, ...]:

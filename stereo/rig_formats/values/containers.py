@@ -11,6 +11,7 @@ import io
 import json
 import re
 import zipfile
+from collections import Counter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -181,14 +182,11 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
         raise RigError(
             f"{path}: expected {expected} in XML, found an error: {shortened(str(error))}."
         ) from error
-    names = [node.tag for node in root]
-    if (
-        duplicate := next((key for key in names if names.count(key) > 1), None)
-        if len(names) < MAX_NUMBERS
-        else None
-    ):
+    counts = Counter(node.tag for node in root)
+    repeated = [key for key, n in counts.items() if n > 1]
+    if repeated and len(root) < MAX_NUMBERS:  # longer files list images or points
         raise RigError(
-            f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times."
+            f"{path}: expected the key {repeated[0]} once, found it {counts[repeated[0]]} times."
         )
 
     def value(node: ElementTree.Element, depth: int = 0) -> Any:

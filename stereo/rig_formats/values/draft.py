@@ -143,8 +143,14 @@ class RigDraft:
 
     def named_length(self, quantity: str) -> Stated | None:
         """The first value of a quantity whose key states its unit; None if there is none."""
-        of_quantity = (value for (_, name), value in self.stated.items() if name == quantity)
-        return next((value for value in of_quantity if value.meaning.metres is not None), None)
+        return next(
+            (
+                value
+                for (_, name), value in self.stated.items()
+                if name == quantity and value.meaning.metres is not None
+            ),
+            None,
+        )
 
     def __or__(self, other: RigDraft) -> RigDraft:
         """This draft, completed by the values of `other`."""
