@@ -94,10 +94,6 @@ class SafetyMeasures:
         }
         return cls(**numbers, is_lead=np.zeros(n, np.bool_))
 
-    def select(self, rows: slice) -> SafetyMeasures:
-        """The tracks in the given rows."""
-        return SafetyMeasures(*(getattr(self, field.name)[rows] for field in fields(self)))
-
 
 class SafetyMonitor:
     """Measures of all tracks of a video, frame by frame; TET and TIT are sums over the frames so

@@ -96,11 +96,7 @@ class ObjectMotion:
     @classmethod
     def unknown(cls, n: int) -> ObjectMotion:
         """Motion of n tracks whose motion is unknown."""
-        return cls(*np.full((6, n), np.nan))
-
-    def select(self, rows: slice) -> ObjectMotion:
-        """The tracks in the given rows."""
-        return ObjectMotion(*(getattr(self, name)[rows] for name in ObjectMotion.__slots__))
+        return cls(*np.full((len(cls.__slots__), n), np.nan))
 
 
 def over_ground(

@@ -33,11 +33,6 @@ class Alarms:
             Warnings.unknown(n), SafetyMeasures.unknown(n), has_warnings=False, has_safety=False
         )
 
-    def select(self, rows: slice) -> "Alarms":
-        """The alarms of the tracks in the given rows."""
-        warnings, safety = self.warnings.select(rows), self.safety.select(rows)
-        return Alarms(warnings, safety, self.has_warnings, self.has_safety)
-
 
 class AlarmStage:
     """Warns of collisions ahead; without `warning` there are no alarms, since the vehicle does not

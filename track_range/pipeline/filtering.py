@@ -77,7 +77,7 @@ class Approach:
     @classmethod
     def unknown(cls, n: int) -> "Approach":
         """The approach of n tracks whose motion is unknown."""
-        return cls(*np.full((4, n), np.nan))
+        return cls(*np.full((len(cls.__slots__), n), np.nan))
 
 
 class FilterStage:

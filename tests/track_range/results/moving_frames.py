@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.support.results.frame_results import changed, result
+from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.formats.run_info import RunInfo
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -35,6 +36,5 @@ def frame(index: int) -> Any:
     }
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
-    return changed(
-        given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows
-    )
+    motion = ObjectMotion(*(getattr(given.motion, name)[1:] for name in ObjectMotion.__slots__))
+    return changed(given, tracks=tracks, ranges=ranges, motion=motion, **rows)

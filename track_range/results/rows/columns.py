@@ -144,7 +144,7 @@ _MOTION = (
         "heading_deg",
         "deg",
         "world.motion.heading_deg",
-        "direction of motion in the frame [`map`], counterclockwise, -180 to 180; empty at rest",
+        "direction of motion in the frame [map], counterclockwise, -180 to 180; empty at rest",
         decimals=2,
         viewer_name="heading_deg",
     ),
