@@ -111,8 +111,8 @@ def evaluate_by_size(
     Example:
         >>> import numpy as np, track_range as tr
         >>> car = tr.Detections.of([[100, 50, 130, 70]], [0.9], [2])
-        >>> truth = tr.ImageTruth.of(car.xyxy_px, car.class_id)
-        >>> small, medium, large = tr.evaluate_detections_by_size(
+        >>> truth = tr.evaluate.ImageTruth.of(car.xyxy_px, car.class_id)
+        >>> small, medium, large = tr.evaluate.detections_by_size(
         ...     [car], [truth], working_score=np.full(8, 0.25), known_class_id=np.arange(8)
         ... )
         >>> small.by_class[2].ap50, medium.by_class[2].n_boxes

@@ -175,8 +175,8 @@ def evaluate_calibration(
     Example:
         >>> import numpy as np, track_range as tr
         >>> cars = tr.Detections.of([[0, 0, 50, 40], [100, 0, 150, 40]], [0.75, 0.25], [2, 2])
-        >>> truth = tr.ImageTruth.of([[0, 0, 50, 40]], [2])
-        >>> calibration = tr.evaluate_score_calibration([cars], [truth], known_class_id=np.arange(8))
+        >>> truth = tr.evaluate.ImageTruth.of([[0, 0, 50, 40]], [2])
+        >>> calibration = tr.evaluate.score_calibration([cars], [truth], known_class_id=np.arange(8))
         >>> calibration.overall.ece  # a box of 0.75 that is right, one of 0.25 that is wrong
         0.25
 

@@ -229,7 +229,11 @@ def test_public_names_are_documented():
         for name in re.findall(r"^::: track_range\.(\S+)$", text, re.MULTILINE)
     ]
     public = [name for name in shown if "." not in name]
-    assert sorted(public) == sorted(set(tr.__all__) - {"__version__"})
+    modules = {"errors": tr.errors, "evaluate": tr.evaluate}
+    assert sorted(public) == sorted(set(tr.__all__) - {"__version__", *modules})
+    for module, names in modules.items():
+        of_module = [name.rpartition(".")[2] for name in shown if name.startswith(f"{module}.")]
+        assert sorted(of_module) == sorted(names.__all__)
     listed = re.findall(
         r"`(\w+)`",
         pages["docs/reference/api/index.md"].partition("|---|---|---|")[2].partition("\n\n")[0],

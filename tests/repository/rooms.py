@@ -102,7 +102,8 @@ ROOMS: Mapping[str, Room] = _rooms()
 FRONT_ROOMS = ("api", "cli")
 """Rooms that may import all others, whether they do so or not."""
 
-FRONT_DOOR = {"track_range", "track_range.__main__"}
+_LAZY_NAMES = {"track_range", "track_range.errors", "track_range.evaluate"}
+FRONT_DOOR = _LAZY_NAMES | {"track_range.__main__"}
 """Modules in no room: the lazy names of `import track_range`, and `python -m track_range`."""
 
 

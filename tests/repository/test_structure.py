@@ -23,7 +23,7 @@ MOST_STATEMENTS = {
     # each lens a file (50)
     "stereo": 7_315,
     "ranging": 6_140,  # a folder for measurements and one for truth, below the methods (10)
-    "api": 80,
+    "api": 105,  # names that are imported when they are used, and their former names (22)
     "calibration": 1_065,
     # notes on packages (5)
     "cli": 2_335,
@@ -43,7 +43,7 @@ MOST_STATEMENTS = {
     "run": 2_275,
     "simulation": 3_195,
     "views": 2_550,
-    "track_range": 80,
+    "track_range": 95,  # a module of errors and one of evaluations (14)
 }
 
 

@@ -63,7 +63,7 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
     Example:
         >>> import track_range as tr
-        >>> results = tr.evaluate_stereo("drive", matchers=("sgbm",))
+        >>> results = tr.evaluate.stereo("drive", matchers=("sgbm",))
         >>> results["matchers"]["sgbm"]["median_relative_error_pct"] < 10
         True
 

@@ -300,7 +300,7 @@ def _case(drive: Drive, fault: Fault, frame: int) -> dict[str, Any]:
                     if np.isnan(noticed_s) and re.search(fault.said, " ".join(run.notes)):
                         noticed_s = max(result.time_s - from_frame / FPS, 0.0)
                 notes, methods = " ".join(run.notes), run.summary["methods"]
-        except tr.RigError as error:
+        except tr.errors.RigError as error:
             notes, noticed_s = (
                 str(error),
                 0.0 if re.search(fault.said, str(error)) else float("nan"),

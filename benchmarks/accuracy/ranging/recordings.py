@@ -87,7 +87,7 @@ def _attempt(measure: Callable[[Path], Figures]) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         try:
             row = measure(Path(folder))
-        except tr.UserError as error:
+        except tr.errors.UserError as error:
             row = {"right": False, "said": str(error).replace(folder, "").strip("/")[:200]}
         except (TypeError, OSError, RuntimeError, ValueError) as error:
             row = {

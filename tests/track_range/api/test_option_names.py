@@ -18,15 +18,15 @@ import track_range as tr
     ],
 )
 def test_errors_of_the_construction(options, beginning):
-    with pytest.raises(tr.UsageError, match=beginning) as raised:
+    with pytest.raises(tr.errors.UsageError, match=beginning) as raised:
         tr.Run.mono("a.mp4", **options)
     assert "--" not in str(raised.value)
 
 
 def test_errors_of_the_opening(small_drive, cli, tmp_path):
-    with pytest.raises(tr.VideoError, match="omit topics="):
+    with pytest.raises(tr.errors.VideoError, match="omit topics="):
         tr.Run.mono(small_drive.left, topics=("/camera",)).open()
-    with pytest.raises(tr.VideoError, match="omit topics="):
+    with pytest.raises(tr.errors.VideoError, match="omit topics="):
         tr.open_recording(small_drive.left, topics=("/camera",))
     status, _, complaint = cli(
         "--mono", small_drive.left, "--topics", "/camera", "--out", tmp_path / "out"
@@ -43,17 +43,19 @@ class FailingDetector:
     def detect(self, image):
         self.n_images += 1
         if self.n_images > 3:
-            raise tr.ConfigError("--min-score: expected fewer boxes; give --classes.")
+            raise tr.errors.ConfigError("--min-score: expected fewer boxes; give --classes.")
         return tr.Detections.empty()
 
 
 def test_errors_during_a_run(small_drive, tmp_path):
     run = tr.Run.mono(small_drive.left, focal_px=700, detector=FailingDetector(), overlay=False)
-    with pytest.raises(tr.ConfigError, match=r"^min_score: expected fewer boxes; give classes="):
+    with pytest.raises(
+        tr.errors.ConfigError, match=r"^min_score: expected fewer boxes; give classes="
+    ):
         list(run)
     assert run.summary["frames"] > 0
     run = tr.Run.mono(small_drive.left, focal_px=700, detector=FailingDetector(), overlay=False)
-    with pytest.raises(tr.ConfigError, match=r"^min_score: "):
+    with pytest.raises(tr.errors.ConfigError, match=r"^min_score: "):
         run.write(tmp_path / "out")
 
 
@@ -63,8 +65,8 @@ def test_command_line_names_flags(cli):
 
 
 def test_errors_of_evaluations():
-    with pytest.raises(tr.UsageError, match=r"^min_lead_s: "):
-        tr.evaluate_events("events.csv", "truth.csv", min_lead_s=-1)
+    with pytest.raises(tr.errors.UsageError, match=r"^min_lead_s: "):
+        tr.evaluate.events("events.csv", "truth.csv", min_lead_s=-1)
 
 
 def test_values_of_python(small_drive):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import closing
 from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -43,6 +44,28 @@ def test_every_public_name_is_importable():
     assert set(tr.__all__) <= set(dir(tr))
     with pytest.raises(AttributeError, match="Detecter"):
         _ = tr.Detecter
+    for module in (tr.errors, tr.evaluate):
+        assert set(module.__all__) <= set(dir(module))
+        assert all(callable(getattr(module, name)) for name in module.__all__)
+
+
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [
+        ("UserError", "errors.UserError"),
+        ("RigError", "errors.RigError"),
+        ("evaluate_tracks", "evaluate.tracks"),
+        ("evaluate_detections_by_size", "evaluate.detections_by_size"),
+        ("ImageTruth", "evaluate.ImageTruth"),
+        ("MonoPipeline", "Pipeline"),
+    ],
+)
+def test_former_names_warn_of_their_end(former, present):
+    with pytest.warns(DeprecationWarning, match=rf"\btrack_range\.{present}\b") as warned:
+        value = getattr(tr, former)
+    assert value is attrgetter(present)(tr)
+    assert warned[0].filename == __file__
+    assert former not in dir(tr)
 
 
 def test_import_loads_no_library():
@@ -177,13 +200,13 @@ def test_second_write_keeps_the_videos(small_drive, tmp_path):
     ],
 )
 def test_wrong_options(small_drive, options, word):
-    with pytest.raises(tr.ConfigError, match=word):
+    with pytest.raises(tr.errors.ConfigError, match=word):
         recorded(small_drive, **options)
 
 
 def test_missing_video(tmp_path):
     run = tr.Run.mono(tmp_path / "none.mp4", focal_px=700)
-    with pytest.raises(tr.VideoError, match=r"none\.mp4"):
+    with pytest.raises(tr.errors.VideoError, match=r"none\.mp4"):
         run.open()
 
 
@@ -217,7 +240,7 @@ def test_own_detector_and_tracker_objects(small_drive):
     assert len(seen) == len(frames) > 0
     assert all(frame.tracks.track_id.tolist() == [41] for frame in frames)
     assert run.summary["inputs"]["detector"].endswith("MiddleBox")
-    with pytest.raises(tr.ConfigError, match="both"):
+    with pytest.raises(tr.errors.ConfigError, match="both"):
         recorded(small_drive, detector=MiddleBox())
 
 
@@ -227,7 +250,9 @@ def test_own_detector_with_invalid_boxes(small_drive):
             return tr.Detections.of([[10, 10, 60, 60]], [90], [2])
 
     run = tr.Run.mono(small_drive.left, focal_px=700, detector=Percent(), duration=0.3)
-    with pytest.raises(tr.UserError, match=r"Percent, frame 0: ValueError: score: .*got 90\.0"):
+    with pytest.raises(
+        tr.errors.UserError, match=r"Percent, frame 0: ValueError: score: .*got 90\.0"
+    ):
         list(run)
 
 
@@ -288,7 +313,7 @@ def test_rig_files(small_drive, tmp_path):
     (tmp_path / "calib.txt").write_text(
         "P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -378 0 700 180 0 0 0 1 0\n"
     )
-    with pytest.raises(tr.RigError, match="size_px"):
+    with pytest.raises(tr.errors.RigError, match="size_px"):
         tr.load_rig(tmp_path / "calib.txt")
     assert tr.load_rig(tmp_path / "calib.txt", size_px=(640, 360)).baseline_m == pytest.approx(0.54)
 
@@ -308,10 +333,10 @@ def test_supervision_like_boxes_reach_the_tracker():
 
 
 def test_evaluations_take_options_by_name(small_drive, tmp_path):
-    figures = tr.evaluate_stereo(small_drive.left.parent, matchers=("sgbm",))
+    figures = tr.evaluate.stereo(small_drive.left.parent, matchers=("sgbm",))
     assert figures["matchers"]["sgbm"]["median_relative_error_pct"] < 15
-    with pytest.raises(tr.UserError, match="matcher"):
-        tr.evaluate_stereo(small_drive.left.parent, matcher="patch")
+    with pytest.raises(tr.errors.UserError, match="matcher"):
+        tr.evaluate.stereo(small_drive.left.parent, matcher="patch")
 
 
 def test_tracks_measured_against_themselves(tmp_path):
@@ -323,7 +348,7 @@ def test_tracks_measured_against_themselves(tmp_path):
     for name in ("truth", "results"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("\n".join(rows) + "\n")
-    figures = tr.evaluate_tracks(tmp_path / "truth", tmp_path / "results", truth_format="mot")
+    figures = tr.evaluate.tracks(tmp_path / "truth", tmp_path / "results", truth_format="mot")
     assert figures["combined"]["hota"] == pytest.approx(100)
 
 
@@ -388,5 +413,5 @@ def test_docstring_example(small_drive, tmp_path, monkeypatch, name):
     ],
 )
 def test_objects_of_other_kinds_are_refused(option, value, found):
-    with pytest.raises(tr.ConfigError, match=rf"^{option}: .*{found}\.$"):
+    with pytest.raises(tr.errors.ConfigError, match=rf"^{option}: .*{found}\.$"):
         tr.Run.mono("a.mp4", **{option: value})

@@ -246,7 +246,7 @@ def folders(tmp_path):
 
 
 def evaluated(folder, **options):
-    return tr.evaluate_events(folder / "run/events.csv", folder / "drive/contacts.csv", **options)
+    return tr.evaluate.events(folder / "run/events.csv", folder / "drive/contacts.csv", **options)
 
 
 def test_objects_by_boxes(folders):
@@ -304,7 +304,7 @@ def test_options_and_folder(folders):
     (folders / "drive/truth.csv").rename(folders / "labels.csv")
     without = evaluated(folders)
     assert any("--tracks" in note for note in without["notes"])
-    given = tr.evaluate_events(
+    given = tr.evaluate.events(
         folders / "run",
         folders / "drive/contacts.csv",
         tracks=folders / "rows.csv",
@@ -322,13 +322,13 @@ def test_only_the_two_files(tmp_path):
         events_text([warning(7.0, track_id=3, end_s=11.0), warning(40.0, track_id=9, end_s=45.0)])
     )
     contacts.write_text(f"{CONTACTS}3,car,10.0\n8,Pedestrian,20.0\n")
-    figures = tr.evaluate_events(events, contacts, hours=2)
+    figures = tr.evaluate.events(events, contacts, hours=2)
     assert counts(figures["overall"]) == (1, 1, 1)
     assert (figures["overall"]["lead_s"], figures["overall"]["false_alarms_per_hour"]) == (
         [3.0],
         0.5,
     )
-    figures = tr.evaluate_events(events, contacts)
+    figures = tr.evaluate.events(events, contacts)
     assert figures["overall"]["hours"] == pytest.approx(0.0125)
     assert any("--hours" in note for note in figures["notes"])
 
@@ -337,7 +337,7 @@ def test_labelled_events_in_a_file(folders):
     (folders / "labels.csv").write_text(
         "kind,start_s,end_s,class\nforward_collision,0.4,2.0,car\ncut_in,3,4,\n"
     )
-    figures = tr.evaluate_events(folders / "run/events.csv", folders / "labels.csv")
+    figures = tr.evaluate.events(folders / "run/events.csv", folders / "labels.csv")
     assert counts(figures["overall"]) == (1, 1, 1)
     assert "closing" not in figures
 
@@ -346,14 +346,14 @@ def test_files_without_rows(tmp_path):
     events, contacts = tmp_path / "events.csv", tmp_path / "contacts.csv"
     events.write_text(events_text(()))
     contacts.write_text(CONTACTS)
-    figures = tr.evaluate_events(events, contacts)
+    figures = tr.evaluate.events(events, contacts)
     assert counts(figures["overall"]) == (0, 0, 0)
     assert (figures["overall"]["hours"], figures["overall"]["false_alarms_per_hour"]) == (
         None,
         None,
     )
     json.dumps(figures, allow_nan=False)
-    assert counts(tr.evaluate_events(events, events)["overall"]) == (0, 0, 0)
+    assert counts(tr.evaluate.events(events, events)["overall"]) == (0, 0, 0)
 
 
 def test_events_of_another_video(folders):
@@ -390,7 +390,7 @@ def test_bad_truth(folders, content, word):
     path = folders / "truth.csv"
     path.write_text(content)
     with pytest.raises(EventFileError, match=rf"truth.csv.*{word}"):
-        tr.evaluate_events(folders / "run/events.csv", path)
+        tr.evaluate.events(folders / "run/events.csv", path)
 
 
 def test_events_without_warnings_column(folders):
@@ -398,9 +398,9 @@ def test_events_without_warnings_column(folders):
     with pytest.raises(EventFileError, match="warning_s"):
         evaluated(folders)
     with pytest.raises(UserError, match="no such file"):
-        tr.evaluate_events(folders / "none.csv", folders / "drive/contacts.csv")
+        tr.evaluate.events(folders / "none.csv", folders / "drive/contacts.csv")
     with pytest.raises(UserError, match="no such file"):
-        tr.evaluate_events(folders / "run/events.csv", folders / "none.csv")
+        tr.evaluate.events(folders / "run/events.csv", folders / "none.csv")
 
 
 def test_contacts_of_a_file(tmp_path):

@@ -117,7 +117,7 @@ def test_look_ahead_answers_more(labels_calib_poses):
     # with seed 0, only the parked car is answered
     given = {"calib": calib, "poses": poses, "noise_px": 2.0, "seed": 1}
     bands = {
-        look_ahead: tr.evaluate_motion(labels, look_ahead=look_ahead, **given)["bands"]
+        look_ahead: tr.evaluate.motion(labels, look_ahead=look_ahead, **given)["bands"]
         for look_ahead in (False, True)
     }
     far, far_ahead = bands[False]["40-80"], bands[True]["40-80"]
@@ -210,7 +210,7 @@ def test_unknown_methods(labels_calib_poses):
 
     labels, calib, poses = labels_calib_poses
     with pytest.raises(UsageError, match=r"stereo.*mono"):
-        tr.evaluate_motion(labels, calib=calib, poses=poses, method="stereo")
+        tr.evaluate.motion(labels, calib=calib, poses=poses, method="stereo")
 
 
 @pytest.mark.real
@@ -224,7 +224,7 @@ def test_a_given_sequence(shared_data, tmp_path):
     poses = shared_data / "kitti_poses"
     if not poses.is_dir():
         pytest.skip(f"real data not here: no folder {poses}")
-    figures = tr.evaluate_motion(labels, calib=shared_data / "kitti_labels" / "calib", poses=poses)
+    figures = tr.evaluate.motion(labels, calib=shared_data / "kitti_labels" / "calib", poses=poses)
     near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
     assert (near["n"], far["n"]) == (457, 270)
     assert 0.4 < near["coverage"] < 0.98
@@ -329,7 +329,7 @@ def test_closing_speeds_of_nuscenes(shared_data):
     """Six cameras at 2 Hz, of a data set on which nothing of the filters was chosen."""
     import track_range as tr
 
-    figures = tr.evaluate_motion(shared_data / "nuscenes" / "mono3d.json", data="nuscenes")
+    figures = tr.evaluate.motion(shared_data / "nuscenes" / "mono3d.json", data="nuscenes")
     near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
     assert 1100 < near["n"] < 1400
     assert 0.75 < near["coverage"] < 0.95
@@ -344,7 +344,7 @@ def test_closing_speeds_of_nuscenes(shared_data):
 def test_velocity_of_a_tusimple_clip(shared_data):
     import track_range as tr
 
-    figures = tr.evaluate_motion(shared_data / "tusimple" / "clip", data="tusimple")
+    figures = tr.evaluate.motion(shared_data / "tusimple" / "clip", data="tusimple")
     assert figures["bands"]["10-40"]["coverage"] == 1.0
     assert 0 <= figures["bands"]["10-40"]["median_mps"] < 0.6
     assert 0 < figures["velocity_score"]["medium"] < 0.5

@@ -59,7 +59,7 @@ def test_each_second_frame_is_a_recording_of_half_the_rate(
 
 
 def test_rate_and_number_of_frames(folders: tuple[Path, Path, Path]) -> None:
-    with pytest.raises(tr.ConfigError, match="every"):
+    with pytest.raises(tr.errors.ConfigError, match="every"):
         tr.Run.mono(folders[0], every=0)
     recording = tr.open_recording(folders[0], focal_px=100, every=5)
     assert (recording.fps, recording.n_frames, [frame.index for frame in recording.frames]) == (

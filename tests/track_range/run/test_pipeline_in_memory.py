@@ -191,7 +191,7 @@ def test_bad_frames_change_nothing(plain_drive: Drive) -> None:
                 for name in bad if left.time_s > 0.05 else ():
                     one, other, time_s = BAD_FRAMES[name](left.image, right.image)
                     with pytest.raises(
-                        tr.FrameError, match=r"^(left|right|time_s): expected .*found"
+                        tr.errors.FrameError, match=r"^(left|right|time_s): expected .*found"
                     ):
                         pipeline.step(one, other, left.time_s if time_s is None else time_s)
             tables.append(pipeline.to_arrow())
@@ -201,7 +201,7 @@ def test_bad_frames_change_nothing(plain_drive: Drive) -> None:
 def test_a_first_frame_that_does_not_fit_the_rig_is_refused(plain_drive: Drive) -> None:
     left, right = images(plain_drive)[0]
     with tr.Pipeline.stereo(plain_drive.rig, align="off", **OPTIONS) as pipeline:
-        with pytest.raises(tr.RigError):
+        with pytest.raises(tr.errors.RigError):
             pipeline.step(left.image[:, :300].copy(), right.image[:, :300].copy(), 0.0)
         assert pipeline.step(left.image, right.image, 0.0).index == 0
 
@@ -218,7 +218,7 @@ def test_swapped_images_are_refused_every_time(plain_drive: Drive) -> None:
         n_rows = pipeline.to_arrow().num_rows
         left, right = last
         for later_s in (0.0, 0.1, 0.2):
-            with pytest.raises(tr.RigError, match="swap"):
+            with pytest.raises(tr.errors.RigError, match="swap"):
                 pipeline.step(right.image, left.image, left.time_s + later_s)
         assert pipeline.to_arrow().num_rows == n_rows
 
@@ -232,35 +232,35 @@ def test_a_closed_pipeline_takes_no_frame(plain_drive: Drive) -> None:
         rows = pipeline.to_arrow()
         pipeline.close()
         pipeline.close()
-        with pytest.raises(tr.UsageError, match="closed"):
+        with pytest.raises(tr.errors.UsageError, match="closed"):
             pipeline.step(left.image, right.image, 9.0)
         assert pipeline.to_arrow().equals(rows)
 
 
 def test_options_are_checked(plain_drive: Drive) -> None:
-    with pytest.raises(tr.ConfigError, match=r"lane_width_m: .*1\.5"):
+    with pytest.raises(tr.errors.ConfigError, match=r"lane_width_m: .*1\.5"):
         tr.Pipeline.stereo(plain_drive.rig, lane_width_m=0.1)
-    with pytest.raises(tr.ConfigError, match="unknown option"):
+    with pytest.raises(tr.errors.ConfigError, match="unknown option"):
         tr.Pipeline.stereo(plain_drive.rig, out="here")  # type: ignore[call-arg]
-    with pytest.raises(tr.ConfigError, match="either focal_px or rig"):
+    with pytest.raises(tr.errors.ConfigError, match="either focal_px or rig"):
         tr.Pipeline.mono()
-    with pytest.raises(tr.ConfigError, match=r"focal_px: .*positive"):
+    with pytest.raises(tr.errors.ConfigError, match=r"focal_px: .*positive"):
         tr.Pipeline.mono(focal_px=-1)
-    with pytest.raises(tr.ConfigError, match=r"keep_s: .*positive"):
+    with pytest.raises(tr.errors.ConfigError, match=r"keep_s: .*positive"):
         tr.Pipeline.mono(focal_px=360, keep_s=0)
     for bad in ("360", True, np.inf):
-        with pytest.raises(tr.ConfigError, match=r"focal_px: .*positive"):
+        with pytest.raises(tr.errors.ConfigError, match=r"focal_px: .*positive"):
             tr.Pipeline.mono(focal_px=bad)
     for bad_rig in (5, [1]):
-        with pytest.raises(tr.ConfigError, match=r"rig: expected"):
+        with pytest.raises(tr.errors.ConfigError, match=r"rig: expected"):
             tr.Pipeline.mono(rig=bad_rig)
-        with pytest.raises(tr.ConfigError, match=r"rig: expected"):
+        with pytest.raises(tr.errors.ConfigError, match=r"rig: expected"):
             tr.Pipeline.stereo(bad_rig)
-    with pytest.raises(tr.ConfigError, match=r"align: expected"):
+    with pytest.raises(tr.errors.ConfigError, match=r"align: expected"):
         tr.Pipeline.stereo(plain_drive.rig, align=5)
-    with pytest.raises(tr.RigError, match=r"missing\.yaml"):
+    with pytest.raises(tr.errors.RigError, match=r"missing\.yaml"):
         tr.Pipeline.stereo("missing.yaml")
-    with pytest.raises(tr.RigError, match=r"missing\.yaml"):
+    with pytest.raises(tr.errors.RigError, match=r"missing\.yaml"):
         tr.Pipeline.stereo(plain_drive.rig, align="missing.yaml")
 
 
@@ -291,10 +291,10 @@ def test_numbers_of_numpy_and_names_of_arguments(plain_drive: Drive) -> None:
             ((left.image, "0.2"), "time_s"),
             ((left.image, None), "time_s"),
         ):
-            with pytest.raises(tr.FrameError, match=f"^{name}: expected"):
+            with pytest.raises(tr.errors.FrameError, match=f"^{name}: expected"):
                 pipeline.step(*arguments)
         for speed in ("fast", math.inf, 1e9, -29.2):
-            with pytest.raises(tr.FrameError, match=r"^ego_speed_mps: expected"):
+            with pytest.raises(tr.errors.FrameError, match=r"^ego_speed_mps: expected"):
                 pipeline.step(left.image, 0.2, ego_speed_mps=speed)
         assert pipeline.step(left.image, 0.2).index == 2
 
@@ -306,9 +306,9 @@ def test_ways_to_call_step(plain_drive: Drive) -> None:
         assert stereo.step(left, right, time_s=0.1, ego_speed_mps=5.0).index == 1
         assert stereo.step(left=left, right=right, time_s=0.2).index == 2
         for arguments in ((left, 0.3), (left, None, 0.3)):
-            with pytest.raises(tr.FrameError, match=r"^right: expected an image"):
+            with pytest.raises(tr.errors.FrameError, match=r"^right: expected an image"):
                 stereo.step(*arguments)
-        with pytest.raises(tr.FrameError, match=r"^time_s: expected a time"):
+        with pytest.raises(tr.errors.FrameError, match=r"^time_s: expected a time"):
             stereo.step(left, right)
     with tr.Pipeline.mono(focal_px=360, **OPTIONS) as mono:
         assert mono.step(left, 0.0).index == 0
@@ -316,10 +316,12 @@ def test_ways_to_call_step(plain_drive: Drive) -> None:
         assert mono.step(image=left, time_s=0.2).index == 2
         assert mono.step(left, None, 0.3).index == 3
         for both in ((left, right, 0.4), (left, right)):
-            with pytest.raises(tr.FrameError, match=r"^right: expected one image.*two"):
+            with pytest.raises(tr.errors.FrameError, match=r"^right: expected one image.*two"):
                 mono.step(*both)
         assert mono.step(left, 0.4).index == 4
-    assert tr.StereoPipeline is tr.MonoPipeline is tr.Pipeline
+    for former in ("StereoPipeline", "MonoPipeline"):
+        with pytest.warns(DeprecationWarning, match=r"track_range\.Pipeline"):
+            assert getattr(tr, former) is tr.Pipeline
 
 
 def test_speed_of_each_step(plain_drive: Drive) -> None:
@@ -407,7 +409,7 @@ def test_a_detector_that_fails_leaves_the_tracks_as_they_were(plain_drive: Drive
     ) as pipeline:
         pipeline.step(left.image, right.image, 0.0)
         detector.fails = True
-        with pytest.raises(tr.UserError, match=r"Failing.*Detections"):
+        with pytest.raises(tr.errors.UserError, match=r"Failing.*Detections"):
             pipeline.step(left.image, right.image, 0.1)
         detector.fails = False
         assert pipeline.step(left.image, right.image, 0.1).index == 1

@@ -263,14 +263,14 @@ def test_detections_without_track_are_covered():
 def test_results_before_an_error_are_delivered():
     def results():
         yield from (result(k) for k in range(3))
-        raise tr.UserError("camera lost")
+        raise tr.errors.UserError("camera lost")
 
     shown = []
-    with pytest.raises(tr.UserError):
+    with pytest.raises(tr.errors.UserError):
         shown.extend(item.index for item in anonymized_results(results(), OFFLINE))
     frames = anonymized_results(results(), OFFLINE)
     assert [next(frames).index for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(tr.UserError):
+    with pytest.raises(tr.errors.UserError):
         next(frames)
 
 
