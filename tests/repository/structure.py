@@ -1,7 +1,6 @@
 """The structure of the product: statements per room, and the sizes of its functions.
 
     python -m tests.repository.structure [FOLDER ...]    prints the figures, of other code too
-    python -m tests.repository.structure --write         shortens `large_functions.txt`
 
 A function is large if it has a cognitive complexity of more than 20 (complexipy, which counts
 conditional expressions, boolean operators and conditions in comprehensions), more than 70 lines
@@ -19,7 +18,6 @@ from pathlib import Path
 import complexipy
 
 PROJECT = Path(__file__).resolve().parents[2]
-LIST = Path(__file__).with_name("large_functions.txt")
 TOP_ROOMS = ("detection", "tracking", "stereo", "ranging")
 MAX_COMPLEXITY, MAX_LINES, MAX_ARGUMENTS = 20, 70, 8
 
@@ -44,7 +42,7 @@ class Function:
 
     @property
     def row(self) -> str:
-        """A line of the list."""
+        """Its name and sizes."""
         return f"{self.name} {self.complexity} {self.lines} {self.arguments}"
 
 
@@ -109,12 +107,6 @@ def large_functions() -> list[Function]:
     return sorted(found, key=lambda function: function.name)
 
 
-def listed() -> dict[str, Function]:
-    """The functions of the list, by name."""
-    rows = [line.split() for line in LIST.read_text(encoding="utf-8").splitlines()]
-    return {name: Function(name, *map(int, numbers)) for name, *numbers in rows}
-
-
 def n_tokens(source: str) -> int:
     """Number of tokens without comments, line breaks and docstrings."""
     ignored = {
@@ -170,8 +162,8 @@ def figures(paths: list[Path]) -> dict[str, float]:
 
 
 def main(arguments: list[str]) -> None:
-    """Print the figures, or write the list."""
-    if arguments and "--write" not in arguments:
+    """Print the figures."""
+    if arguments:
         for folder in map(Path, arguments):
             links = [path for path in folder.rglob("*") if path.is_symlink()]
             paths = [
@@ -183,8 +175,6 @@ def main(arguments: list[str]) -> None:
                 print(f"{value:12,.1f}  {name}")
         return
     large = large_functions()
-    if "--write" in arguments:
-        LIST.write_text("".join(f"{f.row}\n" for f in large), encoding="utf-8")
     for name, paths in rooms().items():
         total = sum(n_statements(ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
         print(f"{name:14}{total:7,}")

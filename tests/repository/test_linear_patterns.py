@@ -22,7 +22,7 @@ SHORT = {  # modules whose expressions only see short texts
     "track_range.calibration.board_images": "patterns of the command line",
     "track_range.foundation.schemas.keywords": "messages of the program",
     "track_range.cli.commands.doctor": "requirements of installed packages",
-    "track_range.recording.video.address": "addresses of the command line",
+    "track_range.recording.sources.live.address": "addresses of the command line",
     "track_range.views.live_view.server": "the program's own page",
 }
 EXPRESSIONS = {

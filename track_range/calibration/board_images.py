@@ -26,10 +26,12 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import find_layout, matching_halves
+from track_range.recording.sources.names import source_of
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.sources.video_half import image_half
+from track_range.recording.video.file_names import natural_key
 from track_range.recording.video.frame import TIME_EPSILON_S, VideoFrame
-from track_range.recording.video.names import LayoutOption, StereoLayout, natural_key
+from track_range.recording.video.layouts import LayoutOption, StereoLayout
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards
@@ -101,7 +103,7 @@ class VideoShots:
         self._pair: PackedPair | RecordedPair | None = None
         self._first = first = open_video(paths[0])
         if len(paths) > 1 and paths[0] == paths[1]:
-            self._pair = pair_in(first, paths[0], find_layout(first, layout).layout, open_video)
+            self._pair = pair_in(first, source_of(paths[0]), find_layout(first, layout).layout)
         elif len(paths) > 1:
             self._pair = RecordedPair(first, open_video(paths[1]))
         length_s = (first.n_frames or 0) / first.fps

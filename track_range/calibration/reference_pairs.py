@@ -38,7 +38,7 @@ from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.truth.errors import BANDS_M
 from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.recording.recording import Recording, open_recording
-from track_range.recording.video.names import LayoutOption
+from track_range.recording.video.layouts import LayoutOption
 from track_range.stereo.evaluation.kitti_2015 import (
     PairFileError,
     StereoPair,

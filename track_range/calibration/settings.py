@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.foundation.schemas.options import Options, option
-from track_range.recording.video.names import LayoutOption
+from track_range.recording.video.layouts import LayoutOption
 
 _ROAD = "Without a board"  # heading of the options of the calibration from a drive
 _BASELINE = "Check of the baseline"

@@ -259,7 +259,7 @@ def _report_note(arguments: list[str]) -> str:
     """Last line of the traceback of an unexpected error; addresses are without user names and
     passwords.
     """
-    from track_range.recording.video.address import LiveAddress
+    from track_range.recording.sources.live.address import LiveAddress
 
     shown = shlex.join(str(LiveAddress(argument)) for argument in arguments)
     return (

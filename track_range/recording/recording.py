@@ -11,13 +11,13 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Unpack
 
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.recording.cameras.auto_alignment import given_alignment
 from track_range.recording.cameras.calibration import (
     LensView,
     RecordingCalibration,
-    Video,
     find_calibration,
 )
 from track_range.recording.pairs.aligner import (
@@ -31,26 +31,14 @@ from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import find_layout, mono_notes
 from track_range.recording.pairs.sync_monitor import SyncMonitor
-from track_range.recording.pairs.video_pair import VideoPair
-from track_range.recording.sources.bags.bag import is_bag
-from track_range.recording.sources.files.image_names import stereo_images
 from track_range.recording.sources.live.live_video import LiveVideo
-from track_range.recording.sources.open_video import open_video
-from track_range.recording.video.address import LiveAddress
+from track_range.recording.sources.names import VideoName, source_of, video_name
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import (
-    BagTopic,
-    Bayer,
-    Half,
-    LayoutOption,
-    RecordedName,
-    Segments,
-    VideoName,
-    VideoTrack,
-    video_name,
-)
+from track_range.recording.video.options import DEFAULTS, RecordingKeywords, RecordingOptions
 from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import UtcStart, parsed_utc
+from track_range.recording.video.video import Video
 from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -67,19 +55,15 @@ class Recording:
 
     # rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos
     frames: Generator[Frame, None, None]
-    source: Video | PairedVideos  # the opened video, or two, paired by time
+    videos: tuple[Video, ...]  # the left or only video, and the right one
+    pair: PairedVideos | None  # the two, paired by time; None = one camera
     opened: RecordingCalibration  # the camera models, with the alignment of the first frame
+    options: RecordingOptions = DEFAULTS
     # aligns and checks a pair while its frames are iterated; None = one camera
     aligner: PairAligner | None = None
     layout_notes: tuple[str, ...] = ()  # about images of two cameras in one recording
     # UTC of the first frame as given by the user; None = that of the video
     start_utc: UtcStart | None = None
-    every: int = 1  # each how many frames of the videos are frames of the recording
-
-    @property
-    def videos(self) -> tuple[Video, ...]:
-        """The left or only video, and the right video."""
-        return _videos(self.source)
 
     @property
     def calibration(self) -> RecordingCalibration:
@@ -120,29 +104,28 @@ class Recording:
     @property
     def fps(self) -> float:
         """Nominal frame rate."""
-        return self.videos[0].fps / self.every
+        return self.videos[0].fps / self.options.every
 
     @property
     def n_frames(self) -> int | None:
         """Estimated number of frames; None = unknown."""
         n_frames = self.videos[0].n_frames
-        return None if n_frames is None else math.ceil(n_frames / self.every)
+        return None if n_frames is None else math.ceil(n_frames / self.options.every)
 
     @property
     def n_total(self) -> int | None:
         """Estimated number of frames of the whole video, also where only a part is read; None =
         unknown.
         """
-        video = self.videos[0]
-        return video.n_total if isinstance(video, RecordedVideo) else video.n_frames
+        return self.videos[0].n_total
 
     @property
     def live(self) -> LiveVideo | None:
         """The left video, or the video of both cameras, if it is a camera or a stream, else
         None.
         """
-        video = self.source.whole if isinstance(self.source, PackedPair) else self.videos[0]
-        return video if isinstance(video, LiveVideo) else None
+        whole = self.videos[0].whole
+        return whole if isinstance(whole, LiveVideo) else None
 
     @property
     def busy_s(self) -> float:
@@ -172,7 +155,7 @@ class Recording:
             self.layout_notes,
             self.calibration.notes,
             *(video.notes for video in self.videos),
-            self.source.notes if isinstance(self.source, VideoPair) else (),
+            () if self.pair is None else self.pair.notes,
             (utc.note(),) if utc is not None else (),
             () if self.aligner is None else self.aligner.notes,
         )
@@ -181,29 +164,16 @@ class Recording:
     def close(self) -> None:
         """Close the videos."""
         self.frames.close()
-        self.source.close()
+        (self.pair or self.videos[0]).close()
 
 
 def open_recording(
     left: str | VideoName | Sequence[str | Path],
     right: str | VideoName | Sequence[str | Path] | None = None,
+    options: RecordingOptions = DEFAULTS,
     *,
-    rig: str | Path | StereoRig | None = None,
-    focal_px: float | None = None,
-    fov_deg: float | None = None,
-    yaw_deg: float = 0.0,
-    align: str | Path | Alignment = "auto",
-    start_s: float = 0.0,
-    duration_s: float | None = None,
-    every: int = 1,
-    folder_fps: float = 10.0,
-    has_checks: bool = True,
-    start_utc: str | None = None,
-    topics: Sequence[str] = (),
-    stereo_layout: LayoutOption | None = None,
-    track: int | None = None,
-    bayer: Bayer | None = None,
     progress: StepProgress = no_progress,
+    **keywords: Unpack[RecordingKeywords],
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
 
@@ -212,30 +182,21 @@ def open_recording(
             images, camera (0, /dev/video0) or stream (rtsp://...).
         right: the same for the right camera; None = one camera, or with `stereo_layout` both in one
             recording.
-        rig: calibration file (rig.yaml, or the file of a camera or a script), or the models of two
-            cameras, of which one video uses the left one; None = a file next to `left`, if any.
-        focal_px: focal length of cameras without a calibration file.
-        fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are
-            undistorted; None = the lens's, up to 120 degrees.
-        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to
-            the right of the lens axis.
-        align: disparity correction of a calibrated pair: "auto" = estimated from its first frames
-            (at most 8 s), "off", an alignment file, or an alignment.
-        start_s: start of the part to read, in seconds after the left video's first frame.
-        duration_s: length of the part to read; None = to the end.
-        every: N = every N-th frame is read; the checks of a recorded pair use all frames.
-        folder_fps: frame rate of folders of images without timestamps.txt.
-        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised
-            videos, and frames that lag are re-paired.
-        start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
-        topics: topics of the images of the left and right camera, if `left` and `right` are MCAP
-            files or ROS bags.
-        stereo_layout: layout of the images of two cameras in one recording: "side-by-side",
-            "right-left", "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" =
-            detected.
-        track: video track of the files of one camera, counted from 0; None = the largest track.
-        bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".
+        options: how the recording is opened, and which part of it is read.
         progress: shows the progress of the alignment's estimation.
+        keywords: single options, in the place of those in `options`: `rig`, a calibration file
+            (rig.yaml, or the file of a camera or a script) or the models of two cameras, by default
+            a file next to `left`; `focal_px` of cameras without such a file; `fov_deg`, horizontal
+            field of view to which the images of wide lenses are undistorted, and `yaw_deg`, its
+            direction to the right of one camera's axis; `align`, disparity correction of a pair:
+            "auto" (estimated from the first frames), "off", a file or an alignment; `start_s` and
+            `duration_s`, the part to read, in seconds; `every`, N for every N-th frame;
+            `folder_fps`, frame rate of folders of images without times; `has_checks`, whether pairs
+            are checked for swapped, misaligned and unsynchronised videos; `start_utc` of the first
+            frame, in ISO 8601; `topics` of the images in bags; `stereo_layout` of two cameras in
+            one recording: "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks" or
+            "auto"; `track`, video track of a file, counted from 0; `bayer`, filter of images in
+            folders: "rggb", "bggr", "gbrg" or "grbg".
 
     Raises:
         ValueError: `start_utc` is not a date and time, or no video is named.
@@ -251,114 +212,99 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    names = _named(
-        video_name(left), None if right is None else video_name(right), topics, track, stereo_layout
+    options = replace(options, **keywords)
+    utc = None if options.start_utc is None else parsed_utc(options.start_utc)
+    names, folder_notes = _names(
+        source_of(video_name(left)),
+        None if right is None else source_of(video_name(right)),
+        options,
     )
-    names, folder_notes = _sides(*names, stereo_layout)
-    utc = None if start_utc is None else parsed_utc(start_utc)
-    reading = _Reading(start_s, duration_s, every, folder_fps, bayer)
     with ExitStack() as on_error:
-        source, layout_notes = _opened(*names, reading, stereo_layout, on_error)
+        videos, pair, layout_notes = _opened(*names, options, on_error)
+        rig = options.rig
         calibration = find_calibration(
             names[0],
-            _videos(source),
+            videos,
             rig=Path(rig) if isinstance(rig, str) else rig,
-            focal_px=focal_px,
-            view=LensView(fov_deg, yaw_deg),
+            focal_px=options.focal_px,
+            view=LensView(options.fov_deg, options.yaw_deg),
         )
         aligner = None
-        if isinstance(source, VideoPair):
-            policy = replace(LIVE if source.is_live else RECORDED, has_checks=has_checks)
-            given = None if calibration.rig is None else given_alignment(align, calibration.rig)
-            is_packed = names[1] is None and calibration.rig is not None
-            aligner = PairAligner(calibration, policy, given, is_packed=is_packed)
-            _look_ahead(aligner, source, progress)
+        if pair is not None:
+            aligner = _aligner(calibration, pair, options, is_packed=names[1] is None)
+            _look_ahead(aligner, pair, progress)
             calibration = aligner.calibration
         on_error.pop_all()
-    frames = _frames(source, calibration, aligner, utc, every)
-    notes = (*folder_notes, *layout_notes)
-    return Recording(frames, source, calibration, aligner, notes, utc, every)
+    return Recording(
+        _frames(pair or videos[0], videos[0], calibration, aligner, utc, options.every),
+        videos,
+        pair,
+        calibration,
+        options,
+        aligner,
+        (*folder_notes, *layout_notes),
+        utc,
+    )
 
 
-def _sides(
-    left: VideoName, right: VideoName | None, layout: LayoutOption | None
-) -> tuple[tuple[VideoName, VideoName | None], tuple[str, ...]]:
-    """The names, with both sides of a folder that contains the images of two cameras, and a note on
-    them.
+def _names(
+    left: SourceName, right: SourceName | None, options: RecordingOptions
+) -> tuple[tuple[SourceName, SourceName | None], tuple[str, ...]]:
+    """The names with their topics, and both sides of a folder that contains the images of two
+    cameras, with a note on these; raises VideoError if the topics do not fit.
     """
-    if right is not None or layout != "auto" or not (isinstance(left, Path) and left.is_dir()):
-        return (left, right), ()
-    sides = stereo_images(left)
+    layout, topics = options.stereo_layout, options.topics
+    if right == left and layout is not None and len(topics) < 2:
+        right = None  # both cameras in one recording
+    if topics:
+        left, right = _with_topics(left, right, topics)
+    sides = left.sides() if right is None and layout == "auto" else None
     if sides is None:
         return (left, right), ()
-    note = f"{left}: the left images are {sides[0].name}, the right images {sides[1].name}."
+    names = [side.files[0].name for side in sides]
+    note = f"{left}: the left images are {names[0]}, the right images {names[1]}."
     return sides, (note,)
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """The part of a recording that is read, and how folders of images are."""
-
-    start_s: float
-    duration_s: float | None
-    every: int
-    folder_fps: float
-    bayer: Bayer | None
-
-    def recorded(self, name: RecordedName, left: RecordedVideo | None = None) -> RecordedVideo:
-        """A recorded video, which may be the right one of a pair."""
-        return open_video(
-            name,
-            folder_fps=self.folder_fps,
-            start_s=self.start_s,
-            duration_s=self.duration_s,
-            left=left,
-            bayer=self.bayer,
+def _with_topics(
+    left: SourceName, right: SourceName | None, topics: Sequence[str]
+) -> tuple[SourceName, SourceName | None]:
+    names = [left] if right is None else [left, right]
+    if len(names) != len(topics):
+        raise VideoError(
+            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got "
+            f"{len(topics)}; correct --topics."
         )
-
-    def opened(self, name: VideoName, left: Video | None = None) -> Video:
-        """A recorded or live video, which may be the right one of a pair."""
-        if not isinstance(name, LiveAddress):
-            return self.recorded(name, left if isinstance(left, RecordedVideo) else None)
-        return LiveVideo(
-            name,
-            start_s=self.start_s,
-            duration_s=self.duration_s,
-            every=self.every,
-            is_partner=left is not None,
-        )
+    tagged = [name.with_topic(topic) for name, topic in zip(names, topics, strict=True)]
+    return tagged[0], None if right is None else tagged[1]
 
 
 def _opened(
-    left: VideoName,
-    right: VideoName | None,
-    reading: _Reading,
-    layout: LayoutOption | None,
-    on_error: ExitStack,
-) -> tuple[Video | PairedVideos, tuple[str, ...]]:
-    """The opened video or pair, and notes on images of two cameras in one recording."""
-    video = reading.opened(left)
+    left: SourceName, right: SourceName | None, options: RecordingOptions, on_error: ExitStack
+) -> tuple[tuple[Video, ...], PairedVideos | None, tuple[str, ...]]:
+    """The opened videos, which are one or a pair, and notes on images of two cameras in one
+    recording.
+    """
+    video = left.open(options)
     on_error.callback(video.close)
-    source: Video | PairedVideos = video
+    pair: PairedVideos | None = None
     notes: tuple[str, ...] = ()
     if right is not None:
-        other = reading.opened(right, left=video)
+        other = right.open(options, video)
         on_error.callback(other.close)
-        source = _paired(video, other)
-    elif not isinstance(left, Half):
-        if layout is None:
+        pair = _paired(video, other)
+    elif video.whole is video:  # not one half of a recording
+        if options.stereo_layout is None:
             notes = mono_notes(video)
         else:
-            chosen = find_layout(video, layout)
-            source = pair_in(video, left, chosen.layout, reading.recorded)
+            chosen = find_layout(video, options.stereo_layout)
+            pair = pair_in(video, left, chosen.layout, options)
             notes = (chosen.sentence(str(left)),)
     video.forget_first_image()
-    on_error.callback(source.close)
-    return source, notes
-
-
-def _videos(source: Video | PairedVideos) -> tuple[Video, ...]:
-    return (source.left, source.right) if isinstance(source, VideoPair) else (source,)
+    if pair is None:
+        return (video,), None, notes
+    on_error.callback(pair.close)
+    return (pair.left, pair.right), pair, notes
 
 
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
@@ -372,39 +318,17 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
     )
 
 
-def _named(
-    left: VideoName,
-    right: VideoName | None,
-    topics: Sequence[str],
-    track: int | None,
-    layout: LayoutOption | None,
-) -> tuple[VideoName, VideoName | None]:
-    """The names, with topics for bags; raises VideoError if a video is no bag, or the number of
-    topics does not fit.
-    """
-    if right == left and layout is not None and len(topics) < 2:
-        right = None  # both cameras in one recording
-    if track is not None and isinstance(left, Path | Segments) and right is None:
-        return VideoTrack(left, track), None
-    if not topics:
-        return left, right
-    names = [left] if right is None else [left, right]
-    if len(names) != len(topics):
-        raise VideoError(
-            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got "
-            f"{len(topics)}; correct --topics."
-        )
-    for name in names:
-        if not (isinstance(name, Path) and is_bag(name)):
-            raise VideoError(
-                f"{name}: expected an MCAP file or ROS bag, since topics are given; omit --topics."
-            )
-    tagged = [
-        BagTopic(name, topic)
-        for name, topic in zip(names, topics, strict=True)
-        if isinstance(name, Path)
-    ]
-    return tagged[0], None if right is None else tagged[1]
+def _aligner(
+    calibration: RecordingCalibration,
+    pair: PairedVideos,
+    options: RecordingOptions,
+    *,
+    is_packed: bool,
+) -> PairAligner:
+    policy = replace(LIVE if pair.is_live else RECORDED, has_checks=options.has_checks)
+    rig = calibration.rig
+    given = None if rig is None else given_alignment(options.align, rig)
+    return PairAligner(calibration, policy, given, is_packed=is_packed and rig is not None)
 
 
 def _look_ahead(aligner: PairAligner, pair: PairedVideos, progress: StepProgress) -> None:
@@ -423,6 +347,7 @@ def _look_ahead(aligner: PairAligner, pair: PairedVideos, progress: StepProgress
 
 def _frames(
     source: Video | PairedVideos,
+    first: Video,
     calibration: RecordingCalibration,
     aligner: PairAligner | None,
     utc: UtcStart | None,
@@ -431,11 +356,11 @@ def _frames(
     """Each `every`-th frame, after all were passed to the aligner; closing the generator closes the
     videos.
     """
-    video, due_index = _videos(source)[0], -1
+    due_index = -1
     with closing(source), closing(iter(source)) as images:
         pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
         recorded = (
-            calibration.recorded(left, right, video.first_time_s, utc or video.utc)
+            calibration.recorded(left, right, first.first_time_s, utc or first.utc)
             for left, right in pairs
         )
         if aligner is None:

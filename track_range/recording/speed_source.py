@@ -17,7 +17,6 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
-from track_range.recording.sources.live.live_video import LiveVideo
 from track_range.recording.telemetry.checks import with_unit
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
@@ -32,7 +31,7 @@ from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered
-from track_range.recording.video.recorded_video import VideoPart
+from track_range.recording.video.video import VideoPart
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
@@ -78,34 +77,32 @@ class SpeedSource:
         }
 
 
-def open_speed(
-    setting: str,
-    recording: Recording,
-    *,
-    start_s: float = 0.0,
-    duration_s: float | None = None,
-    folder_fps: float = 10.0,
-) -> SpeedSource:
+def open_speed(setting: str, recording: Recording) -> SpeedSource:
     """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or
     folder.
 
-    The motion of the images is measured in the part of the run from `start_s` after the first frame
-    on. Raises EgoSpeedError or TelemetryError if the number or the named file cannot be used.
+    The motion of the images is measured in the part of the recording that is read. Raises
+    EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
     if setting == OFF:
         return SpeedSource()
-    reader = recording.videos[0]
+    reader, options = recording.videos[0], recording.options
+    start_s, duration_s = options.start_s, options.duration_s
     parts = reader.parts
     if (utc := recording.start_utc) is not None:
         parts = tuple(replace(part, utc=utc.shifted(part.start_s)) for part in parts)
 
     def motion() -> MotionSeries:
-        if isinstance(reader, LiveVideo) or recording.live is not None:
+        if recording.live is not None:
             return _NO_MOTION
         span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
         video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)
         series = motion_of(
-            video, recording.camera, start_s=start_s - part_s, folder_fps=folder_fps, span_s=span_s
+            video,
+            recording.camera,
+            start_s=start_s - part_s,
+            folder_fps=options.folder_fps,
+            span_s=span_s,
         )
         return replace(series, time_s=series.time_s + part_s)
 

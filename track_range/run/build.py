@@ -51,25 +51,10 @@ def open_input(
     `open_recording`.
     """
     left, right = settings.stereo or (settings.left, None)
-    return open_recording(
-        left,
-        right,
-        rig=rig or settings.rig,
-        focal_px=settings.focal_px,
-        fov_deg=settings.fov_deg,
-        yaw_deg=settings.yaw_deg,
-        align=settings.align,
-        start_s=settings.start_s,
-        duration_s=settings.duration_s,
-        every=settings.every,
-        folder_fps=settings.folder_fps,
-        bayer=settings.bayer,
-        start_utc=settings.start_utc,
-        topics=settings.topics,
-        stereo_layout=(settings.stereo_layout or "auto") if settings.has_both_in_one else None,
-        track=settings.track,
-        progress=progress,
-    )
+    options = settings.recording
+    if rig is not None:
+        options = replace(options, rig=rig)
+    return open_recording(left, right, options, progress=progress)
 
 
 def open_pipeline(

@@ -23,7 +23,6 @@ from track_range.recording.recording import Recording
 from track_range.recording.speed_source import AUTO, SpeedSource, open_speed
 from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
-from track_range.recording.video.address import LiveAddress
 from track_range.results.progress_note import LOADING
 from track_range.run.box_source import BoxSource, boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
@@ -89,13 +88,7 @@ def open_run(
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
-        speed = open_speed(
-            settings.ego_speed,
-            recording,
-            start_s=settings.start_s,
-            duration_s=settings.duration_s,
-            folder_fps=settings.folder_fps,
-        )
+        speed = open_speed(settings.ego_speed, recording)
         region = settings.region or _region_of(speed.track)
         pipeline = open_pipeline(
             settings,
@@ -131,7 +124,7 @@ def _with_focal_length(
     unless it is live.
     """
     guesses, video = recording.calibration.guesses, recording.videos[0].path
-    if not guesses or recording.live is not None or isinstance(video, LiveAddress):
+    if not guesses or recording.live is not None:
         return recording
     with progress("estimating the focal length") as advance:
         posterior = focal_from_video(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from track_range.foundation.schemas.options import Options, option
-from track_range.recording.video.names import PackedLayout
+from track_range.recording.video.layouts import PackedLayout
 from track_range.simulation.camera.fault_options import Faults, fault_option
 
 SCENARIO_NAMES = (

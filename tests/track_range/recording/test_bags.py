@@ -26,11 +26,12 @@ from tests.track_range.recording.bag_writers import (
 from track_range.foundation.errors import UsageError
 from track_range.recording.recording import open_recording
 from track_range.recording.sources.bags.bag import is_bag
+from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.bags.bag_video import BagVideo
 from track_range.recording.sources.bags.decoding import message_reader
 from track_range.recording.sources.open_video import open_video
+from track_range.recording.sources.segments.segments import Segments
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import BagTopic, Segments
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.writers import OpenWriters
 from track_range.run.options.precedence import settings_from

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.recording.sources.live.address import live_address
 from track_range.recording.sources.open_video import open_video
-from track_range.recording.video.address import live_address
 from track_range.recording.video.frame import VideoError
 
 Film = Callable[..., Path]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from track_range.recording.video.address import LiveAddress, live_address
+from track_range.recording.sources.live.address import LiveAddress, live_address
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ from tests.support.recordings.live_servers import (
 from tests.support.results.overlay_results import result
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.sources.live import live_video
+from track_range.recording.sources.live.address import LiveAddress
 from track_range.recording.sources.live.live_video import LiveVideo
-from track_range.recording.video.address import LiveAddress
 from track_range.recording.video.frame import VideoError
 from track_range.views.live_view.view import LiveView
 

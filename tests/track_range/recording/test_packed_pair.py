@@ -27,9 +27,9 @@ from track_range.foundation.errors import UsageError
 from track_range.recording.pairs.packed_pair import PackedPair
 from track_range.recording.pairs.stereo_layout import has_second_view, matching_halves
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.names import Half
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import Half, VideoTrack
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings_file import save_settings
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -102,7 +102,7 @@ def test_frames_of_a_folder_are_those_of_two(
     recording = open_recording(
         folder, rig=RIG, align="off", stereo_layout=layout if option == "given" else "auto"
     )
-    assert isinstance(recording.source, PackedPair)
+    assert isinstance(recording.pair, PackedPair)
     assert (recording.size_px, recording.n_frames, recording.fps) == (
         (WIDTH_PX, HEIGHT_PX),
         3,
@@ -273,11 +273,11 @@ def test_largest_track_is_used(tmp_path: Path) -> None:
     assert any(
         "track 0 (80x40 px) is left out" in note and "--track" in note for note in video.notes
     )
-    chosen = open_video(VideoTrack(path, 0))
+    chosen = open_video(path, track=0)
     assert (chosen.width_px, chosen.height_px, chosen.notes) == (80, 40, ())
     assert open_recording(path, track=0).videos[0].width_px == 80
     with pytest.raises(VideoError, match=r"drive\.mp4: .* 2.*--track"):
-        open_video(VideoTrack(path, 2))
+        open_video(path, track=2)
 
 
 def test_several_files(tmp_path: Path, two: list[Frame]) -> None:

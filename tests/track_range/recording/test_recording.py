@@ -355,12 +355,12 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
 @pytest.mark.slow
 def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
-    n_buffered = len(recording.source._ahead)
+    n_buffered = len(recording.pair._ahead)
     next(recording.frames)
     # those that wait for later ones
-    assert (n_buffered, len(recording.source._ahead)) == (14, 13 - 2 * FRAMES_AHEAD)
+    assert (n_buffered, len(recording.pair._ahead)) == (14, 13 - 2 * FRAMES_AHEAD)
     recording.close()
-    assert len(recording.source._ahead) == 0
+    assert len(recording.pair._ahead) == 0
 
 
 def test_rig_holds_the_alignment_of_its_images(pair):

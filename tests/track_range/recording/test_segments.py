@@ -21,8 +21,9 @@ from track_range.recording.sources.segments.segment_times import (
     arranged,
     paired_starts_s,
 )
+from track_range.recording.sources.segments.segments import Segments
+from track_range.recording.video.file_names import natural_key
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import Segments, natural_key
 from track_range.recording.video.utc import Stamp, stamp_in_name
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings_file import save_settings

@@ -44,9 +44,8 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.names import VideoName, source_of, video_name
 from track_range.recording.sources.open_video import open_video
-from track_range.recording.video.address import LiveAddress
-from track_range.recording.video.names import VideoName, files_of, video_name
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.frames import Frame
@@ -146,7 +145,8 @@ def calibrate_on_road(
     lanes = known_lanes(settings.known_lane_width)
     video = video_name(settings.mono)
     check_outputs(
-        [file for file in (settings.out, settings.json_file) if file is not None], files_of(video)
+        [file for file in (settings.out, settings.json_file) if file is not None],
+        source_of(video).files,
     )
     drive = _Drive.of(video, settings.camera_model)
     for known in objects:
@@ -195,7 +195,7 @@ class _Drive:
     @classmethod
     def of(cls, video: VideoName, camera_model: str | None) -> "_Drive":
         """The drive of a video; UsageError for a live source."""
-        if isinstance(video, LiveAddress) or not files_of(video):
+        if not source_of(video).files:
             raise UsageError(
                 f"--mono {video}: expected a recorded video, found a live source; record "
                 "the camera first."

@@ -14,11 +14,11 @@ from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.recording.pairs.stereo_layout import find_layout
 from track_range.recording.sources.bags.bag import is_bag
-from track_range.recording.sources.bags.bag_video import BagVideo
+from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.files.video_file import VideoHeader
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.sources.video_half import half_size_px
-from track_range.recording.video.names import BagTopic, LayoutOption
+from track_range.recording.video.layouts import LayoutOption
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
 _BATCH = 256  # number of clips that are handed to the threads at a time
@@ -143,7 +143,7 @@ class _Check:
         with closing(
             open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)
         ) as reader:
-            has_camera = isinstance(reader, BagVideo) and reader.camera is not None
+            has_camera = reader.camera is not None
             return (
                 (reader.width_px, reader.height_px),
                 reader.fps,

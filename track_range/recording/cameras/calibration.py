@@ -14,13 +14,11 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.sources.bags.bag_video import BagVideo
-from track_range.recording.sources.live.live_video import LiveVideo
-from track_range.recording.sources.video_half import VideoHalf
+from track_range.recording.sources.names import source_of
 from track_range.recording.video.frame import RecordedFrame, VideoError, VideoFrame
-from track_range.recording.video.names import VideoName, files_of
-from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import Video
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry import image_size, size_notes
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
@@ -51,7 +49,6 @@ _CODEC_CROP_PX = 2
 
 _MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note
 
-Video = RecordedVideo | LiveVideo  # a source of the images of one camera
 # (width, height) of recorded images: of the left or only camera, of the right one
 Sizes = tuple[tuple[int, int], ...]
 # a file, a given length, or the sizes of road users
@@ -313,7 +310,7 @@ class RecordingCalibration:
 
 
 def find_calibration(
-    left: VideoName,
+    left: SourceName,
     videos: Sequence[Video],
     *,
     rig: Path | StereoRig | None,
@@ -341,7 +338,7 @@ def find_calibration(
         in_bag = _calibration_in_bag(videos, sizes_px, view)
         if in_bag is not None:
             return in_bag
-        first_file = next(iter(files_of(left)), None)
+        first_file = next(iter(left.files), None)
         path = None if first_file is None else find_rig(first_file)
         search_notes = (
             () if path is None else (f"Using calibration {path} found next to the left video.",)
@@ -360,8 +357,8 @@ def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) 
     camera's images.
     """
     if camera is not None and camera.width_px:
-        for half in (video for video in videos if isinstance(video, VideoHalf)):
-            half.with_packed_pixels(camera.width_px / camera.height_px)
+        for video in videos:
+            video.with_packed_pixels(camera.width_px / camera.height_px)
     return pixel_aspect_of((videos[0].width_px, videos[0].height_px), videos[0].pixel_aspect)
 
 
@@ -389,7 +386,11 @@ def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
 
 
 def _without_file(
-    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, focal_px: float | None, aspect: float
+    left: SourceName,
+    videos: Sequence[Video],
+    sizes_px: Sizes,
+    focal_px: float | None,
+    aspect: float,
 ) -> RecordingCalibration:
     """One camera or a pair with a given focal length, or an estimate from the header of the left
     video.
@@ -397,11 +398,7 @@ def _without_file(
     video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
     guesses, shown_px = tuple[FocalGuess, ...](), shown_size(sizes_px[0], aspect)
     if focal_px is None:
-        guesses = (
-            focal_guesses(video)
-            if isinstance(video, RecordedVideo)
-            else (default_guess(shown_px[0]),)
-        )
+        guesses = focal_guesses(video)
     guess = (
         best_guess(guesses)
         if focal_px is None
@@ -411,9 +408,7 @@ def _without_file(
     camera = stored.squared()
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
-    stated = (
-        focal_guesses(video) if focal_px is not None and isinstance(video, RecordedVideo) else ()
-    )
+    stated = () if focal_px is None else focal_guesses(video)
     contradictions = [
         f"--focal-px: {guess.focal_px:.0f} px was given, but {other.source} means "
         f"{other.focal_px:.0f} px within {100 * other.sigma:.0f} %; all distances scale with the "
@@ -499,14 +494,13 @@ def _calibration_in_bag(
     """The calibration of the cameras in the bag or bags of a recording; None = not (all)
     calibrated.
     """
-    bags = [video for video in videos if isinstance(video, BagVideo)]
-    messages = [bag.camera for bag in bags if bag.camera is not None]
-    if not messages or len(messages) < len(videos):
+    messages = [video.camera for video in videos if video.camera is not None]
+    if len(messages) < len(videos):
         return None
-    path = bags[0].path.path
+    path = source_of(videos[0].path).files[0]
     is_rectified = all(
-        bag.is_rectified or is_undistorted(message)
-        for bag, message in zip(bags, messages, strict=True)
+        video.is_rectified or is_undistorted(message)
+        for video, message in zip(videos, messages, strict=True)
     )
     cameras: StereoRig | PinholeCamera
     if len(messages) == 1:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.video import Video
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 
 # relative standard deviation of a focal length from the field of view of a wide lens
@@ -79,7 +79,7 @@ _MODEL_KEYS = ("com.apple.quicktime.model", "com.android.model", "model", "firmw
 _EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
 
 
-def focal_guesses(video: RecordedVideo, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
+def focal_guesses(video: Video, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
     """Guesses from the given model, the header or EXIF, else a usual focal length; UsageError for
     an unknown model.
     """

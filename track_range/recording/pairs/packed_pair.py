@@ -6,46 +6,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import closing
-from pathlib import Path
 
-from track_range.foundation.prefetch import prefetch
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.stereo_layout import stereo_tracks
 from track_range.recording.pairs.video_pair import Pair, VideoPair
-from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.names import Half, VideoTrack, recorded
 from track_range.recording.sources.video_half import VideoHalf
 from track_range.recording.video.frame import VideoFrame
-from track_range.recording.video.names import (
-    Half,
-    PackedLayout,
-    Segments,
-    StereoLayout,
-    VideoTrack,
-    WholeName,
-)
-from track_range.recording.video.recorded_video import RecordedVideo
-from track_range.recording.video.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
+from track_range.recording.video.layouts import PackedLayout, StereoLayout
+from track_range.recording.video.options import DEFAULTS, RecordingOptions
+from track_range.recording.video.source_name import SourceName
+from track_range.recording.video.threads import MAX_LOOK_AHEAD_BYTES
+from track_range.recording.video.video import Video
 
 
 def pair_in(
-    whole: RecordedVideo | LiveVideo,
-    name: WholeName,
-    layout: StereoLayout,
-    opened: Callable[..., RecordedVideo],
+    whole: Video, name: SourceName, layout: StereoLayout, options: RecordingOptions = DEFAULTS
 ) -> PackedPair | RecordedPair:
-    """The pair in the images of a recording, or in two video tracks, which `opened` opens as
-    `open_video` does.
+    """The pair in the images of a recording, or in two video tracks, which are opened with the
+    options.
     """
     if layout != "tracks":
         return PackedPair(whole, name, layout)
     whole.close()
-    tracks = [
-        VideoTrack(name, number)
-        for number in stereo_tracks(whole)[:2]
-        if isinstance(name, Path | Segments)
-    ]
-    left = opened(tracks[0])
-    return RecordedPair(left, opened(tracks[1], left=left))
+    source = recorded(name)
+    left_name, right_name = (VideoTrack(source, number) for number in stereo_tracks(whole)[:2])
+    left = left_name.open(options)
+    return RecordedPair(left, right_name.open(options, left))
 
 
 class PackedPair(VideoPair[VideoHalf]):
@@ -53,10 +40,8 @@ class PackedPair(VideoPair[VideoHalf]):
 
     _newest: VideoFrame  # that of the last pair
 
-    def __init__(
-        self, whole: RecordedVideo | LiveVideo, name: WholeName, layout: PackedLayout
-    ) -> None:
-        self.whole, self.is_live = whole, isinstance(whole, LiveVideo)
+    def __init__(self, whole: Video, name: SourceName, layout: PackedLayout) -> None:
+        self.whole, self.is_live = whole, whole.is_live
         left, right = (VideoHalf(whole, Half(name, layout, is_right)) for is_right in (False, True))
         super().__init__(
             left,
@@ -72,11 +57,7 @@ class PackedPair(VideoPair[VideoHalf]):
 
     def pairs(self) -> Generator[Pair, None, None]:
         """See `VideoPair`."""
-        if isinstance(self.whole, LiveVideo):
-            frames = self.whole.newest()
-        else:
-            frames = prefetch(self.whole, depth=FRAMES_AHEAD, low_priority=True, name="read pair")
-        with closing(frames):
+        with closing(self.whole.ahead("read pair")) as frames:
             for frame in frames:
                 self.left.first_time_s, self.left.busy_s = (
                     self.whole.first_time_s,

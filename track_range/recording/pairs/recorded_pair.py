@@ -13,11 +13,10 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from track_range.foundation.files.input_files import counted
-from track_range.foundation.prefetch import prefetch
 from track_range.recording.pairs.video_pair import Pair, VideoPair
 from track_range.recording.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.video.recorded_video import RecordedVideo
-from track_range.recording.video.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
+from track_range.recording.video.threads import MAX_LOOK_AHEAD_BYTES
 
 _TOLERANCE_INTERVALS = 0.25
 """Largest time difference within a pair, in intervals of the faster video.
@@ -99,7 +98,7 @@ class RecordedPair(VideoPair[RecordedVideo]):
             _Side(
                 name,
                 video,
-                prefetch(video, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"),
+                video.ahead(f"read {name}"),
             )
             for name, video in (("left", self.left), ("right", self.right))
         )

@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.names import source_of
 from track_range.recording.sources.video_half import image_half
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import LayoutOption, StereoLayout, files_of
-from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.layouts import LayoutOption, StereoLayout
+from track_range.recording.video.video import Video
 from track_range.stereo.alignment.pair_evidence import PairEvidence, PairFigures
 from track_range.stereo.alignment.pair_finding import Fault, find_fault
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -70,7 +70,7 @@ class FoundLayout:
         )
 
 
-def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundLayout:
+def find_layout(video: Video, given: LayoutOption) -> FoundLayout:
     """The layout of a recording of two cameras; raises VideoError if it is not known."""
     if given == "tracks" and len(stereo_tracks(video)) < 2:
         raise VideoError(
@@ -83,13 +83,13 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
         return FoundLayout(video.stated_layout, "as the file states")
     if len(stereo_tracks(video)) > 1:
         return FoundLayout("tracks", f"the file has {_listed(video)}")
-    for path in files_of(video.path)[:1]:
+    for path in source_of(video.path).files[:1]:
         parts = re.split(r"[^a-z0-9]+", path.stem.lower().replace("half-sbs", "hsbs"))
         if named := [_IN_NAMES[part] for part in parts if part in _IN_NAMES]:
             return FoundLayout(named[-1], "as the file name states")
     if matched := matching_halves(_first_images(video)):
         return matched
-    if any(has_second_view(path) for path in files_of(video.path)[:1]):
+    if any(has_second_view(path) for path in source_of(video.path).files[:1]):
         raise VideoError(
             f"{video.path}: expected the images of two cameras in one image, found spatial video "
             "(MV-HEVC), of which only the first view can be decoded; convert it to images beside "
@@ -102,7 +102,7 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
     )
 
 
-def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
+def mono_notes(video: Video) -> tuple[str, ...]:
     """A note if the images of one camera seem to contain two cameras."""
     stated, images = video.stated_layout, [] if video.first_image is None else [video.first_image]
     layout = FoundLayout(stated, "as the file states") if stated else matching_halves(images)
@@ -126,7 +126,7 @@ def has_second_view(path: Path) -> bool:
     return False
 
 
-def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
+def stereo_tracks(video: Video) -> tuple[int, ...]:
     """Numbers of the video tracks of a file that are as large as the largest track."""
     largest = max(video.tracks_px, key=math.prod, default=None)
     return tuple(number for number, size_px in enumerate(video.tracks_px) if size_px == largest)
@@ -196,14 +196,14 @@ def _are_alike(first: Image, second: Image) -> bool:
     )
 
 
-def _first_images(video: RecordedVideo | LiveVideo) -> list[Image]:
-    if isinstance(video, LiveVideo):
+def _first_images(video: Video) -> list[Image]:
+    if video.is_live:
         return [] if video.first_image is None else [video.first_image]
     with closing(iter(video)) as frames:
         return [frame.image for frame in islice(frames, 0, _N_FRAMES * _FRAME_STEP, _FRAME_STEP)]
 
 
-def _listed(video: RecordedVideo | LiveVideo) -> str:
+def _listed(video: Video) -> str:
     return (
         " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in video.tracks_px)
         or "none"

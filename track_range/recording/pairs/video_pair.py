@@ -10,11 +10,10 @@ from collections.abc import Callable, Generator
 from contextlib import closing
 from typing import Generic, TypeVar
 
-from track_range.recording.sources.live.live_video import LiveVideo
 from track_range.recording.video.frame import VideoFrame
-from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.recording.video.video import Video
 
-V = TypeVar("V", bound=RecordedVideo | LiveVideo)
+V = TypeVar("V", bound=Video)
 
 Pair = tuple[VideoFrame, VideoFrame]
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Generator
 
 from track_range.foundation.arrays import Image
-from track_range.recording.sources.live.live_video import LiveVideo
+from track_range.recording.sources.names import Half
 from track_range.recording.video.frame import VideoFrame
-from track_range.recording.video.names import REVERSED, STACKED, Half, PackedLayout, StereoLayout
-from track_range.recording.video.recorded_video import RecordedVideo, VideoPart
+from track_range.recording.video.layouts import REVERSED, STACKED, PackedLayout, StereoLayout
+from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import Video, VideoPart
 
 
 def image_half(layout: StereoLayout, image: Image, *, is_right: bool) -> Image:
@@ -35,12 +36,18 @@ class VideoHalf(RecordedVideo):
 
     path: Half
 
-    def __init__(self, whole: RecordedVideo | LiveVideo, name: Half) -> None:
-        self.whole, self.path = whole, name
+    def __init__(self, whole: Video, name: Half) -> None:
+        self._whole, self.path = whole, name
+        self._recorded = whole if isinstance(whole, RecordedVideo) else None  # None = live
         self.width_px, self.height_px = half_size_px(name.layout, (whole.width_px, whole.height_px))
         self.pixel_aspect, self.is_grey, self.fps = whole.pixel_aspect, whole.is_grey, whole.fps
         self.first_time_s, self.n_total = whole.first_time_s, whole.n_frames
         self.metadata = whole.metadata
+
+    @property
+    def whole(self) -> Video:
+        """See `Video`."""
+        return self._whole
 
     @property
     def utc(self) -> UtcStart | None:
@@ -59,8 +66,8 @@ class VideoHalf(RecordedVideo):
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo`."""
-        if isinstance(self.whole, RecordedVideo):
-            for frame in self.whole.frames(from_s, until_s):
+        if self._recorded is not None:
+            for frame in self._recorded.frames(from_s, until_s):
                 yield self.half(frame)
 
     def half(self, frame: VideoFrame) -> VideoFrame:
@@ -72,8 +79,8 @@ class VideoHalf(RecordedVideo):
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
-        if isinstance(self.whole, RecordedVideo):
-            self.whole.check_unchanged()
+        if self._recorded is not None:
+            self._recorded.check_unchanged()
 
     def close(self) -> None:
         """See `RecordedVideo`."""

@@ -40,7 +40,7 @@ from track_range.recording.telemetry.sidecars.reading import (
 )
 from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
-from track_range.recording.video.recorded_video import VideoPart
+from track_range.recording.video.video import VideoPart
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
 

@@ -15,10 +15,10 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
+from track_range.recording.sources.names import VideoName
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeries
 from track_range.recording.video.frame import TIME_EPSILON_S
-from track_range.recording.video.names import RecordedName
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_speed import EgoSpeed
@@ -46,7 +46,7 @@ _MOVING_HZ = 0.2
 
 
 def motion_of(
-    video: RecordedName,
+    video: VideoName,
     camera: PinholeCamera,
     *,
     start_s: float,
@@ -71,10 +71,7 @@ def motion_of(
             centre_px = (size_px[0] - 1) / 2, (size_px[1] - 1) / 2
             camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, *size_px)
         estimator = ImageMotionEstimator(camera)
-        with (
-            closing(reader),
-            closing(_images(video, reader, start_s, span_s, max_images)) as images,
-        ):
+        with closing(reader), closing(_images(reader, start_s, span_s, max_images)) as images:
             for time_s, image in images:
                 motion = estimator.update(image, time_s)
                 if motion.is_known:
@@ -92,23 +89,15 @@ def motion_of(
 
 
 def _images(
-    video: RecordedName,
-    reader: RecordedVideo,
-    start_s: float,
-    span_s: float,
-    max_images: int | None,
+    reader: RecordedVideo, start_s: float, span_s: float, max_images: int | None
 ) -> Generator[tuple[float, Image], None, None]:
     """Times in seconds from the first frame, and images."""
     usual = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)
     n_left = usual if max_images is None else max_images
-    from_s = reader.first_time_s + start_s
+    path, from_s = Path(str(reader.path)), reader.first_time_s + start_s
     length_s = min(span_s, reader.n_frames / reader.fps if reader.n_frames else span_s)
-    if (
-        isinstance(video, Path)
-        and reader.is_upright_file
-        and _key_interval_s(video, from_s) <= length_s / _MIN_PAIRS
-    ):
-        for time_s, image in _pairs(video, from_s, from_s + span_s, length_s / _N_PAIRS, n_left):
+    if reader.is_upright_file and _key_interval_s(path, from_s) <= length_s / _MIN_PAIRS:
+        for time_s, image in _pairs(path, from_s, from_s + span_s, length_s / _N_PAIRS, n_left):
             if image.shape != (reader.height_px, reader.width_px):
                 return
             yield time_s - reader.first_time_s, image

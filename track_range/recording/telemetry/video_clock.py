@@ -16,8 +16,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
-from track_range.recording.video.recorded_video import VideoPart
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import VideoPart
 from track_range.stereo.odometry.ego_speed import MAX_GAP_S
 
 ZONES_H = (  # differences between local times and UTC in use, hours

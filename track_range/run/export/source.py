@@ -23,8 +23,8 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.schemas.validation import validated
+from track_range.recording.sources.live.address import live_address
 from track_range.recording.sources.open_video import open_video
-from track_range.recording.video.address import live_address
 from track_range.results.folder import (
     DetectedCamera,
     RunFolder,

@@ -9,8 +9,8 @@ from typing import Any
 
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.video.address import live_address
-from track_range.recording.video.names import files_of
+from track_range.recording.sources.live.address import live_address
+from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.paths import FILES, INPUT_FILES, PATHS
 from track_range.run.options.settings import RunSettings
@@ -43,7 +43,7 @@ def check_named_files(settings: RunSettings, keys: list[str], file: Path | None)
     """Check that the current folder has the inputs that an anonymized run's file names by `keys`,
     without folders.
     """
-    videos = [path for video in settings.videos for path in files_of(video)]
+    videos = [path for video in settings.videos for path in source_of(video).files]
     for key in keys:
         files = videos if key in ("stereo", "mono") else []
         if key in PATHS & INPUT_FILES and (path := getattr(settings, key)) is not None:

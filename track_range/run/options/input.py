@@ -10,14 +10,18 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import field_serializer, field_validator
+from pydantic import InstanceOf, field_serializer, field_validator
 
 from track_range.detection.formats.titles import GENERAL_TITLES
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.schemas.options import Options, option
-from track_range.recording.video.names import Bayer, LayoutOption, Segments, VideoName, video_name
+from track_range.recording.sources.names import VideoName, source_of, video_name
+from track_range.recording.video.layouts import Bayer, LayoutOption
+from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import parsed_utc
 
+# a path, or a name of another kind that is already read
+_SourceName = Path | InstanceOf[SourceName]
 _clip_option = partial(option, is_per_clip=True)
 
 
@@ -27,7 +31,7 @@ class InputOptions(Options):
     panel: ClassVar = "Input"
 
     stereo: Annotated[
-        tuple[VideoName, VideoName] | None,
+        tuple[_SourceName, _SourceName] | None,
         option(
             "Left and right video: files, folders of numbered images, camera numbers (0 1) or "
             "streams (rtsp://...); for recordings in several files, folders of videos, patterns "
@@ -53,7 +57,7 @@ class InputOptions(Options):
         ),
     ] = None
     mono: Annotated[
-        VideoName | None,
+        _SourceName | None,
         option(
             "Video of a single camera: a file, a folder of numbered images, a camera number or a "
             "stream; for a recording in several files, a folder of videos, a pattern such as "
@@ -227,8 +231,8 @@ class InputOptions(Options):
     def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
         """Names as text, several files as a list; addresses without passwords."""
         if isinstance(video, tuple):
-            return [plain_name(name, str) for name in video]
-        return None if video is None else plain_name(video, str)
+            return [plain_name(name) for name in video]
+        return None if video is None else plain_name(video)
 
     @field_validator("start_utc", mode="before")
     @classmethod
@@ -272,6 +276,8 @@ def _source_name(value: Any) -> Any:
     return video_name(value) if isinstance(value, str) or is_list else value
 
 
-def plain_name(video: VideoName, text: Callable[[VideoName], str]) -> str | list[str]:
-    """The name of a recording as text, several files as a list."""
-    return [text(path) for path in video.paths] if isinstance(video, Segments) else text(video)
+def plain_name(video: VideoName, text: Callable[[Path], str] = str) -> str | list[str]:
+    """The name of a recording as text, several files as a list; addresses without passwords."""
+    source = source_of(video)
+    texts = [text(path) for path in source.paths] or [str(source)]
+    return texts[0] if len(texts) == 1 else texts

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from track_range.foundation.schemas.options import is_file, option_of, value_type
-from track_range.recording.video.names import files_of
+from track_range.recording.sources.names import source_of
 from track_range.run.options.settings import RunSettings
 
 # names of settings that are, or may be, paths; that the run reads; and that are always paths
@@ -15,5 +15,5 @@ PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
 def input_files(settings: RunSettings) -> list[Path]:
     """All files that a run reads, and words given instead of files."""
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in INPUT_FILES)
-    videos = (file for video in settings.videos for file in files_of(video))
+    videos = (file for video in settings.videos for file in source_of(video).files)
     return [*videos, *(Path(name) for name in named if name is not None)]

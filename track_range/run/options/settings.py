@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from pydantic import model_validator
 
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.schemas.options import contradiction
-from track_range.recording.video.names import stem_of
+from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions, TrackingOptions
 from track_range.run.options.input import InputOptions
 from track_range.run.options.output import OutputOptions
 from track_range.run.options.ranging import RangingOptions
+
+if TYPE_CHECKING:
+    from track_range.recording.video.options import RecordingOptions
 
 
 # pydantic lists the fields of the last base first
@@ -38,7 +42,21 @@ class RunSettings(OutputOptions, PipelineOptions, InputOptions):
     @property
     def out_dir(self) -> Path:
         """Output folder."""
-        return self.out or Path(f"{stem_of(self.left)}-track-range")
+        return self.out or Path(f"{source_of(self.left).stem}-track-range")
+
+    @property
+    def recording(self) -> RecordingOptions:
+        """How the recording is opened: the options of this name, which both have."""
+        from track_range.recording.video.options import RecordingOptions  # imports NumPy
+
+        names = [
+            field.name
+            for field in fields(RecordingOptions)
+            if field.name in RunSettings.model_fields
+        ]
+        options = RecordingOptions(**{name: getattr(self, name) for name in names})
+        layout = (self.stereo_layout or "auto") if self.has_both_in_one else None
+        return replace(options, stereo_layout=layout)
 
     @property
     def has_dense_stereo(self) -> bool:

@@ -10,7 +10,7 @@ from track_range.foundation.errors import ConfigError
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
-from track_range.recording.video.names import VideoName
+from track_range.recording.sources.names import VideoName
 from track_range.results.formats.provenance import settings_hash
 from track_range.run.options.anonymity import without_folders
 from track_range.run.options.input import plain_name
@@ -75,9 +75,7 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
             run[key] = os.path.realpath(run[key])
 
     def absolute(video: VideoName) -> str | list[str]:
-        return plain_name(
-            video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path)
-        )
+        return plain_name(video, os.path.realpath)
 
     if settings.stereo:
         run["stereo"] = [absolute(video) for video in settings.stereo]

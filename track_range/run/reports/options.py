@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from track_range.recording.recording import Recording
-from track_range.recording.video.address import LiveAddress
+from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.reports.report import Reports
@@ -56,7 +56,7 @@ class OptionsWithoutEffect(Reports):
         notes = []
         if settings.mono is not None and settings.align not in ("auto", "off"):
             notes.append("--align is not used with one camera.")
-        if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
+        if settings.realtime and any(source_of(video).is_live for video in settings.videos):
             notes.append(
                 "--realtime has no effect on cameras and streams, which are read in real time "
                 "already."

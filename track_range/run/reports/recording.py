@@ -47,7 +47,7 @@ class RecordedCameras(Reports):
 
     def _assumed_rate(self) -> Sequence[str]:
         """A note on images without times for which the user gave no frame rate."""
-        has_times = all(getattr(video, "has_times", True) for video in self.recording.videos)
+        has_times = all(video.has_times for video in self.recording.videos)
         fps = self.settings.folder_fps
         if has_times or fps != RunSettings.model_fields["folder_fps"].default:
             return ()

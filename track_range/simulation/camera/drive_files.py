@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.output_files import make_folder, write_bytes
-from track_range.recording.video.names import REVERSED, STACKED, PackedLayout
+from track_range.recording.video.layouts import REVERSED, STACKED, PackedLayout
 from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.truth import VisibleObjects
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -3,8 +3,8 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from track_range.recording.video.recorded_video import VideoPart
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import VideoPart
 
 START_S = datetime(2026, 5, 3, 10, 0, 0, tzinfo=UTC).timestamp()
 LATITUDE, LONGITUDE = 48.123456, 9.654321

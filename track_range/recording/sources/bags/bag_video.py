@@ -13,6 +13,7 @@ from track_range.foundation.files.images import check_size
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.recording.sources.bags import decoding
 from track_range.recording.sources.bags.bag import open_bag, topic_list
+from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.bags.container import DamagedError, Topic
 from track_range.recording.sources.files.file_state import FileState
 from track_range.recording.sources.files.video_file import ZED_SENTENCE
@@ -23,7 +24,6 @@ from track_range.recording.video.frame import (
     is_neutral,
     strictly_later,
 )
-from track_range.recording.video.names import BagTopic
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
 from track_range.stereo.rig_formats.camera_info import CameraInfo

@@ -25,7 +25,7 @@ from track_range.recording.video.frame import (
     is_neutral,
     strictly_later,
 )
-from track_range.recording.video.names import Bayer
+from track_range.recording.video.layouts import Bayer
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import ZONE_SPAN_S, UtcStart
 

@@ -20,8 +20,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text, readable
+from track_range.recording.video.file_names import is_pattern, matching_files, natural_key
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import is_pattern, matching_files, natural_key
 
 _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"

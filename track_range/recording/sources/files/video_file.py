@@ -41,7 +41,7 @@ from track_range.recording.video.frame import (
     stated_pixel_aspect,
     strictly_later,
 )
-from track_range.recording.video.names import StereoLayout
+from track_range.recording.video.layouts import StereoLayout
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.threads import DECODER_THREADS
 from track_range.recording.video.utc import (

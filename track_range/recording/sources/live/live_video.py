@@ -11,18 +11,17 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import suppress
 
 import av
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
-from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
-from track_range.recording.video.address import LiveAddress
+from track_range.recording.sources.live.address import LiveAddress
 from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
@@ -31,10 +30,9 @@ from track_range.recording.video.frame import (
     is_neutral,
     stated_pixel_aspect,
 )
-from track_range.recording.video.names import StereoLayout
-from track_range.recording.video.recorded_video import VideoPart
 from track_range.recording.video.threads import LIVE_FRAMES
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import Video
 
 _OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its next frame, s
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
@@ -80,7 +78,7 @@ class StreamClock:
         return time_s
 
 
-class LiveVideo:
+class LiveVideo(Video):
     """An open camera or stream, read once: the iteration starts with the newest frame and closes
     the connection.
 
@@ -90,17 +88,14 @@ class LiveVideo:
 
     `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is
     FFmpeg's message if the connection was lost, `has_ended` whether the source ended the stream
-    normally. Attributes that are not described here: see `RecordedVideo`.
+    normally.
 
     Raises VideoError if the source cannot be opened, contains no video, or sends no frame; while
     iterating, if the connection is lost, or the image size changes.
     """
 
-    n_frames: int | None = None
-    metadata: Mapping[str, str] = {}
-    parts: tuple[VideoPart, ...] = ()
-    tracks_px: tuple[tuple[int, int], ...] = ()
-    stated_layout: StereoLayout | None = None
+    is_live = True
+    path: LiveAddress
 
     def __init__(
         self,
@@ -142,14 +137,10 @@ class LiveVideo:
         self.height_px, self.width_px = image.shape[:2]
         self.pixel_aspect = stated_pixel_aspect(stream.sample_aspect_ratio)
         self.is_grey = is_neutral(image)
-        self.first_image: Image | None = image  # as long as it is needed
+        self.first_image = image
         self._utc_from_monotonic_s = time.time() - time.monotonic()
         # time of `time.monotonic` at which the reading started
         self.first_time_s = self.waiting_s()[0][1]
-
-    def forget_first_image(self) -> None:
-        """Free the memory of `first_image`."""
-        self.first_image = None
 
     @property
     def utc(self) -> UtcStart:
@@ -243,6 +234,10 @@ class LiveVideo:
             yield from self.newest()
         finally:
             self.close()
+
+    def ahead(self, name: str) -> Generator[VideoFrame, None, None]:
+        """See `Video`; the thread of this source reads them."""
+        return self.newest()
 
     def newest(self) -> Generator[VideoFrame, None, None]:
         """The frames, from the newest frame on; the connection stays open."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from track_range.foundation.files.input_files import counted
+from track_range.recording.video.file_names import natural_key
 from track_range.recording.video.frame import VideoError
-from track_range.recording.video.names import natural_key
 from track_range.recording.video.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
 
 # gap that times with a resolution of 1 s prove, with the error of durations

@@ -10,11 +10,12 @@ from __future__ import annotations
 import filecmp
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.foundation.files.input_files import counted, readable
+from track_range.foundation.files.input_files import counted, quoted, readable
 from track_range.recording.sources.bags.bag import is_bag
 from track_range.recording.sources.files.file_state import FileState
 from track_range.recording.sources.files.video_file import (
@@ -28,10 +29,12 @@ from track_range.recording.sources.segments.segment_times import (
     arranged,
     paired_starts_s,
 )
+from track_range.recording.sources.segments.segments import Segments
+from track_range.recording.video.file_names import is_pattern, matching_files
 from track_range.recording.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
-from track_range.recording.video.names import Segments, is_pattern, matching_files
-from track_range.recording.video.recorded_video import RecordedVideo, VideoPart
+from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
+from track_range.recording.video.video import Video, VideoPart
 
 VIDEO_SUFFIXES = frozenset(
     ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg "
@@ -58,7 +61,8 @@ class SegmentedVideo(RecordedVideo):
     Files that cannot be read are skipped with a note, unless no file can be read. A file that is
     named repeatedly, or copied, is used once.
 
-    If this is the right video of a pair, the files of the `left` video give the times.
+    If this is the right video of a pair whose left one has several files, too, its files give the
+    times. `is_listed`: the user named each file, in the order of the recording.
 
     Raises VideoError if a named file does not exist, no file can be read, the files belong to
     several cameras, or their images differ in size; while iterating, if a file was deleted or
@@ -70,10 +74,11 @@ class SegmentedVideo(RecordedVideo):
         name: Path | Segments,
         paths: Sequence[Path],
         *,
-        left: SegmentedVideo | None = None,
+        left: Video | None = None,
         track: int | None = None,
+        is_listed: bool = False,
     ) -> None:
-        self.path, self._track = name, track
+        self.path, self._track, self._is_listed = name, track, is_listed
         self._setup_notes: list[str] = []
         self._reading_notes: list[str] = []
         if len(paths) > _MAX_FILES:
@@ -88,11 +93,11 @@ class SegmentedVideo(RecordedVideo):
             )
             for path, header in self._headers.items()
         ]
-        self.plan = plan = arranged(
-            facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s
-        )
+        self.plan = plan = arranged(facts, is_given_order=is_listed, repeated_s=_repeated_s)
         self._segments = plan.facts
-        self._starts_s = plan.starts_s if left is None else paired_starts_s(plan, left.plan)
+        self._starts_s = plan.starts_s
+        if isinstance(left, SegmentedVideo):
+            self._starts_s = paired_starts_s(plan, left.plan)
         self._planned_first_s = self._starts_s[0]
         self._setup_notes += [f"{name}: {note}" for note in plan.notes]
         self._setup_notes += self._rate_notes()
@@ -194,7 +199,7 @@ class SegmentedVideo(RecordedVideo):
         copies: list[tuple[Path, Path]] = []
         known: dict[tuple[int, tuple[bytes, ...]], Path] = {}
         for path in paths:
-            if isinstance(self.path, Segments) and not path.is_file():
+            if self._is_listed and not path.is_file():
                 FileState.of(path)  # raises the error: a named file is missing
             try:
                 header = VideoHeader.read(path, self._track)
@@ -291,21 +296,46 @@ class SegmentedVideo(RecordedVideo):
                 return
 
 
-def segment_files(name: Path | Segments) -> list[Path] | None:
-    """The video files of a folder or pattern, or of several names; None = a single file or a folder
-    of images.
-
-    Raises VideoError if no file matches a pattern, a folder contains both images and videos, or it
-    cannot be read.
+def files_of_parts(name: Segments) -> list[Path]:
+    """The video files of several names, each of which may be a folder or pattern. Errors as of
+    `segment_files`.
     """
-    if isinstance(name, Segments):
+    with _checked_name(name):
         bag = next((part for part in name.paths if is_bag(part)), None)
         if bag is not None:
             raise VideoError(
                 f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a "
                 "folder with its files."
             )
-        return [path for part in name.paths for path in (segment_files(part) or [part])]
+        return [path for part in name.paths for path in (_files_in(part) or [part])]
+
+
+def segment_files(name: Path) -> list[Path] | None:
+    """The video files of a folder or pattern; None = a single file or a folder of images.
+
+    Raises VideoError if no file matches a pattern, a folder contains both images and videos, or it
+    cannot be read.
+    """
+    with _checked_name(name):
+        return _files_in(name)
+
+
+@contextmanager
+def _checked_name(name: Path | Segments) -> Iterator[None]:
+    """Raises VideoError for a name that the file system does not accept."""
+    try:
+        yield
+    except ValueError as error:  # a null character
+        raise VideoError(
+            f"{quoted(str(name))}: cannot be read (invalid name); check the name."
+        ) from error
+    except OSError as error:
+        raise VideoError(
+            f"{name}: cannot be read ({describe(error)}); check its permissions."
+        ) from error
+
+
+def _files_in(name: Path) -> list[Path] | None:
     if is_pattern(name):
         files = [path for path in matching_files(name) if path.is_file()]
         if not files:

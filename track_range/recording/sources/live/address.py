@@ -5,6 +5,14 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from track_range.recording.video.source_name import SourceName
+
+if TYPE_CHECKING:
+    from track_range.recording.sources.live.live_video import LiveVideo
+    from track_range.recording.video.options import RecordingOptions
+    from track_range.recording.video.video import Video
 
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
 _CREDENTIALS = re.compile(r"://\S*@")
@@ -29,11 +37,12 @@ _NETWORK = {
 
 
 @dataclass(frozen=True, slots=True)
-class LiveAddress:
+class LiveAddress(SourceName):
     """The address of a camera (path) or stream (URL); its text form omits the user name and
     password.
     """
 
+    is_live: ClassVar[bool] = True
     url: str
 
     def __str__(self) -> str:
@@ -53,6 +62,23 @@ class LiveAddress:
         """Stem of file names for this source: `video0`, `10-0-0-7-stream1`."""
         name = Path(self.url).name if self.is_camera else str(self).partition("://")[2]
         return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[:60] or "live"
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """See `SourceName`."""
+        return ()
+
+    def open(self, options: "RecordingOptions", left: "Video | None" = None) -> "LiveVideo":
+        """See `SourceName`."""
+        from track_range.recording.sources.live.live_video import LiveVideo
+
+        return LiveVideo(
+            self,
+            start_s=options.start_s,
+            duration_s=options.duration_s,
+            every=options.every,
+            is_partner=left is not None,
+        )
 
     @property
     def options(self) -> dict[str, str]:

@@ -1,0 +1,34 @@
+"""Segments: the name of several files that are one recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from track_range.foundation.files.input_files import counted
+from track_range.recording.video.source_name import RecordedName
+
+if TYPE_CHECKING:
+    from track_range.recording.sources.segments.segmented_video import SegmentedVideo
+    from track_range.recording.video.options import RecordingOptions
+    from track_range.recording.video.video import Video
+
+
+@dataclass(frozen=True, slots=True)
+class Segments(RecordedName):
+    """At least two video files that form one recording, as a dashcam writes them."""
+
+    paths: tuple[Path, ...]
+
+    def __str__(self) -> str:
+        return f"{self.paths[0]} and {counted(len(self.paths) - 1, 'other file')}"
+
+    def open_whole(self, options: RecordingOptions, left: Video | None = None) -> SegmentedVideo:
+        """See `RecordedName`."""
+        from track_range.recording.sources.segments import segmented_video
+
+        files = segmented_video.files_of_parts(self)
+        return segmented_video.SegmentedVideo(
+            self, files, left=left, track=options.track, is_listed=True
+        )
