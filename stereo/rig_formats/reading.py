@@ -173,12 +173,16 @@ def left_from_reference_m(
     return np.array(calibration.left_from_reference_m)
 
 
+# calibrations that are found beside a video, the first counts
+RIG_NAMES = ("rig.yaml", "calib.txt")
+
+
 def find_rig(left_video: Path) -> Path | None:
     """`rig.yaml`, else `calib.txt`, in the folder of the left video, or in a folder of images or
     its parent.
     """
     folders = (left_video, left_video.parent) if left_video.is_dir() else (left_video.parent,)
-    candidates = (folder / name for folder in folders for name in ("rig.yaml", "calib.txt"))
+    candidates = (folder / name for folder in folders for name in RIG_NAMES)
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 

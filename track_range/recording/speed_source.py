@@ -18,12 +18,11 @@ from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
 from track_range.recording.telemetry.checks import with_unit
+from track_range.recording.telemetry.companions import companions
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.recording.telemetry.sidecars.reading import (
-    OXTS_NAME,
     SPEED_TABLE_SUFFIXES,
-    TABLE_NAME,
     sidecar_suffixes,
 )
 from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
@@ -179,7 +178,7 @@ def _table_beside(part: VideoPart) -> SpeedSource:
     # KITTI's raw recordings: image_02/data, and oxts beside image_02
     if video.is_dir() and video.name == "data":
         folders.append(video.parent.parent)
-    for path in (folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME)):
+    for path in (folder / name for folder in folders for name in companions(video.name)["speed"]):
         if path.exists():
             try:
                 ego, checked = _checked(open_ego_speed(str(path)), (part,))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,17 +11,15 @@ from track_range.fleet.storage.location import FileStat, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import is_file, option_of, value_type
-from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
+from track_range.recording.telemetry.companions import Role, companions
+from track_range.recording.telemetry.sidecars.reading import OXTS_NAME
+from track_range.recording.telemetry.speed_files import OXTS_TIMES
 from track_range.run.options.settings import RunSettings
 
 # that may differ between clips
 CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)
 # prefix of the roles of telemetry beside the left video, which a run finds by its place
 TELEMETRY_ROLE = "telemetry_"
-# calibration files that a run finds beside the left video, the first counts
-_RIG_NAMES = ("rig.yaml", "calib.txt")
-# file with the times of the images in a folder, which may lie beside it (KITTI)
-_TIMESTAMPS = "timestamps.txt"
 
 
 class FleetInputError(UserError):
@@ -61,71 +59,61 @@ class Clip:
         videos: dict[str, Location] = {
             role: Location.of(files[role]) for role in ("left", "right") if role in files
         }
-        beside = _FilesBeside(videos, stat)
+        beside = {role: _Neighbours.of(video, stat) for role, video in videos.items()}
+        left = beside["left"]
         if "rig" not in files and "focal_px" not in self.settings:
-            rig = beside.calibration()
+            rig = next(left.found("rig", is_inside=True), None)
             if rig is not None:
                 files["rig"] = rig.address
-        for role, timestamps in beside.timestamps().items():
-            files[f"{role}_timestamps"] = timestamps.address
+        for role, neighbours in beside.items():
+            times = next(neighbours.found("times"), None)
+            if times is not None:
+                files[f"{role}_timestamps"] = times.address
         if self.settings.get("ego_speed", "auto") == "auto":
-            for index, location in enumerate(beside.telemetry()):
+            for index, location in enumerate(left.telemetry()):
                 files[f"{TELEMETRY_ROLE}{index}"] = location.address
         return files
 
 
-class _FilesBeside:
-    """Looks up the files that a run finds by their places beside the videos of a clip, "left" and
-    perhaps "right".
-    """
+@dataclass(frozen=True, slots=True)
+class _Neighbours:
+    """The files that a run finds by their places beside a video."""
 
-    def __init__(
-        self, videos: Mapping[str, Location], stat: Callable[[Location], FileStat | None]
-    ) -> None:
-        self._videos, self._stat, self._left = videos, stat, videos["left"]
-        self._folders = [
-            role
-            for role, video in sorted(videos.items())
-            if _may_be_folder(video) and self._exists(video, is_folder=True)
-        ]
+    video: Location
+    is_folder: bool  # whether the video is a folder of images
+    stat: Callable[[Location], FileStat | None]
 
-    def calibration(self) -> Location | None:
-        """The calibration in the left folder of images, or beside the left video."""
-        folders = [self._left] if "left" in self._folders else []
-        if self._left.parent is not None:
-            folders.append(self._left.parent)
-        candidates = (folder.child(name) for folder in folders for name in _RIG_NAMES)
-        return next(filter(self._exists, candidates), None)
+    @classmethod
+    def of(cls, video: Location, stat: Callable[[Location], FileStat | None]) -> _Neighbours:
+        """Those of a video, which `stat` looks up."""
+        state = stat(video) if _may_be_folder(video) else None
+        return cls(video, state is not None and state.is_folder, stat)
 
-    def timestamps(self) -> dict[str, Location]:
-        """The times of the images in folders, by the role of the folder."""
-        beside = {role: self._timestamps_in(self._videos[role].parent) for role in self._folders}
-        return {role: location for role, location in beside.items() if location is not None}
+    def found(self, role: Role, *, is_inside: bool = False) -> Iterator[Location]:
+        """The existing files of a role, in order; `is_inside`: also in a folder of images."""
+        folders = [self.video] if is_inside and self.is_folder else []
+        if self.video.parent is not None:
+            folders.append(self.video.parent)
+        names = companions(self.video.name, is_folder=self.is_folder)[role]
+        for folder in folders:
+            for name in names:
+                location = folder.child(name.rstrip("/"))
+                is_folder = name.endswith("/")
+                if location != self.video and self._exists(location, is_folder=is_folder):
+                    yield location
 
     def telemetry(self) -> list[Location]:
-        """Tables and folders of telemetry beside the left video, with the times of OXTS files."""
-        folder = self._left.parent
-        if folder is None:
-            return []
-        names = [TABLE_NAME, OXTS_NAME]
-        if "left" not in self._folders:
-            names += sidecar_names(self._left.name)
-        files = [
-            folder.child(name)
-            for name in names
-            if folder.child(name) != self._left
-            and self._exists(folder.child(name), is_folder=name == OXTS_NAME)
+        """Tables and folders of telemetry, with the times of OXTS files."""
+        files = [*self.found("speed"), *self.found("telemetry")]
+        times = [
+            location.parent.child(OXTS_TIMES)
+            for location in files
+            if location.name == OXTS_NAME and location.parent is not None
         ]
-        timestamps = self._timestamps_in(folder) if folder.child(OXTS_NAME) in files else None
-        return files if timestamps is None else [*files, timestamps]
-
-    def _timestamps_in(self, folder: Location | None) -> Location | None:
-        if folder is None or not self._exists(folder.child(_TIMESTAMPS)):
-            return None
-        return folder.child(_TIMESTAMPS)
+        return [*files, *(location for location in times if self._exists(location))]
 
     def _exists(self, location: Location, *, is_folder: bool = False) -> bool:
-        status = self._stat(location)
+        status = self.stat(location)
         return status is not None and status.is_folder == is_folder
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import counted, open_regular, readable
 from track_range.recording.telemetry.checks import usable
+from track_range.recording.telemetry.companions import companions
 from track_range.recording.telemetry.containers.blackvue import read_blackvue
 from track_range.recording.telemetry.containers.camm import read_camm
 from track_range.recording.telemetry.containers.gpmf import read_bare_gpmf, read_gpmf
@@ -35,7 +36,6 @@ from track_range.recording.telemetry.exiftool import read_with_exiftool
 from track_range.recording.telemetry.sidecars.reading import (
     kind_of,
     read_sidecar,
-    sidecar_names,
     sidecar_suffixes,
 )
 from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
@@ -160,7 +160,7 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
     file.
     """
     problem: TelemetryError | None = None
-    for name in sidecar_names(part.path.name):
+    for name in companions(part.path.name)["telemetry"]:
         path = part.path.parent / name
         if not path.is_file() or path == part.path:
             continue

@@ -29,6 +29,7 @@ _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed
 _CONSTANT_SIGMA_MPS = 1.0
 # forward speed vf, latitude and longitude in a line of KITTI oxts
 _OXTS_FORWARD, _OXTS_POSITION = 8, slice(0, 2)
+OXTS_TIMES = "timestamps.txt"  # in a folder of KITTI oxts, or beside it
 _COMMA_SPEED = "CAN/speed"  # folder with times and speeds of a segment of comma2k19
 _OXTS_COLUMNS = 30  # number of values in a line of KITTI oxts
 
@@ -92,9 +93,7 @@ def _from_oxts(folder: Path) -> EgoSpeed:
             f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none."
         )
     paths = [
-        path / "timestamps.txt"
-        for path in (folder, folder.parent)
-        if os.path.lexists(path / "timestamps.txt")
+        path / OXTS_TIMES for path in (folder, folder.parent) if os.path.lexists(path / OXTS_TIMES)
     ]
     if not paths:
         raise EgoSpeedError(

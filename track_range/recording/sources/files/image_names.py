@@ -34,7 +34,8 @@ _UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 _STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05
 _EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one since 1970
 _MAX_GAP = 100  # largest mean step of numbers that count frames
-_TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
+# with the times of the images in a folder, in it or beside it; the first counts
+TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
 _MAX_LINE_BYTES = 300  # of these files, per image
 # words in names of the left and the right camera, between other characters than letters and digits
 _SIDES = tuple(
@@ -263,7 +264,7 @@ def _stated_times(
     """
     parent = folder.absolute().parent
     places = (folder.parent, parent.parent) if is_pattern(folder) else (folder, parent)
-    candidates = (place / name for name in _TIME_FILES for place in places)
+    candidates = (place / name for name in TIME_FILES for place in places)
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None
