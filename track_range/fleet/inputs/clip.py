@@ -62,11 +62,11 @@ class Clip:
         beside = {role: _Neighbours.of(video, stat) for role, video in videos.items()}
         left = beside["left"]
         if "rig" not in files and "focal_px" not in self.settings:
-            rig = next(left.found("rig", is_inside=True), None)
+            rig = next(left.existing("rig", is_inside=True), None)
             if rig is not None:
                 files["rig"] = rig.address
         for role, neighbours in beside.items():
-            times = next(neighbours.found("times"), None)
+            times = next(neighbours.existing("times"), None)
             if times is not None:
                 files[f"{role}_timestamps"] = times.address
         if self.settings.get("ego_speed", "auto") == "auto":
@@ -89,7 +89,7 @@ class _Neighbours:
         state = stat(video) if _may_be_folder(video) else None
         return cls(video, state is not None and state.is_folder, stat)
 
-    def found(self, role: Role, *, is_inside: bool = False) -> Iterator[Location]:
+    def existing(self, role: Role, *, is_inside: bool = False) -> Iterator[Location]:
         """The existing files of a role, in order; `is_inside`: also in a folder of images."""
         folders = [self.video] if is_inside and self.is_folder else []
         if self.video.parent is not None:
@@ -104,7 +104,7 @@ class _Neighbours:
 
     def telemetry(self) -> list[Location]:
         """Tables and folders of telemetry, with the times of OXTS files."""
-        files = [*self.found("speed"), *self.found("telemetry")]
+        files = [*self.existing("speed"), *self.existing("telemetry")]
         times = [
             location.parent.child(OXTS_TIMES)
             for location in files
