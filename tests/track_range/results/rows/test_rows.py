@@ -74,6 +74,23 @@ def test_one_declaration_is_read_back(tmp_path, file):
     assert np.isnan(earlier[SIGMA.name]).all()
 
 
+@pytest.mark.parametrize("first_missing", ["gap_m", "contact_probability"])
+def test_rows_of_earlier_versions_have_no_measures(tmp_path, first_missing):
+    """Events are then found from the distances."""
+    with writing(tmp_path, ("csv",)) as files:
+        files.write(result())
+    path = tmp_path / "tracks.csv"
+    with path.open() as file:
+        table = list(csv.reader(file))
+    n_columns = table[0].index(first_missing)
+    path.write_text("".join(",".join(row[:n_columns]) + "\n" for row in table))
+    rows = read_run_rows(path, [])
+    (again,) = frames_of_rows(rows, [4], rows.methods_measured, 10.0)
+    assert not again.alarms.has_safety
+    assert again.alarms.has_warnings == (first_missing == "gap_m")
+    assert not again.warnings.active.any()
+
+
 def test_values_have_their_declared_types():
     rows = Rows(
         {
