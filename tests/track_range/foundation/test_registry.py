@@ -3,11 +3,13 @@ imported."""
 
 import shutil
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import metadata
 
 import pytest
 
-from track_range.foundation.registry import Registry, imported
+from track_range.foundation.errors import UserError
+from track_range.foundation.registry import Registry, imported, plugin_notes
 
 
 @pytest.fixture
@@ -60,3 +62,80 @@ def test_imported():
 def test_nothing_to_import(text):
     with pytest.raises((ImportError, AttributeError, ValueError)):
         imported(text)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """An object of which the program chooses."""
+
+    name: str
+    priority: int = 0
+
+
+ANY, SPECIAL, FIRST = Reader("any", -10), Reader("special", 10), Reader("first")
+MANY = (Reader("third"), Reader("fourth", -20))
+THIS = "tests.track_range.foundation.test_registry"
+
+
+@pytest.fixture
+def readers():
+    return Registry("readers", {"any": ANY, "first": f"{THIS}:FIRST"}, Reader)
+
+
+def names_of(things):
+    return [thing.name for thing in things]
+
+
+def test_objects_are_tried_by_priority_then_in_order(readers, install):
+    install("readers", many=f"{THIS}:MANY", special=f"{THIS}:SPECIAL")
+    assert [*readers.usable] == ["any", "first", "third", "fourth", "special"]
+    assert names_of(readers.by_priority) == ["special", "first", "third", "any", "fourth"]
+    with readers.restored():
+        readers.registered["last"] = Reader("last", -30)
+        assert names_of(readers.by_priority)[-1] == "last"
+    assert readers.named("fourth") is MANY[1]
+    assert readers.named("first") is FIRST
+    with pytest.raises(KeyError):
+        readers.named("last")
+
+
+def test_origin_names_the_package(readers, install):
+    install("readers", many=f"{THIS}:MANY")
+    assert readers.usable["third"] is MANY[0]
+    assert readers.origin("third") == f"{THIS}:MANY (package0 1.0)"
+    assert readers.origin("any") == readers.origin("none") == ""
+
+
+def test_packages_that_cannot_be_used_are_named_once_each(readers, install):
+    targets = {
+        "absent": "no_such_module:X",
+        "missing": f"{THIS}:NONE",
+        "other": "os:sep",
+        "same": f"{THIS}:FIRST",
+        "usable": f"{THIS}:SPECIAL",
+    }
+    assert readers.notes == ()  # nothing was needed yet
+    install("readers", **targets)
+    assert [*readers.usable] == ["any", "first", "special"]
+    assert [note.split(" = ")[0] for note in readers.notes] == [
+        f"Entry point {name}" for name in ("absent", "missing", "other", "same")
+    ]
+    assert all("(package0 1.0)" in note and "\n" not in note for note in readers.notes)
+    assert set(readers.notes) <= set(plugin_notes())
+
+
+def test_objects_that_do_not_fit_those_before_are_left_out(install):
+    def refuse(reader, others, pending):
+        if reader.priority > 0:
+            raise UserError(f"{reader.name} after {len(others)} and {pending[0]}.")
+
+    readers = Registry("readers", {"any": ANY}, Reader, refuse)
+    install("readers", special=f"{THIS}:SPECIAL", whole=f"{THIS}:FIRST")
+    assert [*readers.usable] == ["any", "first"]
+    assert readers.notes[0].endswith("cannot be used: special after 1 and special.")
+
+
+def test_nothing_is_imported_for_names(readers, install):
+    install("readers", absent="no_such_module:X")
+    assert readers.names == ("any", "first", "absent")
+    assert readers.notes == ()
