@@ -17,9 +17,8 @@ from track_range.stereo.geometry.frames import whole_image
 
 def thumbnail(image: np.ndarray) -> np.ndarray:
     """(47, 155) grey levels, which tell the frames of a drive from each other."""
-    return cv2.resize(
-        image if image.ndim == 2 else image.mean(axis=2), (155, 47), interpolation=cv2.INTER_AREA
-    )
+    small = cv2.resize(image, (155, 47), interpolation=cv2.INTER_AREA).astype(np.float32)
+    return small if small.ndim == 2 else small.mean(axis=2)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,8 @@ def small(pair: Pair) -> Pair:
 
 
 def nearest(image: np.ndarray, images: list[np.ndarray]) -> int:
-    return int(np.argmin([np.abs(thumbnail(image) - other).mean() for other in images]))
+    small = thumbnail(image)
+    return int(np.argmin([np.abs(small - other).mean() for other in images]))
 
 
 @pytest.mark.parametrize("row", RECORDINGS, ids=lambda row: row.kind)
