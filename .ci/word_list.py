@@ -50,7 +50,6 @@ CONTRACT_NAMES = {
         "rough_share",
         "noise_share",
         "noise_shares",
-        "certain_share",
         "min_valid_share",
     ),
     *("shape_share", "last_share", "average_share"),

@@ -41,6 +41,7 @@ from track_range.ranging.warning.contact import (
 )
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.ego_path import UNKNOWN_LATERAL_MPS2, YAW_NOISE_RAD_S
 from track_range.tracking.tracks import Tracks
 
 _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters restart
@@ -93,10 +94,39 @@ speeds are possible."""
 _CONFIRMED_SIGMA = 2.0
 _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is out of reach
 
+# The following values were chosen with those of `WarningSettings`, on the same drives.
+_CERTAIN_FRACTION = 0.055  # largest relative standard deviation of a certain distance
+_MIN_OFF_S = 0.5  # shortest time below `off_probability` before the end of an alarm
+# shortest time for which the probability has been known, against tracks of false boxes, and tracks
+# that change to another object; the same for people, who appear from behind parked cars
+_MIN_TRACK_S, _MIN_PERSON_S = 0.5, 0.1
+# largest standard deviation of the closing speed; above, the probability is unknown
+_MAX_CLOSING_SIGMA_MPS = 2.0
+# headway below which a vehicle that cuts in starts an alarm, even if it is not slower
+_CUT_IN_HEADWAY_S = 0.6
+# smallest gap of a cut-in; nearer boxes beside the ego vehicle are cut by the image border
+_MIN_CUT_IN_GAP_M = 3.0
+# a vehicle cuts in if it was beside the path and will be in it after this time, with at least this
+# probability, and draws away at most at this speed
+_CUT_IN_AHEAD_S, _CUT_IN_PROBABILITY, _MAX_CUT_IN_MPS = 1.0, 0.8, 1.5
+# time in which the error of a distance changes by its standard deviation, which looks like speed
+_DRIFT_S = 0.6
+_MANOEUVRE_S = 3.0  # time constant with which accelerations end
+# standard deviations until contact: of the relative acceleration, and of the lateral acceleration of
+# people and of all other road users
+_ACCELERATION_MPS2, _PERSON_ACCELERATION_MPS2, _VEHICLE_ACCELERATION_MPS2 = 0.4, 0.2, 0.15
+# prior standard deviations of the lateral speed relative to the ego path: of vehicles, static
+# objects, oncoming vehicles and people; of the speed of people along the road
+_LATERAL_MPS, _STATIC_LATERAL_MPS, _ONCOMING_LATERAL_MPS = 1.0, 0.15, 0.3
+_PERSON_LATERAL_MPS, _PERSON_ALONG_MPS = 1.5, 1.5
+# random walk of the lateral jerk of the ego path, m/s^3 per square root of a second, and the same
+# per m/s^2 of recent lateral acceleration, since winding roads go on winding: fitted to the shapes
+# of the roads of seeds 0 to 11 by maximum likelihood
+_LATERAL_JERK_NOISE, _WINDING_NOISE = 0.02, 0.1
+
 
 class _EgoTrend:
-    def __init__(self, settings: WarningSettings) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         # 0 = unknown; yaw_noise: growth of the variance of w' per second
         self.speed_mps = self.acceleration_mps2 = self.yaw_noise = 0.0
         self.path_mps = _TYPICAL_SPEED_MPS  # speed for the shape of the path, never 0
@@ -126,14 +156,11 @@ class _EgoTrend:
         self.path_mps = V = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
 
         # Yaw rate.
-        settings = self._settings
         was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
-        self.yaw_noise = (
-            (settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V
-        ) ** 2
-        R = settings.yaw_sigma_rad_s**2
+        self.yaw_noise = ((_LATERAL_JERK_NOISE + _WINDING_NOISE * self._lateral_mps2) / V) ** 2
+        R = YAW_NOISE_RAD_S**2
         if not self.has_yaw:
-            self.yaw = _state(0.0, (settings.unknown_lateral_mps2 / V) ** 2, 0.0)
+            self.yaw = _state(0.0, (UNKNOWN_LATERAL_MPS2 / V) ** 2, 0.0)
         elif not was_known or dt > _MAX_GAP_S:
             self.yaw = _state(yaw_rad_s, R, _INITIAL_YAW_RAD_S2**2)
         else:
@@ -216,7 +243,7 @@ class CollisionWarning:
         new_track = np.full(len(_WarningState._fields), np.nan)
         new_track[_WarningState._fields.index("is_on")] = 0.0
         self._tracks = TrackState(new_track)
-        self._ego = _EgoTrend(self.settings)
+        self._ego = _EgoTrend()
 
     def update(
         self,
@@ -250,9 +277,9 @@ class CollisionWarning:
         # Motion of the objects along the road.
         state = self._with_prior_speed(motion.state, is_person)
         is_known = np.isfinite(state.x) & np.isfinite(lateral.state.x)
-        measured = replace(state, P_vv=state.P_vv + (sigma_m / settings.drift_s) ** 2)
+        measured = replace(state, P_vv=state.P_vv + (sigma_m / _DRIFT_S) ** 2)
         own, starts = self._own_motion(measured, last, time_s, is_known)
-        is_certain = state.P_vv <= settings.max_closing_sigma_mps**2
+        is_certain = state.P_vv <= _MAX_CLOSING_SIGMA_MPS**2
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
         can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
         is_usable = is_known & is_certain & is_plausible & can_collide
@@ -273,10 +300,10 @@ class CollisionWarning:
         may_start &= ~(free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv))  # True for NaN
         certain_s = np.where(starts, time_s, np.fmin(last.certain_s, time_s))
         certain_s = np.where(is_usable, certain_s, np.nan)
-        needed_s = np.where(is_person, settings.min_person_s, settings.min_track_s)
+        needed_s = np.where(is_person, _MIN_PERSON_S, _MIN_TRACK_S)
         may_start &= time_s - certain_s >= needed_s - 1e-9
         may_end = ~(probability >= settings.off_probability)  # True for NaN
-        is_uncertain = sigma_m > settings.certain_share * measured.x
+        is_uncertain = sigma_m > _CERTAIN_FRACTION * measured.x
         is_uncertain |= self._is_beside_or_oncoming(objects)
         active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
 
@@ -298,7 +325,7 @@ class CollisionWarning:
         """The distances and rates, with the prior speed of people along the road."""
         if not self._ego.has_speed or not is_person.any():
             return state
-        sigma_mps = np.where(is_person, self.settings.person_along_mps, np.inf)
+        sigma_mps = np.where(is_person, _PERSON_ALONG_MPS, np.inf)
         return _with_rate(state, -self._ego.speed_mps, sigma_mps)
 
     def _own_motion(
@@ -345,7 +372,7 @@ class CollisionWarning:
         """
         settings, is_on = self.settings, last.is_on > 0
         needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
-        needed_s = np.where(is_on, settings.min_off_s, needed_s)
+        needed_s = np.where(is_on, _MIN_OFF_S, needed_s)
         since_s = np.where(
             np.where(is_on, may_end, may_start), np.fmin(last.since_s, time_s), np.nan
         )
@@ -357,13 +384,13 @@ class CollisionWarning:
         away.
         """
         settings = self.settings
-        H, h = settings.horizon_s, manoeuvre(settings.horizon_s, settings.manoeuvre_s)
+        H, h = settings.horizon_s, manoeuvre(settings.horizon_s, _MANOEUVRE_S)
         least_m = gap.x - settings.front_m + H * np.minimum(gap.v, 0.0)
         least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
         variance = (
             gap.P_xx
             + H * (2 * gap.P_xv + H * gap.P_vv)
-            + h * h * (own.P_vv + settings.acceleration_mps2**2)
+            + h * h * (own.P_vv + _ACCELERATION_MPS2**2)
         )
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
 
@@ -376,7 +403,7 @@ class CollisionWarning:
         settings = self.settings
         probability = np.where(is_usable, 0.0, np.nan)
         may_start = np.zeros(len(is_usable), np.bool_)
-        near_m = settings.cut_in_headway_s * self._ego.speed_mps
+        near_m = _CUT_IN_HEADWAY_S * self._ego.speed_mps
         is_near = objects.gap.x - settings.front_m < near_m
         rows = np.flatnonzero(is_usable & (self._may_touch(objects.gap, objects.own) | is_near))
         if not len(rows):
@@ -385,7 +412,7 @@ class CollisionWarning:
         predicted = contact_probability(
             encounter,
             horizon_s=settings.horizon_s,
-            manoeuvre_s=settings.manoeuvre_s,
+            manoeuvre_s=_MANOEUVRE_S,
             ego_length_m=settings.ego_length_m,
         )
         first, slope = _CALIBRATION
@@ -414,13 +441,13 @@ class CollisionWarning:
             u, u_change, change_variance = moves * u, moves * u_change, moves * change_variance
             gap = ConstantVelocity(gap.x, u - ego.speed_mps, gap.P_xx, moves * gap.P_xv, variance)
             changes = np.append(u_change, ego.acceleration_mps2)
-            stops_s = stop_s(np.append(u, ego.speed_mps), changes, settings.manoeuvre_s)
+            stops_s = stop_s(np.append(u, ego.speed_mps), changes, _MANOEUVRE_S)
         return Encounter(
             gap=replace(gap, x=gap.x - settings.front_m),
             object_mps=u,
             object_mps2=u_change,
             object_stop_s=stops_s[:-1],
-            acceleration_sigma_mps2=np.sqrt(change_variance + settings.acceleration_mps2**2),
+            acceleration_sigma_mps2=np.sqrt(change_variance + _ACCELERATION_MPS2**2),
             ego_mps=ego.speed_mps,
             ego_mps2=ego.acceleration_mps2,
             ego_stop_s=float(stops_s[-1]),
@@ -428,8 +455,8 @@ class CollisionWarning:
             half_width_m=objects.half_width_m[rows],
             lateral_acceleration_mps2=np.where(
                 objects.is_person[rows],
-                settings.person_acceleration_mps2,
-                settings.vehicle_acceleration_mps2,
+                _PERSON_ACCELERATION_MPS2,
+                _VEHICLE_ACCELERATION_MPS2,
             ),
         )
 
@@ -439,13 +466,13 @@ class CollisionWarning:
         """Lateral offset of the objects from the ego path and its rate, with the errors of path and
         distance.
         """
-        settings, ego, w, V = self.settings, self._ego, self._ego.yaw, self._ego.path_mps
+        ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
         # an error of the distance moves objects along their bearing
         scaled_m = x.x * sigma_m / gap.x
-        scaled_mps = scaled_m / settings.drift_s
+        scaled_mps = scaled_m / _DRIFT_S
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
             x.x - V * T * T * (w.x / 2 + T * w.v / 6),
@@ -463,11 +490,11 @@ class CollisionWarning:
             + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
         # Prior of the rate.
-        sigma_mps = np.full(len(tracks), settings.lateral_speed_mps)
+        sigma_mps = np.full(len(tracks), _LATERAL_MPS)
         if ego.has_speed:
-            sigma_mps = np.where(np.abs(u) < _STATIC_MPS, settings.static_lateral_mps, sigma_mps)
-            sigma_mps = np.where(u < -_STATIC_MPS, settings.oncoming_lateral_mps, sigma_mps)
-        sigma_mps = np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma_mps)
+            sigma_mps = np.where(np.abs(u) < _STATIC_MPS, _STATIC_LATERAL_MPS, sigma_mps)
+            sigma_mps = np.where(u < -_STATIC_MPS, _ONCOMING_LATERAL_MPS, sigma_mps)
+        sigma_mps = np.where(tracks.class_id == _PERSON, _PERSON_LATERAL_MPS, sigma_mps)
         return _with_rate(offset, 0.0, sigma_mps)
 
     def _may_start(
@@ -488,25 +515,23 @@ class CollisionWarning:
 
     def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
         """(K,) whether an object moves from the side into the ego path at a short headway."""
-        settings, ego, gap, offset = self.settings, self._ego, encounter.gap, encounter.offset
-        is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (
-            gap.x > settings.min_cut_in_gap_m
-        )
+        ego, gap, offset = self._ego, encounter.gap, encounter.offset
+        is_near = (gap.x < _CUT_IN_HEADWAY_S * ego.speed_mps) & (gap.x > _MIN_CUT_IN_GAP_M)
         if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS or not is_near.any():
             return np.zeros(len(gap.x), np.bool_)
         fraction = overlap_probability(
             offset,
             encounter.half_width_m,
             encounter.lateral_acceleration_mps2,
-            settings.cut_in_ahead_s,
+            _CUT_IN_AHEAD_S,
         )
         enters = (
-            (fraction >= settings.cut_in_probability)
+            (fraction >= _CUT_IN_PROBABILITY)
             & (since_beside_s <= _BESIDE_S)
             & (offset.x * offset.v < 0)
         )
         is_along = encounter.object_mps > _STATIC_MPS
-        return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
+        return np.asarray(is_near & is_along & enters & (gap.v <= _MAX_CUT_IN_MPS))
 
 
 def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> ConstantVelocity:

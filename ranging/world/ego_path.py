@@ -25,10 +25,11 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 _UNKNOWN_SPEED_SIGMA = 0.03  # relative standard deviation of a speed without one
 # standard deviation of the error of the yaw rate that all frames share; assumed
 _YAW_BIAS_RAD_S = 0.0005
-_YAW_NOISE_RAD_S = 0.005  # that of the other error, as in `WarningSettings.yaw_sigma_rad_s`
+YAW_NOISE_RAD_S = 0.005  # that of the other error; assumed
 _CORRELATION_S = 1.0  # time over which that error is the same; on KITTI's odometry, up to a second
-# lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma, as in `WarningSettings`
-_LATERAL_MPS2 = 0.4
+# lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma; chosen with the values of the
+# collision warning
+UNKNOWN_LATERAL_MPS2 = 0.4
 _MIN_SPEED_MPS = 2.0  # smallest speed for the yaw rate of that acceleration
 _GAP_MPS2 = 1.5  # growth of the standard deviation of a speed that is no longer measured
 
@@ -85,9 +86,9 @@ class EgoPath:
             if math.isfinite(motion.speed_sigma_mps)
             else _UNKNOWN_SPEED_SIGMA * abs(V)
         )
-        w, sigma_w = motion.yaw_rad_s, _YAW_NOISE_RAD_S
+        w, sigma_w = motion.yaw_rad_s, YAW_NOISE_RAD_S
         if math.isnan(w):
-            w, sigma_w = 0.0, _LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
+            w, sigma_w = 0.0, UNKNOWN_LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
         if motion.is_still:
             V, sigma, w, sigma_w = 0.0, 0.0, 0.0, 0.0
         self._speed_mps = V
