@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.live.address import live_address
 from track_range.recording.sources.segments.segments import Segments
@@ -64,6 +63,7 @@ class RecordingPath(RecordedName):
 
     def open_whole(self, options: RecordingOptions, left: Video | None = None) -> RecordedVideo:
         """See `RecordedName`."""
+        from track_range.foundation.files.images import IMAGE_SUFFIXES
         from track_range.recording.sources.bags.bag import is_bag
         from track_range.recording.sources.files.image_folder import ImageFolder
         from track_range.recording.sources.files.video_file import VideoFile
