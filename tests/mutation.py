@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "tracking/*.py": ("tests/tracking", "tests/detection/formats/test_supervision.py"),
+    "tracking/*.py": ("tests/tracking", "tests/detection/test_supervision.py"),
     "stereo/matching/*.py": (
         "tests/stereo/test_*matcher*.py",
         "tests/stereo/test_census.py",

@@ -85,7 +85,7 @@ _Entries = Annotated[list[_Path], BeforeValidator(_listed)]
 
 
 class _DataYaml(BaseModel):
-    """Content of a data.yaml; test, nc, download (Ultralytics) and video (`formats.yolo_tracks`)
+    """Content of a data.yaml; test, nc, download (Ultralytics) and video (`video_labels.yolo_tracks`)
     are not used.
     """
 

@@ -50,6 +50,14 @@ def frames_of_rows(
         yield frames.result(index, pose or EgoPose())
 
 
+PARTS = (
+    *("tracks", "frame", "ego", "approach"),
+    *("world.motion", "alarms.warnings", "alarms.safety"),
+)
+"""Places in a `FrameResult` of the parts that are made from columns; distances and positions are made
+besides."""
+
+
 class _Frames:
     """The rows of a run as parts of `FrameResult`, each by the places of its columns."""
 
@@ -61,15 +69,8 @@ class _Frames:
         measured = [name for name in methods_with_sigma() if name in methods]
         measured += [method.name for method in listed if not method.measures_distance]
         class_id = map_to_road_classes([str(name) for name in rows["class"]])
-        self._parts = {
-            "tracks": {**self._part("tracks"), "class_id": class_id},
-            "frame": self._part("frame"),
-            "ego": self._part("ego"),
-            "approach": self._part("approach"),
-            "motion": self._part("world.motion"),
-            "warnings": self._part("alarms.warnings"),
-            "safety": self._part("alarms.safety"),
-        }
+        self._parts = {place: self._part(place) for place in PARTS}
+        self._parts["tracks"]["class_id"] = class_id
         self._xyz_m = np.stack([rows[name] for name in ("x_m", "y_m", "fused_m")], axis=1)
         self._has_warnings = "contact_probability" in rows and "warning" in rows
         self._has_safety = "gap_m" in rows
@@ -104,7 +105,8 @@ class _Frames:
             name: float(values[0]) for name, values in parts["ego"].items() if has_rows
         }
         tracks = Tracks(**parts["tracks"])
-        warnings, safety = Warnings(**parts["warnings"]), SafetyMeasures(**parts["safety"])
+        warnings = Warnings(**parts["alarms.warnings"])
+        safety = SafetyMeasures(**parts["alarms.safety"])
         ranges = {
             name: Ranges(
                 tracks.track_id,
@@ -119,7 +121,7 @@ class _Frames:
             tracks=tracks,
             ranges=ranges,
             approach=Approach(**parts["approach"]),
-            world=World(self._xyz_m[rows], ObjectMotion(**parts["motion"]), pose),
+            world=World(self._xyz_m[rows], ObjectMotion(**parts["world.motion"]), pose),
             alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
             ego=EgoMotion(**ego),
         )

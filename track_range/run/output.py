@@ -222,12 +222,12 @@ class RunOutput:
         """Draw and encode the queued frames, and close the videos; VideoError if a video failed."""
         self._videos_open.close()
 
-    def finish(self, summary: Mapping[str, Any], columns: Rows) -> None:
+    def finish(self, summary: Mapping[str, Any], recorded: Rows) -> None:
         """Write summary.json, report.html, the events and the Markdown tables, and close the files
         of the rows.
 
         If a file cannot be written, the other files are still written, and the first OutputError is
-        raised. `columns`: rows of the run, with the ground truth if there is one.
+        raised. `recorded`: rows of the run, with the ground truth if there is one.
         """
         if self.folder is None:
             return
@@ -255,7 +255,7 @@ class RunOutput:
                 write_report,
                 folder / "report.html",
                 report,
-                columns,
+                recorded,
                 rows.events,
                 clips=clips,
                 poses=poses,

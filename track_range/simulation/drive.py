@@ -3,7 +3,7 @@ detections.
 
 left.mp4, right.mp4     H.264, near lossless; or lossless PNGs in the folders left/ and right/; or both.mp4 or both/
 rig.yaml                the cameras
-truth.txt, truth.csv, contacts.csv, ego_speed.csv   ground truth and speed (`camera/tables.py`)
+truth.txt, truth.csv, contacts.csv, ego_speed.csv   ground truth and speed (`tables.py`)
 detections.txt          simulated detections in KITTI's format (`camera/playback.py`)
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
 masks/, mask_ids/                                   optional: visible heads and number plates (`write_masks`)

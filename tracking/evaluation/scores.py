@@ -2,7 +2,7 @@
 several sequences.
 
 A result box and a truth box can match only if their classes are equal. HOTA is evaluated at IoU
-thresholds from 0.05 to 0.95, the other metrics at 0.5 (`tracking.hota` and `tracking.clear`, which
+thresholds from 0.05 to 0.95, the other metrics at 0.5 (`evaluation.hota` and `evaluation.clear`, which
 agree with TrackEval).
 """
 

@@ -160,7 +160,7 @@ def _boxes(rows: NumberRows, layout: NumberLayout) -> FloatArray:
     if "w" in layout.columns:
         right, bottom = left + layout.column(rows, "w", 0), top + layout.column(rows, "h", 0)
     else:
-        right, bottom = layout.column(rows, "r", 0), layout.column(rows, "b", 0)
+        right, bottom = (layout.column(rows, letter, 0) - layout.first for letter in "rb")
     return np.stack([left, top, right, bottom], axis=1)
 
 

@@ -95,7 +95,7 @@ class RoadNet(DetectionNetwork):
         PicoDet's layout.
 
         The boxes of the few cells with high scores are decoded outside the network, see
-        `detection.yolo.distribution.decode_distributions`.
+        `detection.yolo.decoders.binned_distances`.
         """
         rows = {
             stride: output.flatten(1, 2)

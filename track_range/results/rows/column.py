@@ -63,8 +63,10 @@ class ResultColumn:
     def typed(self, values: npt.ArrayLike) -> npt.NDArray[Any]:
         """(N,) values of a file or of frames with the type of the kind; NaN becomes `unknown`."""
         given, dtype = np.asarray(values), np.dtype(DTYPES[self.kind])
+        if self.kind == "name" and given.dtype == np.object_:
+            given = np.array([self.unknown if name is None else name for name in given.tolist()])
         if given.dtype.kind == dtype.kind:
-            return given.astype(np.float64, copy=False) if self.kind == "number" else given
+            return given if self.kind == "name" else given.astype(dtype, copy=False)
         if self.kind in ("whole", "flag") and given.dtype.kind == "f":
             given = np.where(np.isnan(given), self.unknown, given)
         return given.astype(dtype)

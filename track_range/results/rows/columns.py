@@ -5,9 +5,11 @@ and the documentation derive from it. The order of the first columns is fixed fo
 tracks.csv; the columns of ranging methods of other packages follow at the end.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.ranging.methods.method import MethodError
 from track_range.ranging.registry import METHODS, methods
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.rows.column import ResultColumn
@@ -240,13 +242,31 @@ _TRUTH = (  # that are added to the rows where there is ground truth, and are in
 
 
 def result_columns() -> tuple[ResultColumn, ...]:
-    """All columns of this installation, in the order of tracks.csv."""
+    """All columns of this installation, in the order of tracks.csv.
+
+    Raises MethodError: a method of another package has a column with the name of another one.
+    """
     distances = [column for name in _first_distances() for column in _distance_columns(name)]
     columns = (*_FIRST, *distances, *_APPROACH)
     names = {column.name for column in columns}
     own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
     others = _method_columns(is_built_in=False)
-    return (*columns, *own, *_MOTION, *_SAFETY, *others)
+    all_columns = (*columns, *own, *_MOTION, *_SAFETY, *others)
+    _check_names(column.name for column in all_columns)
+    return all_columns
+
+
+def _check_names(names: Iterable[str]) -> None:
+    """Raise MethodError if two columns have one name, which only methods of other packages cause."""
+    repeated = [name for name, n in Counter(names).items() if n > 1]
+    if not repeated:
+        return
+    others = [method.name for method in methods() if method.name not in METHODS.built_in]
+    causes = [name for name in others if any(column.startswith(f"{name}_") for column in repeated)]
+    raise MethodError(
+        f"ranging method {' and '.join(causes)}: its columns would have the names of others "
+        f"({', '.join(repeated)}); give the method or its detail another name."
+    )
 
 
 def declared_columns() -> dict[str, ResultColumn]:

@@ -18,7 +18,7 @@ class FrameNumbers(Reports):
     """Files of boxes or labels whose frame numbers may not fit the video."""
 
     rows: RunRows
-    columns: Rows
+    recorded: Rows
     detections: IntArray  # numbers of the frames of `--detections`
     truth: Truth | None
     is_whole: bool  # whether the video was processed to its end
@@ -52,5 +52,5 @@ class FrameNumbers(Reports):
         if self.truth is None:
             return ()
         labels = self.truth.select(self.truth.class_id >= 0)
-        frame, boxes_px = self.columns["frame"], self.columns.boxes_px
+        frame, boxes_px = self.recorded["frame"], self.recorded.boxes_px
         return frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px)

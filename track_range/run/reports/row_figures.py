@@ -26,26 +26,26 @@ class RowFigures(Reports):
     """Errors and coverage of the methods, tracking metrics, road users and events."""
 
     rows: RunRows
-    columns: Rows
+    recorded: Rows
     truth: Truth | None
     matched: MatchedTruth | None
 
     @classmethod
-    def of(cls, rows: RunRows, columns: Rows, truth: Truth | None) -> Self:
+    def of(cls, rows: RunRows, recorded: Rows, truth: Truth | None) -> Self:
         """Figures of the rows of a finished run; `truth` None = only coverage."""
-        return cls(rows, columns, truth, None if truth is None else matched_truth(columns, truth))
+        return cls(rows, recorded, truth, None if truth is None else matched_truth(recorded, truth))
 
     @property
     def with_truth(self) -> Rows:
         """The rows with their ground truth, if there is one."""
-        return self.columns if self.matched is None else with_truth(self.columns, self.matched)
+        return self.recorded if self.matched is None else with_truth(self.recorded, self.matched)
 
     def summary(self) -> Mapping[str, Any]:
         """Sections `methods`, `common`, `closing`, `tracks`, `closest_approaches` and `events`."""
         rows, frames = self.rows, np.array(self.rows.frame_index, np.int64)
         return {
-            **range_scores(self.columns, self.matched, rows.methods),
-            "tracks": track_scores(self.columns, self.truth, frames),
-            "closest_approaches": closest_approaches(self.columns),
+            **range_scores(self.recorded, self.matched, rows.methods),
+            "tracks": track_scores(self.recorded, self.truth, frames),
+            "closest_approaches": closest_approaches(self.recorded),
             "events": events_section(rows.events, rows.seconds),
         }

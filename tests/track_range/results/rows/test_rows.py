@@ -10,8 +10,11 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 
 from tests.support.results.frame_results import result, writing
+from track_range.foundation.registry import imported
+from track_range.ranging.methods.method import MethodError
+from track_range.ranging.registry import METHODS, register
 from track_range.results.folder import read_run_rows
-from track_range.results.replay import frames_of_rows
+from track_range.results.replay import PARTS, frames_of_rows
 from track_range.results.rows import columns
 from track_range.results.rows.column import ResultColumn
 from track_range.results.rows.rows import Rows
@@ -25,6 +28,36 @@ SIGMA = ResultColumn(
     "standard deviation of `path_offset_m`",
     viewer_name="path_offset_sigma_m",
 )
+
+
+def test_names_and_places_are_declared_once():
+    declared_columns = columns.result_columns()
+    places = [column.place for column in declared_columns if column.place]
+    assert len({column.name for column in declared_columns}) == len(declared_columns)
+    assert len(set(places)) == len(places)
+
+
+def test_replays_make_the_part_of_every_place():
+    made_besides = ("ranges.", "world.xyz_m.")
+    parts = {
+        column.place.removesuffix(".0").removesuffix(".1").rpartition(".")[0]
+        for column in columns.result_columns()
+        if not column.place.startswith(made_besides)
+    }
+    assert parts <= {*PARTS, "tracks.xyxy_px"}
+
+
+@pytest.mark.parametrize("name", ["gap", "world_x"])
+def test_method_whose_columns_have_the_names_of_others_is_refused(name):
+    with METHODS.restored():
+        register(replace(imported(METHODS.built_in["mono"]), name=name, letter="~"))
+        with pytest.raises(MethodError, match=f"method {name}: .*{name}_m"):
+            columns.result_columns()
+
+
+def test_unknown_names_of_tables_are_empty():
+    column = columns.declared_columns()["state"]
+    assert column.typed(np.array(["moving", None], object)).tolist() == ["moving", ""]
 
 
 @pytest.fixture
