@@ -231,9 +231,9 @@ class StoredResults:
     Those of another version of the package's source code are ignored.
     """
 
-    def __init__(self, path: Path | None) -> None:
-        """Read a file, which need not exist; None = nothing is stored."""
-        self._path = path
+    def __init__(self, path: Path | None, *, version: str | None = None) -> None:
+        """Read a file, which need not exist; None = nothing is stored, or the present version."""
+        self._path, self._version = path, version or source_version()
         self._results: Figures = {}
         if path is not None and path.exists():
             for line in path.read_text(encoding="utf-8").splitlines():
@@ -241,7 +241,7 @@ class StoredResults:
                     stored = json.loads(line)
                 except json.JSONDecodeError:  # the last line of an interrupted benchmark
                     continue
-                if stored["version"] == source_version():
+                if stored["version"] == self._version:
                     self._results[stored["case"]] = stored["result"]
 
     def mapped(
@@ -273,9 +273,8 @@ class StoredResults:
                 yield self._results[key]
 
     def _add(self, key: str, result: Figures) -> None:
-        line = json.dumps(
-            {"version": source_version(), "case": key, "result": result}, default=json_value
-        )
+        stored = {"version": self._version, "case": key, "result": result}
+        line = json.dumps(stored, default=json_value)
         self._results[key] = json.loads(line)["result"]
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,6 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from benchmarks import harness
 from benchmarks.accuracy.warnings import warnings
 from benchmarks.accuracy.warnings.box_errors import TrackErrors, simulated_errors
 from benchmarks.accuracy.warnings.warning_drives import (
@@ -81,7 +80,7 @@ def square(case):
     return {"value": np.array([case**2])}
 
 
-def test_stored_results_continue(tmp_path, monkeypatch):
+def test_stored_results_continue(tmp_path):
     path = tmp_path / "parts.jsonl"
     assert [row["value"] for row in StoredResults(path).mapped("a", square, [1, 2], 1)] == [
         [1],
@@ -94,9 +93,9 @@ def test_stored_results_continue(tmp_path, monkeypatch):
     )
     assert [row["value"] for row in results] == [[1], [4], [9]]
     assert calls == [3]
-    monkeypatch.setattr(harness, "source_version", lambda: "another")
     calls.clear()
-    list(StoredResults(path).mapped("a", lambda case: calls.append(case) or square(case), [1], 1))
+    stored = StoredResults(path, version="another")
+    list(stored.mapped("a", lambda case: calls.append(case) or square(case), [1], 1))
     assert calls == [1]
 
 
