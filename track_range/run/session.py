@@ -52,8 +52,9 @@ class RunSession:
         self._cameras = recording.RecordedCameras(reader, settings, opened.region)
         self._pair = recording.PairReport(reader)
         self._speed = speed.SpeedOrigin(opened.speed, stages.ego, self.rows)
-        last_s = settings.start_s + (reader.n_frames or 0) / reader.fps
-        self._coverage = speed.SpeedCoverage(opened.speed, stages.ego, self.rows, last_s)
+        self._coverage = speed.SpeedCoverage(
+            opened.speed, stages.ego, self.rows, reader, settings.start_s
+        )
         self._options = options.OptionsWithoutEffect(
             settings, reader, has_positions=opened.speed.track is not None
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from track_range.pipeline.ego import EgoStage
+from track_range.recording.recording import Recording
 from track_range.recording.speed_source import SpeedSource
 from track_range.results.table import RunRows
 from track_range.run.reports.report import Reports
@@ -37,14 +38,20 @@ class SpeedCoverage(Reports):
     speed: SpeedSource
     stage: EgoStage
     rows: RunRows
-    expected_s: float  # time of the last frame, as expected before the first one
+    recording: Recording
+    start_s: float  # of the run in the recording
 
     def notes(self) -> Sequence[str]:
         """Notes on a given speed, and on a speed from the images."""
-        given = self.speed.note(self.rows.last_s if len(self.rows) else self.expected_s)
+        given = self.speed.note(self.rows.last_s if len(self.rows) else self._expected_s)
         source = self.stage.speed_source
         measured = [] if source is None else [self._measured(source)]
         return (*([given] if given else []), *measured)
+
+    @property
+    def _expected_s(self) -> float:
+        """Time of the last frame, as expected before the first one."""
+        return self.start_s + (self.recording.n_frames or 0) / self.recording.fps
 
     def _measured(self, source: str) -> str:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
