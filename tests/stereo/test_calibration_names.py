@@ -300,6 +300,26 @@ def test_unit_in_the_shortest_names(tmp_path, name, units_per_m):
     assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(40 * BASELINE_M)
 
 
+@pytest.mark.parametrize(
+    "others",
+    [
+        {"T_mm": [-120, 0, 0], "T_m": [-0.5, 0, 0]},
+        {"T_mm": [-500, 0, 0], "T": [-0.12, 0, 0]},
+        {"T_m": [-0.5, 0, 0], "baseline_mm": 120},
+        {"T": [-120, 0, 0], "baseline_m": 0.5},
+    ],
+)
+def test_contradictory_lengths_in_any_order(tmp_path, others):
+    content = plain(values("K1 D1 K2 D2 R T"))
+    content.pop("T")
+    first, second = others
+    for keys in ((first, second), (second, first)):
+        (tmp_path / "a.json").write_text(json.dumps(content | {key: others[key] for key in keys}))
+        with pytest.raises(RigError) as error:
+            load_calibration(tmp_path / "a.json")
+        assert {first, second} <= set(str(error.value).split())
+
+
 def test_a_focal_length_in_millimetres_is_none_in_pixels(tmp_path):
     content = plain(values(NAMES[0])) | {"focal_length_mm": 4.0, "sensor_width_mm": 6.4}
     (tmp_path / "a.json").write_text(json.dumps(content))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.dialects import DIALECTS
 from track_range.stereo.rig_formats.values.aliases import QUANTITIES, meaning
 from track_range.stereo.rig_formats.values.cameras import distortion_of, of_scalars, stated_size
@@ -31,8 +32,13 @@ def draft(content: dict[str, Any]) -> RigDraft:
         ({"T": [-12, 0, 0], "square_size": 24}, 12.0, 0.001, "to be in millimetres"),
         ({"T": [-0.12, 0, 0]}, 0.12, 1.0, "square size was given in metres"),
         ({"T": [-2, 0, 0]}, 2.0, 1.0, "a wide baseline"),
-        ({"T": [-12, 0, 0], "units": "inches"}, 12.0, 0.01, "to be in"),
+        ({"T": [-12, 0, 0], "units": "inches"}, 12.0, 0.0254, "inches as the file states"),
+        ({"T": [-12, 0, 0], "units": "inch"}, 12.0, 0.0254, "inches as the file states"),
         ({"T": [-12, 0, 0], "units": "in"}, 12.0, 0.0254, "inches as the file states"),
+        # the unit in a name is that of its value
+        ({"T_mm": [-4, 0, 0], "units": "m"}, 4.0, 0.001, "millimetres by the name of T"),
+        ({"T": [-0.12, 0, 0], "units": "m", "B_mm": 120}, 0.12, 1.0, "as the file states"),
+        ({"T_mm": [-120, 0, 0]}, 0.12, 1.0, "metres by the name of T"),  # of projections
         ({"T": [-12, 0, 0], "unit": "Metres"}, 12.0, 1.0, "metres as the file states"),
         ({"translation_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
         ({"T_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
@@ -45,9 +51,80 @@ def draft(content: dict[str, Any]) -> RigDraft:
     ],
 )
 def test_unit_of_lengths(content, length, metres, reason):
-    unit = unit_of(draft(content), length)
+    given = draft(content)
+    key = given.stated[None, "T"].key if (None, "T") in given.stated else "P2"
+    unit = unit_of(given, length, key if abs(length) >= 1 else "P2")
     assert (unit.metres, unit.is_doubtful) == (metres, False)
     assert reason in unit.reason
+
+
+@pytest.mark.parametrize(
+    ("content", "length", "keys"),
+    [
+        ({"T_m": [-0.5, 0, 0], "baseline_mm": 120}, 0.5, "T_m and baseline_mm"),
+        ({"T": [-120, 0, 0], "baseline_m": 0.5}, 120.0, "T and baseline_m"),
+        ({"T": [-4, 0, 0], "units": "m", "baseline_mm": 4}, 4.0, "T and baseline_mm"),
+        (
+            {"cam1": {"T_cm": [1, 0, 0]}, "cam2": {"T_mm": [2, 0, 0]}},
+            1.0,
+            "cam1.T_cm and cam2.T_mm",
+        ),
+    ],
+)
+def test_a_length_that_contradicts_one_with_its_unit(content, length, keys):
+    given = draft(content)
+    key = given.stated[None, "T"].key if (None, "T") in given.stated else "T"
+    with pytest.raises(RigError, match=keys):
+        unit_of(given, length, key)
+
+
+def test_the_unit_of_a_dialect_gives_way_to_that_of_a_name():
+    orb_slam = next(dialect for dialect in DIALECTS if dialect.name == "orb-slam")
+    given = draft_of({"Stereo": {"baseline_mm": 4}}, Path("a.yml"), orb_slam)
+    assert unit_of(given, 4.0, "Stereo.baseline_mm").metres == 0.001
+
+
+def test_a_length_by_its_size_is_named():
+    assert "the length of baseline, 120," in unit_of(draft({}), 120.0, "baseline").reason
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"T_mm": [-120, 0, 0], "T_m": [-0.5, 0, 0]},
+        {"T_mm": [-500, 0, 0], "T": [-0.12, 0, 0]},
+        {"T": [-120, 0, 0], "translation": [-5, 0, 0], "T_m": [-0.12, 0, 0]},
+        {"baseline_mm": 120, "baseline_m": 0.5},
+        {"K1": [700, 0, 320, 0, 700, 240, 0, 0, 1], "camera_matrix_1": [800, 800, 320, 240]},
+    ],
+)
+def test_values_of_one_place_that_contradict_one_another(content, reverse):
+    keys = list(content)
+    content = {key: content[key] for key in (keys[::-1] if reverse else keys)}
+    with pytest.raises(
+        RigError, match=r"expected \S+ and \S+ to agree.*remove the wrong one"
+    ) as error:
+        draft(content)
+    assert sum(key in str(error.value).split() for key in keys) == 2
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_values_of_one_place_that_agree(reverse):
+    content = {"T": [-12, 0, 0], "T_mm": [-120, 0, 0], "K1": [700, 700, 320, 240]}
+    content |= {"M1": [700.1, 0, 0, 0, 700, 0, 320, 240, 1], "raw": {"K1": [900, 900, 320, 240]}}
+    keys = list(content)[:4]
+    given = draft({key: content[key] for key in (*(keys[::-1] if reverse else keys), "raw")})
+    assert given.stated[None, "T"].key == "T_mm"
+    assert given.stated[1, "K"].key == ("M1" if reverse else "K1")
+
+
+def test_drafts_that_contradict_one_another():
+    assert (draft({"T": [-12, 0, 0]}) | draft({"T_cm": [-12, 0, 0]})).stated[
+        None, "T"
+    ].key == "T_cm"
+    with pytest.raises(RigError, match="T_m and T"):
+        draft({"T": [-12, 0, 0]}) | draft({"T_m": [-0.5, 0, 0]})
 
 
 def test_a_length_between_metres_and_centimetres_is_in_doubt():

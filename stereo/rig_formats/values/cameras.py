@@ -11,7 +11,8 @@ from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX
 from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.values.aliases import COEFFICIENTS, Side
-from track_range.stereo.rig_formats.values.draft import RigDraft, Stated
+from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.stated import Stated
 
 _FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which the lens is a fisheye
 _FISHEYE_MODELS = ("kannala", "fisheye", "equidistant")  # words in the name of the lens model
@@ -62,7 +63,7 @@ def shaped(stated: Stated, shape: tuple[int, ...], name: str) -> FloatArray:
 
 def _name(draft: RigDraft, side: Side, number: int) -> str:
     """The key of a camera's matrix, for messages."""
-    stated = draft.stated.get((side, "K"))
+    stated = draft.get(side, "K", is_own=True)
     return f"M{number}" if stated is None else stated.key
 
 
@@ -179,7 +180,7 @@ def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray |
     """
     sides: list[Side] = [side, None] if side is not None else [None, *draft.sides]
     width, height, size = (
-        next((value for place in sides if (value := draft.stated.get((place, name)))), None)
+        next((value for place in sides if (value := draft.get(place, name, is_own=True))), None)
         for name in ("width", "height", "size")
     )
     if width is not None and height is not None:

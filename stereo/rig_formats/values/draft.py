@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
@@ -14,18 +14,20 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.values.aliases import (
-    Meaning,
-    Quantity,
-    Side,
-    meaning,
-)
+from track_range.stereo.rig_formats.values.aliases import Quantity, Side, meaning
 from track_range.stereo.rig_formats.values.containers import (
     MAX_NUMBERS,
     calibration_text,
     plain_values,
 )
 from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect
+from track_range.stereo.rig_formats.values.stated import (
+    Place,
+    Stated,
+    counting,
+    is_compared,
+    merged,
+)
 
 # keys with words of cameras of other images than the recorded ones
 _OTHER_SET = ("rectified", "optimal", "new", "undistort")
@@ -56,42 +58,29 @@ _NUMBERS: TypeAdapter[list[float]] = TypeAdapter(
 )
 
 
-class Stated(NamedTuple):
-    """A value of a calibration, and where it is from."""
-
-    value: Any  # (N,) array; the text of a unit or model
-    path: Path  # the file
-    key: str  # the keys of the file from the outside in, with dots; "" = assumed
-    meaning: Meaning  # what the key states
-
-    @property
-    def is_assumed(self) -> bool:
-        """Whether the value is that of all files of the dialect, and not in the file."""
-        return not self.key
-
-
 @dataclass(frozen=True, slots=True)
 class RigDraft:
     """The values of a calibration that its files state, by side and quantity."""
 
     path: Path  # the file that was given
-    stated: Mapping[tuple[Side, str], Stated]
+    stated: Mapping[Place, Stated]
     keys: tuple[str, ...]  # names of all values of the files, in their order
     beside: tuple[Path, ...] = ()  # the files that complete it
     dialect: Dialect = PLAIN
 
-    def get(self, side: Side, quantity: str) -> Stated | None:
-        """The value of a side, else of both sides, with its origin; None if there is none."""
-        return self.stated.get((side, quantity)) or self.stated.get((None, quantity))
+    def get(self, side: Side, quantity: str, *, is_own: bool = False) -> Stated | None:
+        """The value of a side, else that of both sides unless `is_own`; None if there is none."""
+        stated = self.stated.get((side, quantity))
+        return self.stated.get((None, quantity)) if stated is None and not is_own else stated
 
     def of(self, side: Side, quantity: str) -> Any:
-        """The value of a side, else of both sides; None if there is none."""
+        """The content of `get`."""
         stated = self.get(side, quantity)
         return None if stated is None else stated.value
 
     def own(self, side: Side, quantity: str) -> Any:
-        """The value of this side alone; None if there is none."""
-        stated = self.stated.get((side, quantity))
+        """The content of `get` for this side alone."""
+        stated = self.get(side, quantity, is_own=True)
         return None if stated is None else stated.value
 
     def has(self, *quantities: str) -> bool:
@@ -100,7 +89,7 @@ class RigDraft:
 
     def pair_has(self, *quantities: str) -> bool:
         """Whether one of these quantities is known for the pair, not for one side."""
-        return any((None, quantity) in self.stated for quantity in quantities)
+        return any(self.get(None, quantity) is not None for quantity in quantities)
 
     @property
     def sides(self) -> list[Side]:
@@ -141,22 +130,11 @@ class RigDraft:
         """The first keys, for messages."""
         return shortened(", ".join(self.keys[:12]), 60)
 
-    def named_length(self, quantity: str) -> Stated | None:
-        """The first value of a quantity whose key states its unit; None if there is none."""
-        return next(
-            (
-                value
-                for (_, name), value in self.stated.items()
-                if name == quantity and value.meaning.metres is not None
-            ),
-            None,
-        )
-
     def __or__(self, other: RigDraft) -> RigDraft:
-        """This draft, completed by the values of `other`."""
+        """This draft, completed by the values of `other`; RigError if both contradict one another."""
         return replace(
             self,
-            stated={**other.stated, **self.stated},
+            stated=merged(self.stated, other.stated),
             keys=tuple(dict.fromkeys((*self.keys, *other.keys))),
             beside=(*self.beside, other.path, *other.beside),
         )
@@ -175,38 +153,39 @@ def read_draft(path: Path) -> RigDraft:
 
 def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -> RigDraft:
     """The draft of the plain values of a file, and those that are assumed for its dialect; raises
-    RigError for a matrix of OpenCV that is damaged.
+    RigError for a matrix of OpenCV that is damaged, or for values that contradict one another.
     """
     assumed = _stated_values(dialect.assumed, path)
     stated = {place: value._replace(key="") for place, value in assumed.items()}
     stated |= _stated_values(content, path)
-    draft = RigDraft(path, stated, tuple(dict.fromkeys(_top_keys(content))), dialect=dialect)
     q = stated.get((None, "Q"))
-    if q is not None and not draft.has("K", "fx", "P"):
-        for quantity, value in _of_reprojection(q.value).items():
-            stated.setdefault((None, quantity), q._replace(value=value))
+    if q is not None and not any(quantity in ("K", "fx", "P") for _, quantity in stated):
+        rectified = _of_reprojection(q.value)
+        stated = merged(
+            stated, {(None, name): q._replace(value=value) for name, value in rectified.items()}
+        )
     for side in dict.fromkeys(side for side, quantity in stated if quantity == "P"):
         is_rectified_alone = (side, "R") in stated and (side, "T") not in stated
         if side is not None and is_rectified_alone:  # as in camera_info
             stated.setdefault((side, "rect"), stated.pop((side, "R")))
-    return draft
+    return RigDraft(path, stated, tuple(dict.fromkeys(_top_keys(content))), dialect=dialect)
 
 
-def _stated_values(content: Mapping[str, Any], path: Path) -> dict[tuple[Side, str], Stated]:
-    """The values whose keys name a quantity; of several, the first."""
-    stated: dict[tuple[Side, str], Stated] = {}
+def _stated_values(content: Mapping[str, Any], path: Path) -> dict[Place, Stated]:
+    """The values whose keys name a quantity; of several, the `counting` one."""
+    stated: dict[Place, list[Stated]] = {}
     for keys, value in _leaves(content, ()):
         key = ".".join(keys)
         understood = meaning(keys, sum(1 for _ in _flat(value)))
         if understood is None or any(word in key.lower() for word in _OTHER_SET):
             continue
         place = understood.side, understood.quantity.name
-        if place in stated:
+        if place in stated and not is_compared(understood.quantity.name):
             continue
         numbers = _value(value, understood.quantity, key, path)
         if numbers is not None:
-            stated[place] = Stated(numbers, path, key, understood)
-    return stated
+            stated.setdefault(place, []).append(Stated(numbers, path, key, understood))
+    return {place: counting(values) for place, values in stated.items()}
 
 
 def _of_reprojection(q: FloatArray) -> dict[str, FloatArray]:

@@ -15,8 +15,8 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.rig import inverse_motion, rigid_motion
 from track_range.stereo.rig_formats.values.aliases import Side
 from track_range.stereo.rig_formats.values.cameras import incomplete, shaped
-from track_range.stereo.rig_formats.values.draft import RigDraft, Stated
-from track_range.stereo.rig_formats.values.units import TOLERANCE
+from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.stated import TOLERANCE, Stated
 
 _SECOND_CAMERA = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}  # its matrices, and quantities
 
@@ -26,6 +26,7 @@ class PairMotion(NamedTuple):
 
     matrix: FloatArray  # (4, 4)
     notes: tuple[str, ...] = ()
+    key: str = "T"  # of its length
 
 
 def motion_of(draft: RigDraft) -> PairMotion:
@@ -33,7 +34,8 @@ def motion_of(draft: RigDraft) -> PairMotion:
     transform = draft.get(None, "transform")
     if transform is not None:
         rotation, translation = np.split(transform.value.reshape(-1, 4)[:3], [3], axis=1)
-        return PairMotion(_from_first(rigid_motion(rotation, translation), transform))
+        motion = _from_first(rigid_motion(rotation, translation), transform)
+        return PairMotion(motion, key=transform.key)
     first, second = draft.pair
     if not draft.pair_has("T"):
         if draft.own(second, "T") is not None:  # a pose of each camera
@@ -43,12 +45,13 @@ def motion_of(draft: RigDraft) -> PairMotion:
         rectified = _motion_of_rectification(draft)
         if rectified is not None:
             return PairMotion(
-                rectified, (f"{draft.path}: R and T are computed from R1, R2, P1 and P2.",)
+                rectified, (f"{draft.path}: R and T are computed from R1, R2, P1 and P2.",), "P2"
             )
     missing = _missing(draft)
     if missing:
         raise incomplete(draft, missing)
-    return PairMotion(motion_of_pair(draft))
+    stated = draft.get(None, "T")
+    return PairMotion(motion_of_pair(draft), key="T" if stated is None else stated.key)
 
 
 def motion_of_pair(draft: RigDraft) -> FloatArray:
@@ -74,7 +77,7 @@ def checked_with_rectification(draft: RigDraft, motion: PairMotion) -> PairMotio
     if abs(projected / max(length, 1e-9) - 1) <= TOLERANCE:
         return motion
     note = f"{draft.path}: |T| is {length:.4g}, but P2[0, 3] / f is {projected:.4g}; T is used."
-    return PairMotion(motion.matrix, (*motion.notes, note))
+    return motion._replace(notes=(*motion.notes, note))
 
 
 def projections_of(draft: RigDraft) -> list[FloatArray] | None:
@@ -113,13 +116,13 @@ def _missing(draft: RigDraft) -> list[str]:
 
 def _pose(draft: RigDraft, side: Side) -> FloatArray:
     """(4, 4) transform of R and T of a side; the identity for a camera without them."""
-    stated = draft.stated.get((side, "R")) or draft.stated.get((side, "rect"))
+    stated = draft.get(side, "R", is_own=True) or draft.get(side, "rect", is_own=True)
     rotation = np.eye(3)
     if stated is not None and stated.value.size == 3:
         rotation = np.asarray(cv2.Rodrigues(stated.value)[0])
     elif stated is not None:
         rotation = shaped(stated, (3, 3), "R")
-    translation = draft.stated.get((side, "T"))
+    translation = draft.get(side, "T", is_own=True)
     return rigid_motion(
         rotation, np.zeros(3) if translation is None else shaped(translation, (3,), "T")
     )
@@ -143,9 +146,9 @@ def _checked_rotation(draft: RigDraft, motion: PairMotion) -> PairMotion:
             f"{draft.path}: R and T are the transform from camera 2 to camera 1, by R1 and R2; "
             "they are inverted."
         )
-        return PairMotion(inverse_motion(motion.matrix), (*motion.notes, note))
+        return motion._replace(matrix=inverse_motion(motion.matrix), notes=(*motion.notes, note))
     note = (
         f"{draft.path}: R contradicts R1 and R2, which rectify another pair (R2 R R1^T differs from "
         f"the identity by {error:.2g}); R and T are used."
     )
-    return PairMotion(motion.matrix, (*motion.notes, note))
+    return motion._replace(notes=(*motion.notes, note))

@@ -50,7 +50,7 @@ def resolved(draft: RigDraft) -> RigCalibration:
     left = camera_of(draft, 0)
     baseline = _baseline(draft, left)
     if baseline is not None and not draft.has_extrinsics and projections is None:
-        return _of_baseline(draft, left, baseline)
+        return _of_baseline(draft, left, *baseline)
     if not draft.has_extrinsics and not draft.has_two_cameras:
         return RigCalibration(left, None, None, notes=lens_of(draft)[1])
     return _of_transform(draft, left)
@@ -60,10 +60,11 @@ def stated_motion(draft: RigDraft) -> FloatArray | None:
     """(4, 4) transform of R and T alone, metres; None if one is missing, or the unit is in
     doubt.
     """
-    if draft.of(None, "R") is None or draft.of(None, "T") is None:
+    translation = draft.get(None, "T")
+    if translation is None or not draft.pair_has("R"):
         return None
     motion = motion_of_pair(draft)
-    unit = unit_of(draft, float(np.linalg.norm(motion[:3, 3])))
+    unit = unit_of(draft, float(np.linalg.norm(motion[:3, 3])), translation.key)
     if unit.is_doubtful:
         return None
     return rigid_motion(motion[:3, :3], motion[:3, 3] * unit.metres)
@@ -74,29 +75,32 @@ def _of_projections(draft: RigDraft, projections: Sequence[FloatArray]) -> RigCa
     size_px = size_px_of(draft, None, projections[0][:2, 2])
     cameras = [PinholeCamera.of_matrix(projection, size_px) for projection in projections]
     kind = "projection matrices P1 and P2"
-    return _parallel(draft, cameras, -offset_of(*projections), kind, "rectified images")
+    baseline = -offset_of(*projections)
+    return _parallel(draft, cameras, (baseline, "P2"), kind, "rectified images")
 
 
-def _baseline(draft: RigDraft, left: PinholeCamera) -> float | None:
-    """The baseline in the unit of the file, stated or bf / fx; None if unknown, or that of a depth
-    camera.
+def _baseline(draft: RigDraft, left: PinholeCamera) -> tuple[float, str] | None:
+    """The baseline in the unit of the file, stated or bf / fx, and its key; None if unknown, or
+    that of a depth camera.
     """
     is_of_other_images = draft.dialect.is_baseline_rectified and any(left.distortion)
     if draft.has("depth_scale") or is_of_other_images:
         return None
-    baseline, bf = draft.of(None, "baseline"), draft.of(None, "bf")
-    if baseline is None and bf is not None:
-        fx = draft.of(None, "fx")
-        baseline = bf / (left.fx_px if fx is None else fx)
-    return None if baseline is None else abs(float(baseline[0]))
+    baseline, bf = draft.get(None, "baseline"), draft.get(None, "bf")
+    if baseline is not None:
+        return abs(float(baseline.value[0])), baseline.key
+    if bf is None:
+        return None
+    fx = draft.of(None, "fx")
+    return abs(float(bf.value[0] / (left.fx_px if fx is None else fx[0]))), bf.key
 
 
-def _of_baseline(draft: RigDraft, left: PinholeCamera, baseline: float) -> RigCalibration:
-    """The pair of parallel cameras with this baseline, in the unit of the file."""
+def _of_baseline(draft: RigDraft, left: PinholeCamera, baseline: float, key: str) -> RigCalibration:
+    """The pair of parallel cameras with this baseline of a key, in the unit of the file."""
     right = camera_of(draft, 1) if draft.has_two_cameras else left
     is_rectified = draft.dialect.is_rectified or not left.is_distorted
     images = "rectified images" if is_rectified else "parallel cameras"
-    rig = _parallel(draft, [left, right], baseline, draft.title, images)
+    rig = _parallel(draft, [left, right], (baseline, key), draft.title, images)
     notes = (*rig.notes, *lens_of(draft)[1])
     if draft.dialect.assumption:
         notes = (*notes, f"{draft.path}: assumed: {draft.dialect.assumption}.")
@@ -104,12 +108,17 @@ def _of_baseline(draft: RigDraft, left: PinholeCamera, baseline: float) -> RigCa
 
 
 def _parallel(
-    draft: RigDraft, cameras: Sequence[PinholeCamera], baseline: float, kind: str, images: str
+    draft: RigDraft,
+    cameras: Sequence[PinholeCamera],
+    stated: tuple[float, str],
+    kind: str,
+    images: str,
 ) -> RigCalibration:
-    """The pair of two parallel cameras with this baseline, in the unit of the file; a note names
-    the kind of the file and of the images.
+    """The pair of two parallel cameras with a baseline, in the unit of the file, of a key; a note
+    names the kind of the file and of the images.
     """
-    unit = unit_of(draft, abs(baseline))
+    baseline, key = stated
+    unit = unit_of(draft, abs(baseline), key)
     motion = rigid_motion(np.eye(3), [-baseline * unit.metres, 0.0, 0.0])
     length_m = abs(baseline) * unit.metres
     note = f"{draft.path}: {kind}: the baseline is {length_m:.5g} m, {unit.reason}; {images}."
@@ -123,11 +132,11 @@ def _of_transform(draft: RigDraft, left: PinholeCamera) -> RigCalibration:
     stated = motion_of(draft)
     right = camera_of(draft, 1)
     length = float(np.linalg.norm(stated.matrix[:3, 3]))
-    unit = unit_of(draft, length)
+    unit = unit_of(draft, length, stated.key)
     motion = checked_with_rectification(draft, stated)
     baseline = f"the baseline is {length * unit.metres:.4g} m, {unit.reason}"
     doubt = (
-        f"{draft.path}: expected T in metres, found one {length:.4g} long, which is wider than a "
+        f"{draft.path}: expected {stated.key} in metres, found one {length:.4g} long, which is wider than a "
         "vehicle; give its unit: rig convert FILE rig.yaml --unit mm, cm or m; or multiply T by "
         "the side of a square, if it counts squares of the board."
     )

@@ -20,7 +20,7 @@ from track_range.stereo.rig_formats import reading
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
-from track_range.stereo.rig_formats.values.units import UNIT_NAMES
+from track_range.stereo.rig_formats.values.stated import UNIT_NAMES
 from track_range.views.tables import Column, grid_of
 
 _Size = Annotated[
