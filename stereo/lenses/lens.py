@@ -22,6 +22,12 @@ class KalibrModel(NamedTuple):
     camera: str  # camera_model
     distortion: str  # distortion_model; "none" = the others are 0
     n_intrinsics: int = 0
+    n_distortion: int | None = None  # numbers of the others; None = as many as the lens has
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Its camera_model and distortion_model."""
+        return self.camera, self.distortion
 
 
 @dataclass(frozen=True, slots=True)

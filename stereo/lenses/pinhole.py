@@ -45,5 +45,8 @@ LENS = Lens(
     distort,
     undistort,
     is_wide=False,
-    kalibr=(KalibrModel("pinhole", "radtan"), KalibrModel("pinhole", "none")),
+    kalibr=(
+        KalibrModel("pinhole", "radtan", n_distortion=4),
+        KalibrModel("pinhole", "none", n_distortion=0),
+    ),
 )

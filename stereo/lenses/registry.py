@@ -4,8 +4,19 @@ A model is a file with a `Lens`, and a row of `LENSES`, or an entry point of the
 `track_range.lenses` in another package. rig.yaml, Kalibr's files and messages follow.
 """
 
-from track_range.foundation.registry import Registry
+from collections.abc import Collection
+
+from track_range.foundation.registry import PluginError, Registry
 from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, Lens
+
+
+def _check_kalibr(lens: Lens, known: Collection[Lens], _: Collection[str]) -> None:
+    """Raise PluginError if Kalibr's name of a lens is that of a known one."""
+    taken = {model.names for other in known for model in other.kalibr}
+    for model in lens.kalibr:
+        if model.names in taken:
+            raise PluginError(f"Kalibr's {' with '.join(model.names)} is the name of another lens")
+
 
 LENSES = Registry(
     "track_range.lenses",
@@ -16,6 +27,7 @@ LENSES = Registry(
         "omni": "track_range.stereo.lenses.unified:LENS",
     },
     Lens,
+    _check_kalibr,
 )
 
 

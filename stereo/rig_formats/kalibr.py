@@ -4,12 +4,8 @@
            distortion_coeffs: [k1, k2, r1, r2], resolution: [width, height]}
     cam1: {..., T_cn_cnm1: 4 x 4, transforms points from cam0's frame to cam1's, metres}
 
-Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, with the
-intrinsics of the lens before fu:
-
-    pinhole + equidistant   [fu, fv, pu, pv], [k1, k2, k3, k4]          Kannala-Brandt, OpenCV's fisheye
-    omni + radtan or none   [xi, fu, fv, pu, pv], [k1, k2, r1, r2]      unified
-    ds + none               [xi, alpha, fu, fv, pu, pv]                 double sphere
+The pairs of camera_model and distortion_model are those that the lenses in `LENSES` declare; the
+intrinsics of a wide lens stand before fu. Kalibr's radtan coefficients are OpenCV's first four.
 
 Files for other programs, such as OpenVINS's, begin with OpenCV's `%YAML:1.0` and have T_cam_imu
 (camera from IMU) or its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki:
@@ -18,10 +14,10 @@ Supported models, YAML formats.)
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import alternatives, quoted
@@ -48,9 +44,9 @@ class _CameraBlock(BaseModel):
 
     camera_model: Any = None
     distortion_model: Any = None
-    intrinsics: Annotated[list[Number], Field(min_length=4, max_length=6)]
+    intrinsics: list[Number]
     resolution: tuple[ImageSide, ImageSide]
-    distortion_coeffs: Annotated[list[Number], Field(max_length=4)] = []
+    distortion_coeffs: list[Number] = []
     T_cn_cnm1: _Transform | None = None
     T_cam_imu: _Transform | None = None
     T_imu_cam: _Transform | None = None
@@ -68,7 +64,12 @@ def _models() -> dict[tuple[str, str], tuple[KalibrModel, str]]:
     models: dict[tuple[str, str], tuple[KalibrModel, str]] = {}
     for name, lens in LENSES.usable.items():
         for model in lens.kalibr:
-            models.setdefault((model.camera, model.distortion), (model, name))
+            _, known = models.setdefault(model.names, (model, name))
+            if known != name:  # registered at run time; those of other packages are left out
+                raise RigError(
+                    f"expected one lens for Kalibr's {' with '.join(model.names)}, found {known} "
+                    f"and {name}; omit one of them."
+                )
     return models
 
 
@@ -147,13 +148,14 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
             f"{quoted(matrix[:2])}; {_HINT}."
         )
     coefficients = block.distortion_coeffs
+    n_coefficients = model.n_distortion
+    if n_coefficients is None:
+        n_coefficients = len(LENSES.named(lens).coefficients) - model.n_intrinsics
     if model.distortion == "none":
-        known = LENSES.named(lens)
-        n_missing = len(known.coefficients) - model.n_intrinsics
-        coefficients = [0.0] * n_missing if known.is_wide else []
-    elif len(coefficients) != 4:
+        coefficients = [0.0] * n_coefficients
+    elif len(coefficients) != n_coefficients:
         raise RigError(
-            f"{name}: expected four numbers in 'distortion_coeffs', found "
+            f"{name}: expected {n_coefficients} numbers in 'distortion_coeffs', found "
             f"{len(coefficients)}; {_HINT}."
         )
     fu, fv, pu, pv = matrix

@@ -1,8 +1,7 @@
 """rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
 Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or the
-distortion of the wide lens named by the key `lens`, one of `LENSES` (kannala-brandt: k1 .. k4, double-sphere: xi
-alpha, omni: xi k1 k2 p1 p2):
+coefficients of the wide lens in `LENSES` that the key `lens` names:
 
     track_range_rig: 1
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}

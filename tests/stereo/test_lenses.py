@@ -4,17 +4,20 @@ they image."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from track_range.foundation.registry import PluginError
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.lenses.kannala_brandt import largest_angle_rad
-from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
-from track_range.stereo.lenses.registry import LENSES
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, KalibrModel
+from track_range.stereo.lenses.pinhole import undistort
+from track_range.stereo.lenses.registry import LENSES, _check_kalibr
 from track_range.stereo.rig_formats.reading import load_camera, load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
@@ -187,6 +190,41 @@ def test_every_lens_is_read_from_a_file_of_kalibr(name, model, tmp_path):
         assert camera.distortion == given
     else:
         assert not any(camera.distortion[model.n_intrinsics :])
+
+
+def test_a_lens_with_many_coefficients_is_read_from_a_file_of_kalibr(tmp_path, monkeypatch):
+    """Four of eight coefficients stand before fu."""
+    many = replace(
+        LENSES.named("omni"),
+        coefficients=tuple("abcdefgh"),
+        distort=lambda rays, _: rays[:, :2] / rays[:, 2:],
+        undistort=lambda points, _: undistort(points, ()),
+        kalibr=(KalibrModel("many", "poly", n_intrinsics=3),),
+    )
+    monkeypatch.setitem(LENSES.registered, "many", many)
+    (path := tmp_path / "camchain.yaml").write_text(
+        "cam0: {camera_model: many, distortion_model: poly, resolution: [640, 480], "
+        "intrinsics: [1, 2, 3, 420, 421, 319.5, 239.5], distortion_coeffs: [4, 5, 6, 7, 8]}\n"
+    )
+    camera, _ = load_camera(path, size_px=(640, 480))
+    assert (camera.lens, camera.distortion) == ("many", (1, 2, 3, 4, 5, 6, 7, 8))
+    path.write_text(path.read_text().replace(", 8]", "]"))
+    with pytest.raises(RigError, match=r"expected 5 numbers in 'distortion_coeffs', found 4"):
+        load_camera(path, size_px=(640, 480))
+
+
+def test_a_lens_of_a_package_with_a_taken_name_of_kalibr_is_refused():
+    with pytest.raises(PluginError, match="Kalibr's ds with none is the name of another lens"):
+        _check_kalibr(LENSES.named("double-sphere"), LENSES.usable.values(), ())
+
+
+def test_two_lenses_with_one_name_of_kalibr(tmp_path, monkeypatch):
+    monkeypatch.setitem(LENSES.registered, "other", LENSES.named("double-sphere"))
+    (path := tmp_path / "camchain.yaml").write_text(
+        "cam0: {resolution: [640, 480], intrinsics: []}"
+    )
+    with pytest.raises(RigError, match="Kalibr's ds with none, found double-sphere and other"):
+        load_camera(path, size_px=None)
 
 
 def test_unknown_lens_names_the_known_ones(tmp_path):
