@@ -39,6 +39,8 @@ def draft(content: dict[str, Any]) -> RigDraft:
         ({"T_mm": [-4, 0, 0], "units": "m"}, 4.0, 0.001, "millimetres by the name of T"),
         ({"T": [-0.12, 0, 0], "units": "m", "B_mm": 120}, 0.12, 1.0, "as the file states"),
         ({"T_mm": [-120, 0, 0]}, 0.12, 1.0, "metres by the name of T"),  # of projections
+        # the pose of one camera has its own unit
+        ({"T": [-1.2, 0, 0], "cam1": {"T_mm": [9, 0, 0]}}, 1.2, 1.0, "assuming that the square"),
         ({"T": [-12, 0, 0], "unit": "Metres"}, 12.0, 1.0, "metres as the file states"),
         ({"translation_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
         ({"T_mm": [-12, 0, 0]}, 12.0, 0.001, "millimetres by the name of T"),
@@ -52,8 +54,9 @@ def draft(content: dict[str, Any]) -> RigDraft:
 )
 def test_unit_of_lengths(content, length, metres, reason):
     given = draft(content)
-    key = given.stated[None, "T"].key if (None, "T") in given.stated else "P2"
-    unit = unit_of(given, length, key if abs(length) >= 1 else "P2")
+    of_pair = given.get(None, "T")
+    key = "T" if of_pair is None else of_pair.key
+    unit = unit_of(given, length, key if length >= 1 else "P2")
     assert (unit.metres, unit.is_doubtful) == (metres, False)
     assert reason in unit.reason
 
@@ -73,7 +76,8 @@ def test_unit_of_lengths(content, length, metres, reason):
 )
 def test_a_length_that_contradicts_one_with_its_unit(content, length, keys):
     given = draft(content)
-    key = given.stated[None, "T"].key if (None, "T") in given.stated else "T"
+    of_pair = given.get(None, "T")
+    key = "T" if of_pair is None else of_pair.key
     with pytest.raises(RigError, match=keys):
         unit_of(given, length, key)
 

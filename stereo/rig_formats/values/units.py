@@ -54,12 +54,10 @@ def _by_name(draft: RigDraft, length: float, key: str, stated: Unit | None) -> U
     """
     named = {place: value for place, value in draft.stated.items() if value.meaning.metres}
     lengths = [named[None, name] for name in ("T", "baseline") if (None, name) in named]
-    poses = [value for (side, name), value in named.items() if name == "T" and side is not None]
-    # the length itself, or positions of both cameras, whose distance it is
     own = [value for value in lengths if value.key == key]
-    if not draft.pair_has("T", "transform"):
-        own = own or poses
-    first = next(iter((*own, *lengths, *poses)), None)
+    if key == "T" and not draft.pair_has("T", "transform"):  # the distance of both cameras' poses
+        own = [value for (_, name), value in named.items() if name == "T"]
+    first = next(iter((*own, *lengths)), None)
     if first is None:
         return None
     units = {_metres(value): None for value in own}
