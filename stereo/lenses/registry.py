@@ -12,9 +12,9 @@ from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, Lens
 
 def _check_kalibr(lens: Lens, known: Collection[Lens], _: Collection[str]) -> None:
     """Raise PluginError if Kalibr's name of a lens is that of a known one."""
-    taken = {model.names for other in known for model in other.kalibr}
+    known_names = {model.names for other in known for model in other.kalibr}
     for model in lens.kalibr:
-        if model.names in taken:
+        if model.names in known_names:
             raise PluginError(f"Kalibr's {' with '.join(model.names)} is the name of another lens")
 
 

@@ -98,10 +98,10 @@ def _is_same_length(named: Stated, other: Stated) -> bool:
     """Whether a length is that of a key with its unit, in the unit of its key or in any unit."""
     known = other.meaning.metres
     metres = UNIT_NAMES if known is None else (known,)
-    expected, found = named.value * named.meaning.metres, other.value
-    if found.size != expected.size:
+    expected, length = named.value * named.meaning.metres, other.value
+    if length.size != expected.size:
         return False
-    if found.size == 1 or named.meaning.is_inverse != other.meaning.is_inverse:
-        expected, found = np.linalg.norm(expected), np.linalg.norm(found)
+    if length.size == 1 or named.meaning.is_inverse != other.meaning.is_inverse:
+        expected, length = np.linalg.norm(expected), np.linalg.norm(length)
     limit = TOLERANCE * np.linalg.norm(expected)
-    return any(bool(np.linalg.norm(found * unit - expected) <= limit) for unit in metres)
+    return any(bool(np.linalg.norm(length * unit - expected) <= limit) for unit in metres)

@@ -82,10 +82,10 @@ def _metres(value: Stated) -> float:
 
 def _contradiction(draft: RigDraft, key: str, length: float, others: list[Stated]) -> RigError:
     names = " and ".join(value.key for value in others)
-    found = " and ".join(f"{np.linalg.norm(value.value):.4g}" for value in others)
+    lengths = " and ".join(f"{np.linalg.norm(value.value):.4g}" for value in others)
     return RigError(
         f"{draft.path}: expected the lengths {key} and {names} to agree in their units, found "
-        f"{length:.4g} and {found}; remove the wrong one."
+        f"{length:.4g} and {lengths}; remove the wrong one."
     )
 
 
