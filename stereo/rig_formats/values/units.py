@@ -1,5 +1,7 @@
 """The unit of the lengths in a calibration: by the file, by the names of its keys, or by size."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
 from track_range.stereo.geometry.rig import RigError
@@ -52,41 +54,55 @@ def _by_name(draft: RigDraft, length: float, key: str, stated: Unit | None) -> U
     """The unit in which `length` is as long as all lengths whose keys end in their units; None
     without such a key.
     """
-    named = {place: value for place, value in draft.stated.items() if value.meaning.metres}
-    lengths = [named[None, name] for name in ("T", "baseline") if (None, name) in named]
-    own = [value for value in lengths if value.key == key]
-    if key == "T" and not draft.pair_has("T", "transform"):  # the distance of both cameras' poses
-        own = [value for (_, name), value in named.items() if name == "T"]
-    first = next(iter((*own, *lengths)), None)
-    if first is None:
+    lengths = _named(draft.get(None, name) for name in ("T", "baseline"))
+    own = [value for value in lengths if value.key == key] or _poses(draft, key)
+    if own:
+        units = [_named_unit(value) for value in own]
+    elif lengths:
+        usual = [_named_unit(lengths[0], metres) for metres in UNIT_NAMES]
+        units = usual if stated is None else [stated]
+    else:
         return None
-    units = {_metres(value): None for value in own}
-    if len(units) > 1:
-        raise _contradiction(draft, key, length, own)
-    reason = ""
-    if not units and stated is not None:
-        units, reason = {stated.metres: None}, stated.reason
-    for metres in units or (_metres(first), *UNIT_NAMES):
-        if all(
-            agree(length * metres, float(np.linalg.norm(value.value)) * _metres(value))
-            for value in lengths
-        ):
-            by_name = f"in {UNIT_NAMES[metres]} by the name of {first.meaning.quantity.name}"
-            return Unit(metres, reason or by_name)
-    raise _contradiction(draft, key, length, [value for value in lengths if value.key != key])
+    fitting = [unit for unit in units if _fits(length * unit.metres, lengths)]
+    if not fitting or (own and len(set(units)) > 1):
+        others = [value for value in (*lengths, *own) if value.key != key]
+        raise _contradiction(draft, key, length, others)
+    return fitting[0]
 
 
-def _metres(value: Stated) -> float:
-    return value.meaning.metres or 1.0
+def _named(values: Iterable[Stated | None]) -> list[Stated]:
+    """The values whose keys end in their units."""
+    return [value for value in values if value is not None and value.meaning.metres]
 
 
-def _contradiction(draft: RigDraft, key: str, length: float, others: list[Stated]) -> RigError:
-    names = " and ".join(value.key for value in others)
-    lengths = " and ".join(f"{np.linalg.norm(value.value):.4g}" for value in others)
+def _fits(length_m: float, lengths: Sequence[Stated]) -> bool:
+    return all(agree(length_m, _length(value) * _named_unit(value).metres) for value in lengths)
+
+
+def _contradiction(draft: RigDraft, key: str, length: float, others: Sequence[Stated]) -> RigError:
+    keys = " and ".join((key, *(value.key for value in others)))
+    lengths = " and ".join(f"{number:.4g}" for number in (length, *map(_length, others)))
     return RigError(
-        f"{draft.path}: expected the lengths {key} and {names} to agree in their units, found "
-        f"{length:.4g} and {lengths}; remove the wrong one."
+        f"{draft.path}: expected the lengths {keys} to agree in their units, found {lengths}; "
+        "remove the wrong one."
     )
+
+
+def _poses(draft: RigDraft, key: str) -> list[Stated]:
+    """The positions of both cameras with their units, if the length is the distance of these."""
+    if key != "T" or draft.pair_has("T", "transform"):
+        return []
+    return _named(value for (_, name), value in draft.stated.items() if name == "T")
+
+
+def _named_unit(value: Stated, metres: float | None = None) -> Unit:
+    """The unit in the name of a length, or one of `metres` by this name."""
+    metres = metres or value.meaning.metres or 1.0
+    return Unit(metres, f"in {UNIT_NAMES[metres]} by the name of {value.meaning.quantity.name}")
+
+
+def _length(value: Stated) -> float:
+    return float(np.linalg.norm(value.value))
 
 
 def _by_size(draft: RigDraft, length: float, key: str) -> Unit:
