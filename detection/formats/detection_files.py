@@ -40,6 +40,7 @@ _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
 # largest of scores that are read as per cent; margins hardly reach 10
 _MIN_PER_CENT, _MAX_PER_CENT = 10, 100
 _MAX_INVALID = 0.5  # fraction of invalid rows above which a file has another format
+_OWN_READERS = ("mot", "kitti", "tracks")  # formats that are read as detections by functions here
 # rrc: plain rows; tracks: a tracks.csv
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
 
@@ -155,7 +156,7 @@ def _rows(
     path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None
 ) -> _Rows:
     label_format = label_format_of(path, "detections")
-    if label_format.is_general or label_format.name == "csv":
+    if label_format.name not in _OWN_READERS:
         table = label_format.read(path, video)
         table = table.select(table.observed)  # as of tracks.csv
         score = np.where(np.isnan(table.score), 1.0, table.score)

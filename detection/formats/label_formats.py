@@ -26,6 +26,7 @@ LABEL_FORMATS = Registry(
         "tools": "track_range.detection.formats.tool_labels.reader:FORMATS",
     },
     LabelFormat,
+    error=LabelFileError,
 )
 
 
@@ -41,7 +42,8 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
         if not first:
             raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
     start = LabelStart(path, first, is_folder)
-    return next(form for form in LABEL_FORMATS.by_priority if form.recognises(start))
+    answers = LABEL_FORMATS.answers(lambda form: form.recognises(start))
+    return next(form for form, is_recognised in answers if is_recognised)
 
 
 def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "labels") -> BoxTable:

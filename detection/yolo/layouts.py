@@ -43,6 +43,7 @@ DETECTOR_LAYOUTS = Registry(
         "anchors": "track_range.detection.yolo.dense_layouts:ANCHOR_HEADS",
     },
     DetectorLayout,
+    error=ModelError,
 )
 
 
@@ -60,10 +61,14 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
             f"{', '.join(known)}."
         )
     refused: ModelError | None = None
-    for layout in DETECTOR_LAYOUTS.by_priority:
-        if requested is not None and requested not in layout.names:
-            continue
-        readings, error = _readings_in(layout, network, requested)
+    answers = DETECTOR_LAYOUTS.answers(
+        lambda layout: (
+            _readings_in(layout, network, requested)
+            if requested is None or requested in layout.names
+            else ([], None)
+        )
+    )
+    for _, (readings, error) in answers:
         refused = refused or error
         if readings:
             return tuple(readings)

@@ -6,6 +6,7 @@ A model is a file with a `Lens`, and a row of `LENSES`, or an entry point of the
 
 from collections.abc import Collection
 
+from track_range.foundation.errors import UserError
 from track_range.foundation.registry import PluginError, Registry
 from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, Lens
 
@@ -28,6 +29,7 @@ LENSES = Registry(
     },
     Lens,
     _check_kalibr,
+    error=UserError,
 )
 
 

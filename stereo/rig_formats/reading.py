@@ -40,6 +40,7 @@ RIG_FORMATS = Registry(
         "ros": "track_range.stereo.rig_formats.ros:ROS",
     },
     RigFormat,
+    error=RigError,
 )
 # largest relative difference of the factors by which left and right images are scaled
 _SCALE_TOLERANCE = 0.01
@@ -189,7 +190,8 @@ def find_rig(left_video: Path) -> Path | None:
 def format_of(path: Path) -> tuple[RigFormat, str]:
     """The format of a calibration file, and its text; raises RigError if it cannot be read."""
     text = calibration_text(path)
-    return next(form for form in RIG_FORMATS.by_priority if form.recognises(text)), text
+    answers = RIG_FORMATS.answers(lambda form: form.recognises(text))
+    return next(form for form, is_recognised in answers if is_recognised), text
 
 
 def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:

@@ -5,6 +5,7 @@ import csv
 import json
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from tests.support.images.films import write_film
+from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.detection.yolo.layouts import DETECTOR_LAYOUTS
 from track_range.ranging.registry import METHODS
 from track_range.recording.telemetry.sidecars.reading import SIDECARS, sidecar_names
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.results.writers import WRITERS
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -83,6 +86,7 @@ def test_every_kind_has_an_entry_point_and_an_example():
         f"track_range.{group}" for group in (*CHOSEN, *(group for group, *_ in READERS.values()))
     }
     page = PAGE.read_text()
+    assert {"A ranging method", "A note or a figure of a run"} < set(EXAMPLES)
     assert all(f"`{group}`" in page for group in groups)
 
 
@@ -207,6 +211,57 @@ def test_a_package_that_cannot_be_imported_loses_nothing(group, install, cli, tm
     lines = complaint.splitlines()
     assert [("broken" in line, "odd" in line) for line in lines] == [(True, False), (False, True)]
     assert all("(package8 1.0)" in line for line in lines)
+
+
+def test_a_failing_reader_loses_only_its_own_files(install, cli, tmp_path):
+    install("track_range.label_formats", failing="package_of_failures:LABELS")
+    install("track_range.rig_formats", failing="package_of_failures:RIG")
+    (tmp_path / "site-packages/package_of_failures.py").write_text(FAILURES)
+    (tmp_path / "k.txt").write_text("0 1 Car 0 0 0 10 10 50 50 -1 -1 -1 -1 -1 -1 -1\n")
+    status, printed, complaint = cli(
+        *("evaluate", "tracks", "--truth", "k.txt", "--results", "k.txt"), folder=tmp_path
+    )
+    assert (status, "100" in printed) == (0, True), complaint
+    assert "failing = package_of_failures:LABELS (package8 1.0): KeyError" in complaint
+    (tmp_path / "odd.yaml").write_text("odd\n")
+    status, _, complaint = cli("rig", "show", "odd.yaml", folder=tmp_path)
+    assert status == 1
+    assert "odd.yaml: entry point failing = package_of_failures:RIG" in complaint
+
+
+FAILURES = """
+from track_range.detection.formats.tables.label_format import LabelFormat
+from track_range.stereo.rig_formats.rig_format import RigFormat
+
+def fail(*arguments):
+    return {}["brightness"]
+
+LABELS = LabelFormat(name="failing", title="", recognises=fail, read=fail)
+RIG = RigFormat(
+    name="failing", title="", recognises=lambda text: text == "odd\\n", read=fail, missing=fail
+)
+"""
+
+
+def test_labels_of_a_package_are_detections_by_default(tmp_path):
+    path = tmp_path / "boxes.jsonl"
+    path.write_text('{"frame": 0, "id": 4, "class": "car", "box": [1, 4, 40, 44], "score": 0.9}\n')
+    found = read_detections(path)
+    assert (found.form, found.detections.xyxy_px.tolist()) == ("labels", [[1, 4, 40, 44]])
+
+
+@pytest.mark.parametrize("suffixes", [(".GPX2",), ".gpx", ("gpx",)])
+def test_suffixes_that_are_never_found(suffixes):
+    with pytest.raises(ValueError, match="in lower case and with a dot"):
+        Sidecar(suffixes=suffixes, read=lambda *_: None)
+
+
+def test_a_note_of_a_run(tmp_path):
+    module = tmp_path / "site-packages/package_of_a_note.py"
+    module.write_text(EXAMPLES["A note or a figure of a run"])
+    part = import_module("package_of_a_note").ManyPredicted
+    assert part({"observed": np.array([1, 0, 0])}).notes()
+    assert not part({"observed": np.array([1, 1, 0])}).notes()
 
 
 def test_an_unusable_package_is_a_note_of_a_run(install, cli, tmp_path):

@@ -6,13 +6,16 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import lru_cache, reduce
+from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache, partial, reduce
 from importlib import import_module, metadata
+from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
-from track_range.foundation.errors import UserError
+from track_range.foundation.errors import UserError, named_errors
 
 T = TypeVar("T")
+Answer = TypeVar("Answer")
 
 
 class Registry(Generic[T]):
@@ -40,15 +43,19 @@ class Registry(Generic[T]):
         built_in: Mapping[str, T | str],
         kind: type[T] | None = None,
         check: Callable[[T, Collection[T], Collection[str]], None] | None = None,
+        error: type[UserError] | None = None,
     ) -> None:
         """See the class; `kind` is the class of `usable` objects.
 
         `check` raises a UserError if an object of another package does not fit those before it and
-        the names of entry points.
+        the names of entry points. Exceptions of the functions in its fields become `error`, with
+        the name of the package; None = those who call them name it.
         """
         self.group, self.built_in = group, built_in
         self.registered: dict[str, T] = {}  # things that were added at run time, in this order
         self._kind, self._check = kind, check
+        self._failure = error and type(error.__name__, (PluginError, error), {})
+        self._noted: dict[str, None] = {}  # notes on what was left out when it was used
         self._objects: _Objects[T] | None = None  # None = not needed yet
         self.all.append(self)
 
@@ -70,10 +77,13 @@ class Registry(Generic[T]):
 
     def find(self, name: str) -> T | str | None:
         """The object with a name, None if there is none; built-in objects have precedence, then
-        registered objects.
+        registered objects. `notes` name the packages whose objects they hide.
         """
-        installed = {point.name: point.value for point in reversed(self.installed)}
-        return {**installed, **self.registered, **self.built_in}.get(name)
+        own = {**self.registered, **self.built_in}
+        points = [point for point in self.installed if point.name == name]
+        for point in points if name in own else points[1:]:
+            self._noted[_note(point, PluginError(f"the name {name!r} is already in use"))] = None
+        return own.get(name, points[0].value if points else None)
 
     @property
     def usable(self) -> Mapping[str, T]:
@@ -95,12 +105,36 @@ class Registry(Generic[T]):
         """The `usable` objects, those of highest priority first."""
         return tuple(sorted(self.usable.values(), key=lambda thing: -getattr(thing, "priority", 0)))
 
+    def answers(
+        self, ask: Callable[[T], Answer], *, is_last_raised: bool = False
+    ) -> Iterator[tuple[T, Answer]]:
+        """The objects in the order of `by_priority`, each with its answer to `ask`, such as whether
+        it recognises a file.
+
+        Objects of packages that fail are left out, and `notes` name them. With `is_last_raised`,
+        the last failure is raised after the last answer.
+        """
+        failure = None
+        for thing in self.by_priority:
+            try:
+                answer = ask(thing)
+            except PluginError as error:
+                failure = error
+                self._noted[str(error)] = None
+            else:
+                yield thing, answer
+        if is_last_raised and failure is not None:
+            raise failure
+
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for each entry point that was to be used and cannot be; it names the
         package.
         """
-        return self._objects.notes if self._objects and self._objects.path == sys.path else ()
+        imports = self._objects.notes if self._objects and self._objects.path == sys.path else ()
+        installed = [_origin(point) for point in self.installed] if self._noted else []
+        used = (note for note in self._noted if any(origin in note for origin in installed))
+        return tuple(dict.fromkeys((*imports, *used)))
 
     def origin(self, name: str) -> str:
         """The entry point and package, "package.module:attribute (package 1.0)", of an object from
@@ -132,11 +166,13 @@ class Registry(Generic[T]):
                 loaded = self._named(point.name, _loaded(point))
                 self._check_all(loaded, known, [other.name for other in points])
             except UserError as error:
-                reason = " ".join(str(error).removesuffix(".").split())
-                notes.append(
-                    f"Entry point {point.name} = {_origin(point)} cannot be used: {reason}."
-                )
+                notes.append(_note(point, error))
             else:
+                if self._failure is not None:
+                    loaded = {
+                        name: _guarded(thing, point, self._failure)
+                        for name, thing in loaded.items()
+                    }
                 known |= loaded
                 origins |= dict.fromkeys(loaded, _origin(point))
         return _Objects([*sys.path], known, origins, tuple(notes))
@@ -151,14 +187,27 @@ class Registry(Generic[T]):
                 raise PluginError(f"the name {name!r} is already in use")
 
     def _named(self, name: str, thing: Any) -> dict[str, T]:
-        """The object, or the objects of a tuple, by name; PluginError: not of the registry's kind."""
+        """The object, or the objects of a tuple, by name.
+
+        PluginError: they are not of the registry's kind, or a tuple has none, or not a name for
+        each.
+        """
         kind: Any = self._kind or object
         is_one = isinstance(thing, kind) or not isinstance(thing, tuple)
         things: list[Any] = [thing] if is_one else [*thing]
         for one in things:
             if not isinstance(one, kind):
                 raise PluginError(f"expected a {kind.__name__}, got {type(one).__name__}")
-        return {getattr(one, "name", name): one for one in things}
+            if not isinstance(priority := getattr(one, "priority", 0), int):
+                raise PluginError(f"expected an integer as priority, got {priority!r}")
+        named = {getattr(one, "name", name): one for one in things}
+        if not is_one and not (things and all(hasattr(one, "name") for one in things)):
+            raise PluginError(
+                f"expected a tuple of objects with names, got {len(things)} without them"
+            )
+        if len(named) < len(things):
+            raise PluginError(f"expected a name for each of {len(things)} objects, got equal names")
+        return named
 
 
 class _Objects(NamedTuple, Generic[T]):
@@ -171,7 +220,7 @@ class _Objects(NamedTuple, Generic[T]):
 
 
 class PluginError(UserError):
-    """An entry point of another package that cannot be used."""
+    """An entry point of another package that cannot be used, or whose function fails."""
 
 
 def plugin_notes() -> tuple[str, ...]:
@@ -195,9 +244,44 @@ def imported(thing: T | str) -> T:
 def _loaded(point: metadata.EntryPoint) -> object:
     try:
         return point.load()
-    # a module of another package may raise anything; the program continues without it
-    except Exception as error:
+    # a module of another package may raise anything, and may end the program, such as a script
+    # without a guard; the program continues without it
+    except (Exception, SystemExit) as error:
         raise PluginError(f"{type(error).__name__}: {error}") from error
+
+
+def _guarded(thing: Any, point: metadata.EntryPoint, failure: type[UserError]) -> Any:
+    """A dataclass of another package, with exceptions of the functions in its fields as
+    `failure`.
+    """
+    if not is_dataclass(thing):
+        return thing
+    functions = {
+        field.name: partial(_call, value, point, failure)
+        for field in fields(thing)
+        if field.init and callable(value := getattr(thing, field.name))
+    }
+    return replace(thing, **functions) if functions else thing  # type: ignore[type-var]
+
+
+def _call(
+    function: Callable[..., Any],
+    point: metadata.EntryPoint,
+    failure: type[UserError],
+    *arguments: Any,
+    **named: Any,
+) -> Any:
+    file = next((f"{value}: entry" for value in arguments if isinstance(value, Path)), "Entry")
+    with named_errors(point.module, f"{file} point {point.name} = {_origin(point)}", failure):
+        result = function(*arguments, **named)
+        if isinstance(result, Iterator):  # a generator fails only when it is read
+            return iter([_guarded(one, point, failure) for one in result])
+        return result
+
+
+def _note(point: metadata.EntryPoint, error: UserError) -> str:
+    reason = " ".join(str(error).removesuffix(".").split())
+    return f"Entry point {point.name} = {_origin(point)} cannot be used: {reason}."
 
 
 def _origin(point: metadata.EntryPoint) -> str:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.foundation.registry import plugin_notes
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.detecting import DetectionStage
@@ -105,7 +104,7 @@ def open_pipeline(
         ),
         world=WorldStage(camera),
         alarming=AlarmStage(camera, warning),
-        setup_notes=(*appearance_notes, *plugin_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
+        setup_notes=(*appearance_notes, *(() if is_ahead else (_SIDE_VIEW,))),
     )
 
 

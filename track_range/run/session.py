@@ -84,7 +84,7 @@ class RunSession:
         ]
         if len(self.rows):  # the methods report what they measured
             parts += [stages.ranging, stages.doubting]
-        parts += [stages, stages.detection, self._coverage, self.meter]
+        parts += [stages, report.Packages(), stages.detection, self._coverage, self.meter]
         return self.origin.published(report.notes_of(parts))
 
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Rows]:

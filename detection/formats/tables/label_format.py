@@ -53,8 +53,9 @@ class LabelFormat:
     # 0 = `recognises` asks for a mark that no other format has, see `foundation.registry.Registry`
     priority: int = 0
     has_classes: bool = True  # whether a box has a class
-    # whether detections and ground truth are read with `read`, without rules of a benchmark
-    is_general: bool = False
+    # whether detections and ground truth are read with `read`, without rules of a benchmark, which
+    # only our own formats have
+    is_general: bool = True
     is_folder: bool = False  # whether it is a folder with one file per frame
     is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
     # largest difference of an edge read again; None = depends on the image size

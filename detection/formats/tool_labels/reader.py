@@ -178,7 +178,6 @@ def _format_of(tool: Tool) -> LabelFormat:
         title=tool.title,
         recognises=recognises,
         read=lambda path, video: read_tool(path, tool, video),
-        is_general=True,
         is_folder=tool.is_folder,
     )
 

@@ -424,6 +424,5 @@ COCO = LabelFormat(
     priority=-10,  # any JSON
     read=read_coco,
     write=write_coco,
-    is_general=True,
     precision_px=0.0005,
 )

@@ -491,6 +491,5 @@ CVAT = LabelFormat(
     priority=-10,  # any XML
     read=read_cvat,
     write=write_cvat,
-    is_general=True,
     precision_px=0.0005,
 )

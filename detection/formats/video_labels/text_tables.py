@@ -235,6 +235,7 @@ MOT = LabelFormat(
     read=read_mot_table,
     write=write_mot_table,
     has_classes=False,
+    is_general=False,
     precision_px=0.01,
 )
 KITTI = LabelFormat(
@@ -244,6 +245,7 @@ KITTI = LabelFormat(
     priority=-30,
     read=read_kitti_table,
     write=write_kitti_table,
+    is_general=False,
     precision_px=0.005,
 )
 TRACKS = LabelFormat(
@@ -252,6 +254,7 @@ TRACKS = LabelFormat(
     recognises=lambda start: start.first.startswith("frame,time_s,"),
     priority=-20,
     read=read_tracks_table,
+    is_general=False,
     is_of_run=True,
 )
 CSV = LabelFormat(
@@ -260,12 +263,12 @@ CSV = LabelFormat(
     recognises=lambda start: "," in start.first and has_label_columns(start.path),
     priority=-10,
     read=read_csv_table_of_labels,
+    is_general=False,
 )
 PARQUET = LabelFormat(
     name="parquet",
     title="a tracks.parquet",
     recognises=lambda start: start.first.startswith(PARQUET_MARK),
     read=read_parquet_table,
-    is_general=True,
     is_of_run=True,
 )

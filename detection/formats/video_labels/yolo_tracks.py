@@ -339,6 +339,5 @@ YOLO = LabelFormat(
     priority=-10,  # any folder of texts with numbers
     read=read_yolo_folder,
     write=write_yolo,
-    is_general=True,
     is_folder=True,
 )

@@ -2,6 +2,7 @@
 imported."""
 
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -133,6 +134,84 @@ def test_objects_that_do_not_fit_those_before_are_left_out(install):
     install("readers", special=f"{THIS}:SPECIAL", whole=f"{THIS}:FIRST")
     assert [*readers.usable] == ["any", "first"]
     assert readers.notes[0].endswith("cannot be used: special after 1 and special.")
+
+
+EMPTY, EQUAL = (), (Reader("twice"), Reader("twice"))
+ODD = Reader("odd", "high")
+
+
+@pytest.mark.parametrize(
+    ("attribute", "reason"),
+    [
+        ("EMPTY", "got 0 without them"),
+        ("EQUAL", "a name for each of 2 objects, got equal names"),
+        ("ODD", "expected an integer as priority, got 'high'"),
+    ],
+)
+def test_objects_are_not_lost_silently(readers, install, attribute, reason):
+    install("readers", new=f"{THIS}:{attribute}")
+    assert len(readers.by_priority) == 2
+    assert reason in readers.notes[0]
+
+
+@dataclass(frozen=True)
+class Nameless:
+    """An object with a function."""
+
+    reads: Callable[[str], object]
+
+
+NAMELESS = (Nameless(str), Nameless(str))
+
+
+def _fail(text):
+    if text == "known":
+        raise UserError(f"{text} to be wrong.")
+    yield {}[text]
+
+
+FAILING = Nameless(_fail)
+
+
+def test_a_tuple_needs_names(install):
+    registry = Registry("nameless", {}, Nameless)
+    install("nameless", two=f"{THIS}:NAMELESS")
+    assert not registry.usable
+    assert "got 2 without them" in registry.notes[0]
+
+
+def test_a_failing_function_names_its_package(install):
+    registry = Registry("nameless", {"own": Nameless(str)}, Nameless, error=UserError)
+    install("nameless", bad=f"{THIS}:FAILING")
+    named = f"bad = {THIS}:FAILING (package0 1.0): KeyError: 'x' (line "
+    assert [answer for _, answer in registry.answers(lambda thing: thing.reads("x"))] == ["x"]
+    assert named in registry.notes[0]
+    assert registry.notes == tuple(note for note in plugin_notes() if "bad =" in note)
+    answers = registry.answers(lambda thing: thing.reads("x"), is_last_raised=True)
+    assert next(answers)[1] == "x"
+    with pytest.raises(UserError, match="KeyError"):
+        next(answers)
+    with pytest.raises(UserError, match=r"^known to be wrong\.$"):  # its own sentence
+        list(registry.usable["bad"].reads("known"))
+
+
+def test_a_module_that_ends_the_program_is_left_out(readers, install, tmp_path):
+    install("readers", script="module_that_exits:X")
+    (tmp_path / "site-packages/module_that_exits.py").write_text("raise SystemExit(3)\n")
+    assert len(readers.by_priority) == 2
+    assert "cannot be used: SystemExit: 3." in readers.notes[0]
+
+
+def test_hidden_objects_are_noted_when_the_name_is_used(things, install):
+    install("things", own="module:another", late="module:late")
+    assert things.notes == ()
+    assert things.find("late") == "module:late"
+    assert things.notes == ()
+    assert things.find("own") == "os.path:join"
+    assert things.notes == (
+        "Entry point own = module:another (package0 1.0) cannot be used: "
+        "the name 'own' is already in use.",
+    )
 
 
 def test_nothing_is_imported_for_names(readers, install):

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from track_range.foundation.registry import plugin_notes
+
 
 class Reports(Protocol):
     """A part of a run, with its messages and figures; a subclass defines those that it has."""
@@ -30,6 +32,16 @@ class Facts(Reports):
     def summary(self) -> Mapping[str, Any]:
         """The entries."""
         return self.entries
+
+
+class Packages(Reports):
+    """Other packages, which fail when they are imported, or only when a frame or the end of the run
+    needs them.
+    """
+
+    def notes(self) -> Sequence[str]:
+        """One sentence for each that was to be used and cannot be."""
+        return plugin_notes()
 
 
 def notes_of(parts: Iterable[Reports]) -> list[str]:

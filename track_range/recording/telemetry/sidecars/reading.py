@@ -10,7 +10,7 @@ from pathlib import Path
 
 from track_range.foundation.registry import Registry
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar
-from track_range.recording.telemetry.tracks.track import TelemetryTrack
+from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 # speeds beside a video that are no telemetry: a table, KITTI's folder
 TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"
@@ -30,6 +30,7 @@ SIDECARS = Registry(
         "nmea-text": "track_range.recording.telemetry.sidecars.nmea:NMEA_TEXT",
     },
     Sidecar,
+    error=TelemetryError,
 )
 
 # of tables of times and speeds, too (`--ego-speed FILE`)
@@ -64,9 +65,12 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
     The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A
     TelemetryError means that the file cannot be read or used.
     """
-    formats = [form for form in SIDECARS.by_priority if path.suffix.lower() in form.suffixes]
-    tracks = (form.read(path, video, duration_s) for form in formats)
-    return next((track for track in tracks if track is not None), None)
+    suffix = path.suffix.lower()
+    tracks = SIDECARS.answers(
+        lambda form: form.read(path, video, duration_s) if suffix in form.suffixes else None,
+        is_last_raised=True,
+    )
+    return next((track for _, track in tracks if track is not None), None)
 
 
 _KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is

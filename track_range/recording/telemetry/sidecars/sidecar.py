@@ -22,6 +22,14 @@ class Sidecar:
     # this order, see `foundation.registry.Registry`
     priority: int = 0
 
+    def __post_init__(self) -> None:
+        """ValueError: a suffix would never be found."""
+        for suffix in self.suffixes:
+            if not suffix.startswith(".") or suffix != suffix.lower():
+                raise ValueError(
+                    f"expected suffixes as a tuple, in lower case and with a dot, got {suffix!r}"
+                )
+
 
 def of_file(read: Callable[[Path], TelemetryTrack | None]) -> SidecarReader:
     """A reader of files that belong to one video, whatever its name and length."""
