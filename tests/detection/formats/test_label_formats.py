@@ -14,7 +14,12 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.detection.formats.titles import GENERAL_TITLES, READ_TITLES
+from track_range.detection.formats.titles import (
+    GENERAL_TITLES,
+    READ_TITLES,
+    TRUTH_NAMES,
+    TRUTH_TITLES,
+)
 
 VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)
 WRITTEN = [
@@ -230,3 +235,6 @@ def test_titles_of_help_pages():
     formats = LABEL_FORMATS.usable.values()
     assert ", ".join(form.title for form in formats) == READ_TITLES
     assert ", ".join(form.title for form in formats if form.is_general) == GENERAL_TITLES
+    true = [form for form in formats if not form.is_of_run]
+    assert ", ".join(form.title for form in true) == TRUTH_TITLES
+    assert ", ".join(form.name for form in true) == TRUTH_NAMES

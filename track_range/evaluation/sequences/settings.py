@@ -9,6 +9,7 @@ from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
 from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.detection.formats.tables.label_format import LabelFormat
+from track_range.detection.formats.titles import TRUTH_NAMES, TRUTH_TITLES
 from track_range.foundation.schemas.options import Options, option
 from track_range.run.options.detection import (
     AnchorsField,
@@ -118,9 +119,8 @@ class TrackEvaluationSettings(Options):
     truth: Annotated[
         Path,
         option(
-            "Ground truth: a file or folder of "
-            f"{', '.join(form.title for form in truth_formats().values())}; or a folder of sequences "
-            "NAME.txt or NAME/gt/gt.txt."
+            f"Ground truth: a file or folder of {TRUTH_TITLES}; or a folder of sequences NAME.txt or "
+            "NAME/gt/gt.txt."
         ),
     ]
     results: Annotated[
@@ -133,8 +133,7 @@ class TrackEvaluationSettings(Options):
     truth_format: Annotated[
         str | None,
         option(
-            f"Format of the ground truth: {', '.join(truth_formats())} (default: detected from its "
-            "content).",
+            f"Format of the ground truth: {TRUTH_NAMES} (default: detected from its content).",
             flag="--format",
             metavar="NAME",
             choices=truth_formats,
