@@ -162,14 +162,29 @@ def _rows(
         score = np.where(np.isnan(table.score), 1.0, table.score)
         notes = (*table.notes, *other_labels_note(table, path))
         unnamed = np.full(len(table), "")  # the notes have the names of other classes
-        columns = (table.frame, table.xyxy_px, score, table.class_id, unnamed)
-        return _Rows("labels", label_format.title, *columns, None, notes, table.video.is_rectified)
+        return _Rows(
+            "labels",
+            label_format.title,
+            frame=table.frame,
+            xyxy_px=table.xyxy_px,
+            score=score,
+            class_id=table.class_id,
+            class_name=unnamed,
+            notes=notes,
+            is_rectified=table.video.is_rectified,
+        )
     if label_format.name == "kitti":
         labels = read_kitti(path)
         score = np.where(np.isfinite(labels.score), labels.score, 1.0)
         class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
         return _Rows(
-            "kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id, labels.kitti_type
+            "kitti",
+            "KITTI rows",
+            frame=labels.frame,
+            xyxy_px=labels.xyxy_px,
+            score=score,
+            class_id=class_id,
+            class_name=labels.kitti_type,
         )
     is_tracks = not os.path.isdir(path) and first_line(
         path, LabelFileError, "detections"
@@ -189,14 +204,16 @@ def _tracks_csv_rows(path: Path) -> _Rows:
     observed = cells[:, 6] == 1
     names = np.array(table.texts("class"), np.str_)[observed]
     cells = cells[observed]
-    columns = (
-        cells[:, 0].astype(np.int64),
-        cells[:, 1:5],
-        cells[:, 5],
-        map_to_road_classes(names.tolist()),
-        names,
+    return _Rows(
+        "tracks",
+        "the observed rows of a tracks.csv",
+        frame=cells[:, 0].astype(np.int64),
+        xyxy_px=cells[:, 1:5],
+        score=cells[:, 5],
+        class_id=map_to_road_classes(names.tolist()),
+        class_name=names,
+        is_rectified=True,
     )
-    return _Rows("tracks", "the observed rows of a tracks.csv", *columns, is_rectified=True)
 
 
 def _number_rows(
@@ -219,9 +236,17 @@ def _number_rows(
     score = np.where(rows.score == -1, 1.0, rows.score)  # -1 = no score in MOTChallenge
     form_found: DetectionFormat = "rrc" if rows.form == "rrc" else "mot"
     description = f"{rows.title}{default}{with_embeddings}"
-    columns = (rows.frame, rows.xyxy_px, score, class_id, np.array(names, np.str_))
     return _Rows(
-        form_found, description, *columns, descriptor, rows.notes, has_classes=bool(is_named.any())
+        form_found,
+        description,
+        frame=rows.frame,
+        xyxy_px=rows.xyxy_px,
+        score=score,
+        class_id=class_id,
+        class_name=np.array(names, np.str_),
+        descriptor=descriptor,
+        notes=rows.notes,
+        has_classes=bool(is_named.any()),
     )
 
 

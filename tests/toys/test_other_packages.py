@@ -18,8 +18,9 @@ from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.detection.yolo.layouts import DETECTOR_LAYOUTS
 from track_range.ranging.registry import METHODS
-from track_range.recording.telemetry.sidecars.reading import SIDECARS, sidecar_names
+from track_range.recording.telemetry.sidecars.reading import SIDECARS, read_sidecar, sidecar_names
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar
+from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.results.writers import WRITERS
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -227,10 +228,14 @@ def test_a_failing_reader_loses_only_its_own_files(install, cli, tmp_path):
     status, _, complaint = cli("rig", "show", "odd.yaml", folder=tmp_path)
     assert status == 1
     assert "odd.yaml: entry point failing = package_of_failures:RIG" in complaint
+    install("track_range.sidecars", failing="package_of_failures:SIDECAR")
+    with pytest.raises(TelemetryError, match=r"film\.odd: entry point failing = .*KeyError"):
+        read_sidecar(tmp_path / "film.odd", "film.mp4", 1.0)
 
 
 FAILURES = """
 from track_range.detection.formats.tables.label_format import LabelFormat
+from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 def fail(*arguments):
@@ -240,6 +245,7 @@ LABELS = LabelFormat(name="failing", title="", recognises=fail, read=fail)
 RIG = RigFormat(
     name="failing", title="", recognises=lambda text: text == "odd\\n", read=fail, missing=fail
 )
+SIDECAR = Sidecar(suffixes=(".odd",), read=fail)
 """
 
 
