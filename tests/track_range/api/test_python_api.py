@@ -373,7 +373,7 @@ def test_tracks_measured_against_themselves(tmp_path):
             "DistanceFilters",
             "Rectifier",
             "load_rig",
-            "evaluate_stereo",
+            "evaluate.stereo",
             "open_recording",
         ),
         "load_alignment",
@@ -395,7 +395,7 @@ def test_docstring_example(small_drive, tmp_path, monkeypatch, name):
     (tmp_path / "drive").symlink_to(small_drive.left.parent)
     monkeypatch.chdir(tmp_path)
     examples = doctest.DocTestFinder(recurse=False).find(
-        getattr(tr, name), name, module=False, globs={}
+        attrgetter(name)(tr), name, module=False, globs={}
     )
     results = [doctest.DocTestRunner().run(example) for example in examples]
     assert sum(result.attempted for result in results) >= 2
