@@ -16,8 +16,8 @@ import inspect
 import json
 import posixpath
 import re
-import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
-import track_range as tr
 from track_range.cli.app import PROGRAM, app
 from track_range.cli.shared import lazy
 from track_range.results.rows.columns import result_columns
@@ -210,7 +209,7 @@ def columns_table() -> str:
 def _api_text(reference: re.Match[str]) -> str:
     """Signature and docstring of a public name, in the place of the directive that shows it."""
     module, _, name = reference[1].rpartition(".")
-    value = getattr(tr, name) if module == "track_range" else getattr(sys.modules[module], name)
+    value = getattr(import_module(module), name)
     try:
         signature = str(inspect.signature(value)) if callable(value) else f" = {value!r}"
         if "__signature__" in getattr(value, "__dict__", {}):

@@ -6,7 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 from track_range.api.lazy_names import LazyNames
 
+# ruff: noqa: F401  # type checkers and the documentation read the names below
 if TYPE_CHECKING:
+    from track_range.api.evaluation import (
+        evaluate_events as events,
+        evaluate_motion as motion,
+        evaluate_ranges as ranges,
+        evaluate_stereo as stereo,
+        evaluate_tracks as tracks,
+    )
+    from track_range.detection.evaluation import evaluate_detections as detections
+    from track_range.detection.evaluation.object_sizes import evaluate_by_size as detections_by_size
+    from track_range.detection.evaluation.score_calibration import (
+        evaluate_calibration as score_calibration,
+    )
     from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
 
 _NAMES = LazyNames(

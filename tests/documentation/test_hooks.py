@@ -82,6 +82,13 @@ def test_notebooks_are_pages(hooks):
     assert page.endswith("```python\nprint(3)\n```\n\n```text\n3\n```\n")
 
 
+@pytest.mark.parametrize("page", sorted((PROJECT / "docs/reference/api").glob("*.md")))
+def test_every_public_name_of_a_page_has_a_text(hooks, page):
+    directives = hooks.re.findall(r"^::: \S+", page.read_text(encoding="utf-8"), hooks.re.MULTILINE)
+    for directive in directives:
+        assert hooks.re.sub(r"::: (\S+)", hooks._api_text, directive).startswith("## ")
+
+
 def test_text_of_a_public_name(hooks):
     text = hooks.re.sub(r"::: (\S+)", hooks._api_text, "::: track_range.class_id")
     assert text.startswith("## class_id\n\n```python\nclass_id(")
