@@ -67,8 +67,7 @@ def test_runs_side_by_side(small_drive: Drive) -> None:
 
 def test_import_in_a_new_process() -> None:
     names = (
-        "Run, Detector, Tracker, Overlay, StereoRanger, register_tracker, register_writer, "
-        "evaluate_stereo"
+        "Run, Detector, Tracker, Overlay, StereoRanger, register_tracker, register_writer, evaluate"
     )
     code = f"""if True:
         import cv2, onnxruntime  # as another part of the program may have done
