@@ -93,13 +93,13 @@ class RunSession:
         """
         rows, stages, truth = self.rows, self.opened.pipeline, self.opened.truth
         rows.finish()
-        columns = rows.table.to_rows()
-        figures = row_figures.RowFigures.of(rows, columns, truth)
+        recorded = rows.table.to_rows()
+        figures = row_figures.RowFigures.of(rows, recorded, truth)
         is_whole = self.course.stopped_by is None and self.settings.duration_s is None
         self._notes = self._notes_with(
-            labels.FrameNumbers(rows, columns, self.opened.box_source.frames, truth, is_whole),
+            labels.FrameNumbers(rows, recorded, self.opened.box_source.frames, truth, is_whole),
             self.findings,
-            still_boxes.StillBoxes(columns, self.recording.calibration),
+            still_boxes.StillBoxes(recorded, self.recording.calibration),
         )
         facts = {
             "truth": None if truth is None else truth.protocol,

@@ -92,8 +92,25 @@ class RecordingPath(RecordedName):
         return VideoFile(files[0], options.track)
 
 
+class _PartOfRecording(RecordedName):
+    """A part of a source, with the files of the whole one."""
+
+    __slots__ = ()
+    recording: SourceName
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """See `SourceName`."""
+        return self.recording.paths
+
+    @property
+    def files(self) -> list[Path]:
+        """See `SourceName`."""
+        return self.recording.files
+
+
 @dataclass(frozen=True, slots=True)
-class VideoTrack(RecordedName):
+class VideoTrack(_PartOfRecording):
     """One of several video tracks of the files of a recording, counted from 0 without cover art."""
 
     recording: RecordedName
@@ -102,23 +119,13 @@ class VideoTrack(RecordedName):
     def __str__(self) -> str:
         return f"{self.recording} (video track {self.number})"
 
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """See `SourceName`."""
-        return self.recording.paths
-
-    @property
-    def files(self) -> list[Path]:
-        """See `SourceName`."""
-        return self.recording.files
-
     def open_whole(self, options: RecordingOptions, left: Video | None = None) -> RecordedVideo:
         """See `RecordedName`."""
         return self.recording.open_whole(replace(options, track=self.number), left)
 
 
 @dataclass(frozen=True, slots=True)
-class Half(RecordedName):
+class Half(_PartOfRecording):
     """The images of one camera in a source whose images contain both cameras."""
 
     recording: SourceName
@@ -127,16 +134,6 @@ class Half(RecordedName):
 
     def __str__(self) -> str:
         return f"{self.recording} ({'right' if self.is_right else 'left'} camera)"
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """See `SourceName`."""
-        return self.recording.paths
-
-    @property
-    def files(self) -> list[Path]:
-        """See `SourceName`."""
-        return self.recording.files
 
     @property
     def stem(self) -> str:
