@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.boxes.box_drive import BoxDrive
-from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import focal_posterior
-from track_range.ranging.fitting.camera.measurements import (
+from track_range.ranging.cameras.camera_fit import fit_camera
+from track_range.ranging.cameras.focal_evidence import focal_posterior
+from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownObject,
     SceneBoxes,

@@ -8,9 +8,11 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.doubt.doubt import Doubt
-from track_range.ranging.doubt.scale_check import ScaleCheck
-from track_range.ranging.doubt.scale_doubt import ScaleDoubt, causes_of
+from track_range.ranging.cameras.causes import ScaleDoubt, causes_of
+from track_range.ranging.cameras.doubt import Doubt
+from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -37,7 +39,8 @@ def check_of(
     focal=1.0,
     lane_m=None,
     is_steady=True,
-    **given,
+    height_m=None,
+    lane=None,
 ):
     """The check after a drive with `n` cars; baseline, speed and focal length are wrong by `rig`,
     `speed` and `focal`.
@@ -45,13 +48,12 @@ def check_of(
     All distances by size are `sizes` times as long as they should be; None = drawn.
     """
     rng = np.random.default_rng(seed)
-    check = ScaleCheck(
-        CAMERA, road_height_m=ROAD_HEIGHT_M, baseline_m=None if rig is None else 0.5, **given
-    )
+    priors = camera_priors(CAMERA.fx_px, baseline_m=None if rig is None else 0.5, height_m=height_m)
+    check = ScaleCheck(CAMERA, priors, lane=lane, road_height_m=ROAD_HEIGHT_M)
     true_m, own = rng.uniform(10, 40, n), np.exp(rng.normal(0, 0.08, n))
     common = math.exp(rng.normal(0, 0.05)) if sizes is None else sizes
     x_px = rng.uniform(300, 1000, n)
-    lanes = None
+    lanes = LaneLines()
     if lane_m is not None:
         slopes = (-lane_m / 2 / true_height_m, lane_m / 2 / true_height_m)
         lines = [
@@ -82,20 +84,15 @@ def check_of(
         by_road = EgoMotion(
             true_mps * focal * ROAD_HEIGHT_M / true_height_m * math.exp(rng.normal(0, 0.02)), 0.2
         )
-        check.update(
-            tracks,
-            Ranges(ids, by_size, 0.1 * by_size),
-            stereo,
-            ego=Ego(
-                motion=EgoMotion(),
-                road=RoadView(horizon=0.0, horizon_variance=1e-6) if has_road else None,
-                by_pair=by_pair,
-                by_road=by_road if has_speed and has_road else None,
-                given=None if speed is None else EgoMotion(true_mps * speed, 0.2),
-            ),
-            lanes=lanes,
-            time_s=0.1 * k,
+        ego = Ego(
+            motion=EgoMotion(),
+            road=RoadView(horizon=0.0, horizon_variance=1e-6) if has_road else None,
+            by_pair=by_pair,
+            by_road=by_road if has_speed and has_road else None,
+            given=None if speed is None else EgoMotion(true_mps * speed, 0.2),
         )
+        sizes_m = Ranges(ids, by_size, 0.1 * by_size)
+        check.update(SeenFrame(tracks, sizes_m, stereo, ego, 0.1 * k, lanes))
     return check
 
 
@@ -199,13 +196,8 @@ def test_a_doubt_that_ends_is_remembered():
             [300 + 0 * true_m, 300 + 0 * true_m, 400 + 0 * true_m, 380 + 0 * true_m], axis=1
         )
         tracks = Tracks(ids, boxes, np.full(30, CAR), np.ones(30), np.ones(30, np.bool_))
-        check.update(
-            tracks,
-            Ranges(ids, true_m, 0.1 * true_m),
-            Ranges(ids, true_m, 0.02 * true_m),
-            ego=Ego(motion=EgoMotion()),
-            time_s=0.1 * k,
-        )
+        by_size, by_rig = (Ranges(ids, true_m, sigma * true_m) for sigma in (0.1, 0.02))
+        check.update(SeenFrame(tracks, by_size, by_rig, Ego(motion=EgoMotion()), 0.1 * k))
     assert check.doubt is None
     assert "The scale was in doubt from 0" in check.notes[0]
     assert "agrees with the drive" in check.notes[1]
@@ -231,7 +223,9 @@ def test_lane_lines_measure_the_height_of_the_camera():
 
 
 def test_a_sentence_names_the_causes_that_fit():
-    sentence = ScaleDoubt(2.5, 0.06, 4, (("baseline", 2.5), ("speed", 1.61)), "sizes").sentence(0.5)
+    sentence = ScaleDoubt(
+        2.5, 0.06, 4, ((Unknown.BASELINE, 2.5), (Unknown.SPEED, 1.61)), "sizes"
+    ).sentence(0.5)
     for part in (
         "2.50 times",
         "± 6 %",
@@ -242,13 +236,15 @@ def test_a_sentence_names_the_causes_that_fit():
         assert part in sentence
     assert "km/h read as miles per hour" in sentence
     assert "feet" not in sentence
-    assert "read as" not in ScaleDoubt(0.5, 0.06, 4, (("baseline", 0.5),), "sizes").sentence(0.2)
+    assert "read as" not in ScaleDoubt(0.5, 0.06, 4, ((Unknown.BASELINE, 0.5),), "sizes").sentence(
+        0.2
+    )
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])
 def test_sigma_covers_both_scales(factor):
     distance_m = 20.0
-    doubt = Doubt.of(ScaleDoubt(factor, 0.1, 3, (("baseline", factor),), "sizes"))
+    doubt = Doubt.of(ScaleDoubt(factor, 0.1, 3, ((Unknown.BASELINE, factor),), "sizes"))
     sigma_m = doubt.sigma_of(causes_of(["baseline", "own"], has_rig=True)) * distance_m
     assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
     assert doubt.sigma_of(causes_of(["size"], has_rig=True)) == 0.0

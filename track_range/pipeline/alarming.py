@@ -6,7 +6,7 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.filtering import Approach, Filtered
-from track_range.ranging.doubt.doubt import Doubt
+from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.safety import SafetyMeasures, SafetyMonitor, lane_edges_m

@@ -5,8 +5,9 @@ from typing import Any
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.ranging import FrameRanges
-from track_range.ranging.doubt.doubt import Doubt, SharedErrors
-from track_range.ranging.doubt.scale_check import ScaleCheck
+from track_range.ranging.cameras.doubt import Doubt, SharedErrors
+from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
@@ -47,9 +48,8 @@ class DoubtStage:
         contradiction = None if self.check is None else self.check.doubt
         by_size = measured.by_size
         if self.check is not None and by_size is not None:
-            contradiction = self.check.update(
-                tracks, by_size, measured.by_rig, ego=ego, lanes=lanes, time_s=time_s
-            )
+            seen = SeenFrame(tracks, by_size, measured.by_rig, ego, time_s, lanes or LaneLines())
+            contradiction = self.check.update(seen)
         if contradiction is not None:
             return self._shared.doubt(contradiction), DriveScale()
         return self.initial, scale.after(measured.evidence, time_s)

@@ -8,7 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.pipeline.ranging import FrameRanges
-from track_range.ranging.doubt.doubt import Doubt
+from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion

@@ -16,7 +16,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.tracking import tracked
 from track_range.pipeline.world import WorldStage
-from track_range.ranging.doubt.doubt import Doubt
+from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame

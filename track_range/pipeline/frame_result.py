@@ -15,8 +15,8 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.pipeline.alarming import Alarms
 from track_range.pipeline.filtering import Approach
 from track_range.pipeline.world import World
-from track_range.ranging.doubt.doubt import Doubt
-from track_range.ranging.doubt.scale_doubt import ScaleDoubt
+from track_range.ranging.cameras.causes import ScaleDoubt
+from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings

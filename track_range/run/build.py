@@ -16,7 +16,8 @@ from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
-from track_range.ranging.doubt.scale_check import ScaleCheck
+from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
@@ -169,10 +170,13 @@ def _ego_stage(
 def _scale_check(context: MethodContext, lane_width_m: float | None) -> ScaleCheck:
     return ScaleCheck(
         context.camera,
-        baseline_m=None if context.rig is None else context.rig.baseline_m,
-        region=context.region,
-        height_m=context.camera_height_m,
-        focal_sigma=context.focal_sigma,
+        camera_priors(
+            context.camera.fx_px,
+            focal_sigma=context.focal_sigma,
+            baseline_m=None if context.rig is None else context.rig.baseline_m,
+            height_m=context.camera_height_m,
+            region=context.region,
+        ),
         lane=usual_width(context.region, lane_width_m),
         sizes=context.size_model,
         road_height_m=_road_height_m(context),

@@ -17,9 +17,9 @@ from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.fitting.camera.camera_fit import fit_camera
-from track_range.ranging.fitting.camera.focal_evidence import focal_posterior
-from track_range.ranging.fitting.camera.measurements import (
+from track_range.ranging.cameras.camera_fit import fit_camera
+from track_range.ranging.cameras.focal_evidence import focal_posterior
+from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownObject,
     SceneBoxes,

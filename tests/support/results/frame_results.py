@@ -13,7 +13,7 @@ from track_range.pipeline.filtering import Approach, FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.world import World, WorldStage
-from track_range.ranging.doubt.doubt import Doubt
+from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_path import EgoPose

@@ -14,7 +14,7 @@ import pytest
 from track_range.calibration.road.from_road import separability
 from track_range.calibration.road.road_evidence import known_lanes, known_metres
 from track_range.foundation.errors import UsageError
-from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior
+from track_range.ranging.cameras.focal_evidence import FocalPosterior
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess

@@ -12,9 +12,10 @@ from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.filtering import Approach, Filtered, FilterStage, reported
 from track_range.pipeline.ranging import FrameRanges
 from track_range.pipeline.world import WorldStage
-from track_range.ranging.doubt.doubt import Doubt, SharedErrors
-from track_range.ranging.doubt.scale_check import ScaleCheck
-from track_range.ranging.doubt.scale_doubt import ScaleDoubt
+from track_range.ranging.cameras.causes import ScaleDoubt
+from track_range.ranging.cameras.doubt import Doubt, SharedErrors
+from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
@@ -106,7 +107,10 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
     by_rig = Ranges(ids, 2.0 * true_m, 0.04 * true_m)  # the baseline is twice the true one
     evidence = ScaleEvidence(tracks.class_id, by_size=by_size, reference=by_rig)
     frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,))
-    stage, scale = DoubtStage(ScaleCheck(CAMERA, baseline_m=0.5), 0.03), DriveScale()
+    stage, scale = (
+        DoubtStage(ScaleCheck(CAMERA, camera_priors(CAMERA.fx_px, baseline_m=0.5)), 0.03),
+        DriveScale(),
+    )
     doubts = []
     for k in range(20):
         ego = Ego(motion=EgoMotion())
@@ -126,13 +130,15 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
 
 
 def test_speed_alone_in_doubt_is_not_used_and_widens_no_distance():
-    doubt = SharedErrors(0.0, has_rig=True).doubt(ScaleDoubt(3.6, 0.1, 3, (("speed", 3.6),), ""))
+    doubt = SharedErrors(0.0, has_rig=True).doubt(
+        ScaleDoubt(3.6, 0.1, 3, ((Unknown.SPEED, 3.6),), "")
+    )
     assert not doubt.trusts_speed
     assert set(doubt.shared_sigma.values()) == {0.0}
 
 
 def test_odometry_has_the_doubt_of_the_cameras_and_a_given_speed_has_not():
-    doubt = Doubt.of(ScaleDoubt(2.0, 0.1, 3, (("focal length", 2.0),), ""))
+    doubt = Doubt.of(ScaleDoubt(2.0, 0.1, 3, ((Unknown.FOCAL, 2.0),), ""))
     odometry = doubt.widened(Ego(motion=KNOWN))
     assert odometry.speed_sigma_mps == pytest.approx(math.hypot(0.2, 0.55 * 12.0))
     assert doubt.widened(Ego(motion=KNOWN, given=KNOWN)) is KNOWN
@@ -186,7 +192,7 @@ def test_alarms_of_a_run_without_warnings_are_empty():
 
 
 def test_no_alarm_is_active_while_the_scale_is_in_doubt():
-    doubtful = Doubt.of(ScaleDoubt(2.0, 0.1, 3, (("baseline", 2.0),), ""))
+    doubtful = Doubt.of(ScaleDoubt(2.0, 0.1, 3, ((Unknown.BASELINE, 2.0),), ""))
     is_active = {}
     for doubt in (Doubt(), doubtful):
         stage, filters, fusion = (

@@ -27,14 +27,14 @@ from track_range.detection.detections import Detections
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.ranging.fitting.camera.camera_fit import (
+from track_range.ranging.cameras.camera_fit import (
     HEIGHT_M,
     HEIGHT_SIGMA,
     CameraFit,
     fit_camera,
 )
-from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import (
+from track_range.ranging.cameras.focal_evidence import FocalPosterior, focal_posterior
+from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownObject,
     SceneBoxes,

@@ -20,7 +20,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
-from track_range.ranging.fitting.camera.measurements import (
+from track_range.ranging.cameras.measurements import (
     HorizonRow,
     KnownLane,
     SceneBoxes,

@@ -62,10 +62,7 @@ def _check_baseline(
     check = run.session.opened.pipeline.doubting.check
     if check is None:
         return BaselineCheck("", {})
-    sentence = (
-        check.agreement.sentence if check.doubt is None else check.doubt.sentence(check.baseline_m)
-    )
-    return BaselineCheck(sentence, check.summary())
+    return BaselineCheck(check.sentence, check.summary())
 
 
 app = command(AlignmentSettings, _align)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.fitting.camera.measurements import (
+from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownLane,
     KnownObject,

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from track_range.ranging.doubt.scale_doubt import Cause, ScaleDoubt, causes_of
+from track_range.ranging.cameras.causes import ScaleDoubt, causes_of
+from track_range.ranging.cameras.unknowns import Unknown
 from track_range.ranging.registry import methods
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
-_OF_ODOMETRY: frozenset[Cause] = frozenset({"baseline", "focal length", "camera height"})
+_OF_ODOMETRY: frozenset[Unknown] = frozenset({Unknown.BASELINE, Unknown.FOCAL, Unknown.HEIGHT})
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Doubt:
 
     scale: ScaleDoubt | None = None  # the contradiction; None = none was found
     # relative standard deviations that cover both scales, by cause
-    sigma: Mapping[Cause, float] = field(default_factory=dict)
+    sigma: Mapping[Unknown, float] = field(default_factory=dict)
     # relative standard deviations of errors that neither fusion nor filters reduce, by the name of
     # the distance: of the calibration, and of the doubt
     shared_sigma: Mapping[str, float] = field(default_factory=dict)
@@ -29,9 +30,9 @@ class Doubt:
     @classmethod
     def of(cls, scale: ScaleDoubt) -> Self:
         """The doubt by a contradiction, without the errors of distances."""
-        return cls(scale, scale.sigma_by_cause, trusts_speed=scale.cause_names != ["speed"])
+        return cls(scale, scale.sigma_by_cause, trusts_speed=scale.cause_names != [Unknown.SPEED])
 
-    def sigma_of(self, causes: Set[Cause]) -> float:
+    def sigma_of(self, causes: Set[Unknown]) -> float:
         """Relative standard deviation of what any of these causes changes."""
         return max((sigma for cause, sigma in self.sigma.items() if cause in causes), default=0.0)
 
@@ -65,7 +66,7 @@ class SharedErrors:
         if scale is None:
             return self._without_doubt
         doubt = Doubt.of(scale)
-        unused = frozenset[Cause]() if doubt.trusts_speed else frozenset[Cause]({"speed"})
+        unused = frozenset[Unknown]() if doubt.trusts_speed else frozenset[Unknown]({Unknown.SPEED})
         shared_sigma = {
             name: math.hypot(self._calibration_sigma, doubt.sigma_of(causes - unused))
             for name, causes in self._causes.items()

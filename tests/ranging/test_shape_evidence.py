@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.doubt.scale_check import ShapeCheck
+from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.shape_evidence import ShapeEvidence
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.tracking.tracks import Tracks
 
 TRUE = PinholeCamera(800.0, 800.0, 639.5, 359.5, 1280, 720)
@@ -31,7 +34,7 @@ def boxes_of(x_m, z_m, camera=TRUE):
 def test_focal_lengths_are_measured_by_shapes(factor):
     rng = np.random.default_rng(0)
     focal_px = factor * TRUE.fx_px
-    check = ShapeCheck(
+    check = ShapeEvidence(
         PinholeCamera(focal_px, focal_px, 639.5, 359.5, 1280, 720), load_curves(region="europe")
     )
     side_m, car = np.array([-8.0, -4.5, 4.5, 8.0]), np.full(4, ROAD_CLASSES.index("car"))
@@ -39,12 +42,12 @@ def test_focal_lengths_are_measured_by_shapes(factor):
         passed = k // 20  # other cars every 2 s
         z_m = np.random.default_rng(passed).uniform(10, 30, 4)
         xyxy_px = boxes_of(side_m, z_m) + rng.normal(0, 0.5, (4, 4))
-        check.add(
-            Tracks(np.arange(4) + 4 * passed, xyxy_px, car, np.ones(4), np.ones(4, np.bool_)),
-            0.1 * k,
-        )
+        ids = np.arange(4) + 4 * passed
+        tracks = Tracks(ids, xyxy_px, car, np.ones(4), np.ones(4, np.bool_))
+        by_size = Ranges(ids, z_m, 0.1 * z_m)
+        check.add(SeenFrame(tracks, by_size, None, Ego(motion=EgoMotion()), 0.1 * k))
         if k < 95:
-            assert check.evidence is None
-    assert check.evidence is not None
-    assert abs(check.evidence.value - math.log(factor)) < 2.5 * check.evidence.sigma
-    assert check.evidence.sigma < 0.25
+            assert not check.evidence
+    (measured,) = check.evidence
+    assert abs(measured.value - math.log(factor)) < 2.5 * measured.sigma
+    assert measured.sigma < 0.25

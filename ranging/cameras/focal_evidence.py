@@ -26,7 +26,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import counted
-from track_range.ranging.fitting.camera.measurements import SceneBoxes
+from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera

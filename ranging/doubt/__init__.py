@@ -1,1 +1,0 @@
-"""Doubt about values that the user gave, from everything in a drive that has a scale."""
