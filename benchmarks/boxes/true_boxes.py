@@ -121,7 +121,7 @@ def _locations(
     """
     across_m, z_m = np.swapaxes([user.on_road_m(times_s) for user in scene.road_users], 0, 1)
     raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
-    world = np.stack([scene.road.x_m(z_m) + across_m, scene.road.y_m(z_m) - raised_m, z_m], axis=2)
+    world = np.stack([scene.road.x_m(z_m, across_m), scene.road.y_m(z_m) - raised_m, z_m], axis=2)
     return z_m, np.einsum("tij,ntj->nti", poses.camera_from_world, world - poses.position_m)
 
 

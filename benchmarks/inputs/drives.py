@@ -185,7 +185,7 @@ class SimulatedDrive:
         pose = scene.pose(time_s)
         z = scene.ego_z_m(time_s) + 1 / np.linspace(1 / NEAREST_M, 1 / FARTHEST_M, N_POINTS)
         for offset_m in next(edges for number, *edges in lanes if number == 0):
-            world = np.stack([scene.road.x_m(z) + offset_m, scene.road.y_m(z), z], axis=1)
+            world = np.stack([scene.road.x_m(z, offset_m), scene.road.y_m(z), z], axis=1)
             points = (world - pose.position_m) @ pose.camera_from_world.T
             x, y = self.renderer.rig.left.project(points[points[:, 2] > 1.0]).T
             crest = 1 + int(np.argmax(np.diff(y, append=np.inf) >= 0))

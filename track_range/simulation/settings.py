@@ -12,7 +12,7 @@ from track_range.simulation.camera.fault_options import Faults, fault_option
 SCENARIO_NAMES = (
     *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
     *("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child"),
-    *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion"),
+    *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion", "winding"),
 )
 
 _DRIVE, _OUTPUT = "Drive", "Output"

@@ -41,6 +41,7 @@ HARMLESS = (
     "city",
     "highway",
     "town",
+    "winding",
 )
 
 

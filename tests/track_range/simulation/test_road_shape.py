@@ -7,6 +7,7 @@ from track_range.simulation.world.road_shape import STRAIGHT, RoadShape, Wobble,
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene
 
 ROAD = RoadShape(swing_m=7.0, hill_m=3.0, swing_phase_rad=1.0, hill_phase_rad=4.0)
+BENT = RoadShape(hill_m=3.0, bend_rad=-0.8, bend_at_m=60.0, bend_half_m=20.0)
 Z_M = np.array([0.0, 33.0, 120.0, 250.0])
 
 
@@ -20,18 +21,34 @@ def user(*, x=0.0, z=30.0):
     )
 
 
-def test_yaw_and_climb_are_the_slopes_of_the_road():
+@pytest.mark.parametrize("road", [ROAD, BENT], ids=["winding", "bent"])
+def test_yaw_and_climb_are_the_slopes_of_the_road(road):
     step = 1e-4
-    slope_x = (ROAD.x_m(Z_M + step) - ROAD.x_m(Z_M - step)) / (2 * step)
-    slope_y = (ROAD.y_m(Z_M + step) - ROAD.y_m(Z_M - step)) / (2 * step)
-    np.testing.assert_allclose(np.tan(ROAD.yaw_rad(Z_M)), slope_x, atol=1e-7)
-    np.testing.assert_allclose(np.tan(ROAD.climb_rad(Z_M)), -slope_y, atol=1e-7)  # y is down
+    slope_x = (road.x_m(Z_M + step) - road.x_m(Z_M - step)) / (2 * step)
+    slope_y = (road.y_m(Z_M + step) - road.y_m(Z_M - step)) / (2 * step)
+    np.testing.assert_allclose(np.tan(road.yaw_rad(Z_M)), slope_x, atol=1e-7)
+    np.testing.assert_allclose(np.tan(road.climb_rad(Z_M)), -slope_y, atol=1e-7)  # y is down
     assert np.abs(slope_x).max() > 0.05
     assert np.abs(slope_y).max() > 0.02
 
 
-def test_road_starts_at_the_origin():
-    assert (float(ROAD.x_m(np.array(0.0))), float(ROAD.y_m(np.array(0.0)))) == (0.0, 0.0)
+@pytest.mark.parametrize("road", [ROAD, BENT], ids=["winding", "bent"])
+def test_road_starts_at_the_origin(road):
+    assert float(road.x_m(np.array(0.0))) == pytest.approx(0.0, abs=1e-12)
+    assert float(road.y_m(np.array(0.0))) == 0.0
+
+
+def test_bend_turns_by_its_angle_and_keeps_the_width_of_its_straights():
+    road = RoadShape(bend_rad=np.radians(50.0), bend_at_m=120.0, bend_half_m=15.0)
+    before_rad, middle_rad, after_rad = road.yaw_rad(np.array([0.0, 120.0, 240.0]))
+    assert after_rad - before_rad == pytest.approx(np.radians(50.0), abs=1e-5)
+    assert middle_rad == 0.0
+    # The edges of a lane are 3.5 m apart, measured perpendicularly to its direction.
+    left_m, right_m = road.x_m(np.array(0.0), -1.75), road.x_m(np.array(0.0), 1.75)
+    assert (right_m - left_m) * np.cos(before_rad) == pytest.approx(3.5, abs=1e-4)
+    assert not road.is_straight
+    # The logarithm of the hyperbolic cosine does not overflow far from the bend.
+    assert np.isfinite(road.x_m(np.array([-1e5, 1e5]))).all()
 
 
 def test_camera_on_a_straight_road_is_not_rotated():

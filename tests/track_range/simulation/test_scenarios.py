@@ -110,6 +110,21 @@ def test_contents_of_scenarios():
     }
 
 
+def test_winding_street_turns_to_either_side_within_the_drive():
+    turns_deg, speeds_mps = [], []
+    for seed in range(12):
+        scene = make_scenario("winding", seed=seed, seconds=20.0)
+        times_s = np.arange(0, 20, 0.5)
+        yaw_deg = np.degrees(scene.road.yaw_rad(scene.ego_z_m(times_s)))
+        turns_deg.append(yaw_deg[-1] - yaw_deg[0])
+        speeds_mps += [scene.speed_mps(time_s) for time_s in times_s.tolist()]
+    assert np.abs(turns_deg).min() > 14
+    assert np.abs(turns_deg).max() < 65
+    assert min(turns_deg) < 0 < max(turns_deg)
+    assert min(speeds_mps) > 4
+    assert max(speeds_mps) < 17
+
+
 @pytest.mark.slow
 def test_night_is_dark_with_bright_lamps():
     day, night = (

@@ -49,6 +49,7 @@ class Street:
         road: RoadShape = STRAIGHT,
     ) -> None:
         self._road_type, self._road, self._store = SURROUNDINGS[surroundings], road, store
+        self._half_width_m = self._road.widening * self._road_type.half_width_m
         self._stretches_m = STRETCHES_M if road.is_straight else WINDING_STRETCHES_M
         side_picture = (
             scenery.houses_picture if self._road_type.side == "houses" else scenery.woods_picture
@@ -93,14 +94,14 @@ class Street:
         visible = list(stretches(ego_z_m, self._stretches_m))
         start_m, length_m = np.array(visible, np.float64).T
         near, far = self._middle_m(start_m), self._middle_m(start_m + length_m)
-        ahead, half_m = far - near, np.array([self._road_type.half_width_m, 0.0, 0.0])
+        ahead, half_m = far - near, np.array([self._half_width_m, 0.0, 0.0])
         up, rail_up = np.array([0.0, SIDE_HEIGHT_M, 0.0]), np.array([0.0, RAIL_HEIGHT_M, 0.0])
         strips = [
             (far - half_m, 2 * half_m, -ahead),
             (near - half_m - up, ahead, up),
             (far + half_m - up, -ahead, up),
             *(
-                (near + np.array([x_m, 0.0, 0.0]) - rail_up, ahead, rail_up)
+                (near + np.array([self._road.widening * x_m, 0.0, 0.0]) - rail_up, ahead, rail_up)
                 for x_m in self._road_type.rails_m
             ),
         ]
@@ -234,7 +235,7 @@ class Roadside:
 
     def _on_ground_m(self, across_m: FloatArray | float, z_m: FloatArray) -> FloatArray:
         """(N, 3) positions on the ground in world axes."""
-        return np.stack([self._road.x_m(z_m) + across_m, self._road.y_m(z_m), z_m], axis=1)
+        return np.stack([self._road.x_m(z_m, across_m), self._road.y_m(z_m), z_m], axis=1)
 
 
 def _numbers(row: Row, ego_z_m: float) -> IntArray:

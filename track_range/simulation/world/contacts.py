@@ -200,7 +200,7 @@ def _touches(
 
 def _on_road(road: RoadShape, across_m: FloatArray, z_m: FloatArray, raised_m: float) -> FloatArray:
     """(T, 3) positions in world axes."""
-    return np.stack([road.x_m(z_m) + across_m, road.y_m(z_m) - raised_m, z_m], axis=1)
+    return np.stack([road.x_m(z_m, across_m), road.y_m(z_m) - raised_m, z_m], axis=1)
 
 
 Boxes = tuple[FloatArray, FloatArray, tuple[float, float, float]]

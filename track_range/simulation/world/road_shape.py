@@ -2,9 +2,10 @@ r"""The shape of the road, and the pose of a camera that drives on it.
 
 World axes: x right, y down, z forward, as for a level camera on the road at time 0. The centre of the ego lane is at
     x(z) = swing (sin(2 pi z / l + p) - sin p)        y(z) = -hill (sin(2 pi z / m + q) - sin q)
-and the cross-section at every z is parallel to x: the road is a straight road, sheared laterally and vertically, so
-that every stretch is a parallelogram. Positions on the road are (across, z), `across` metres to the right of the ego
-lane's centre.
+plus a bend between two straight stretches, whose slope is dx/dz = tan(turn / 2) tanh((z - at) / half). The
+cross-section at every z is parallel to x: the road is a straight road, sheared laterally and vertically, so that every
+stretch is a parallelogram. Positions on the road are (across, z), `across` metres to the right of the ego lane's
+centre; before and after a bend, the road is as wide as a straight one, perpendicularly to its direction.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its spri
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadShape:
     """A winding, hilly road: amplitude, period and phase of a lateral sine (swing) and of a
-    vertical one (hill).
+    vertical one (hill), and a bend: its whole turn (positive = to the right), the z of its middle,
+    and the length over which half of it is driven.
     """
 
     swing_m: float = 0.0
@@ -28,15 +30,29 @@ class RoadShape:
     hill_m: float = 0.0
     hill_length_m: float = 380.0
     hill_phase_rad: float = 0.0
+    bend_rad: float = 0.0
+    bend_at_m: float = 0.0
+    bend_half_m: float = 20.0
 
     @property
     def is_straight(self) -> bool:
         """Whether the road is straight and level."""
-        return self.swing_m == 0.0 and self.hill_m == 0.0
+        return self.swing_m == 0.0 and self.hill_m == 0.0 and self.bend_rad == 0.0
 
-    def x_m(self, z_m: FloatArray) -> FloatArray:
-        """X of the ego lane's centre; 0 at z = 0."""
-        return _wave(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad)
+    @property
+    def widening(self) -> float:
+        """Extent along x of a metre across the road, before and after the bend."""
+        return float(1 / np.cos(self.bend_rad / 2))
+
+    def x_m(self, z_m: FloatArray, across_m: FloatArray | float = 0.0) -> FloatArray:
+        """X at `across_m` to the right of the ego lane's centre; this centre has 0 at z = 0."""
+        middle_m = _wave(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad)
+        if self.bend_rad != 0.0:
+            at, start = (z_m - self.bend_at_m) / self.bend_half_m, self.bend_at_m / self.bend_half_m
+            # ln cosh, without its constant, is the integral of tanh
+            bent = np.logaddexp(at, -at) - np.logaddexp(start, -start)
+            middle_m = middle_m + np.tan(self.bend_rad / 2) * self.bend_half_m * bent
+        return np.asarray(middle_m + self.widening * across_m)
 
     def y_m(self, z_m: FloatArray) -> FloatArray:
         """Y of the road surface (y down); 0 at z = 0."""
@@ -44,7 +60,9 @@ class RoadShape:
 
     def yaw_rad(self, z_m: FloatArray) -> FloatArray:
         """Direction of the road, positive = to the right of z."""
-        return np.arctan(_wave_slope(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad))
+        slope = _wave_slope(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad)
+        bend = np.tanh((z_m - self.bend_at_m) / self.bend_half_m)
+        return np.asarray(np.arctan(slope + np.tan(self.bend_rad / 2) * bend))
 
     def climb_rad(self, z_m: FloatArray) -> FloatArray:
         """Slope of the road, positive = uphill."""

@@ -187,7 +187,7 @@ class Scene:
         """
         pose = self.pose(time_s)
         across, z = on_road_m
-        world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
+        world = np.stack([self.road.x_m(z, across), self.road.y_m(z) - raised_m, z], axis=1)
         return np.asarray((world - pose.position_m) @ pose.camera_from_world.T)
 
     def _rotations(self, time_s: float, z_m: FloatArray, headings_rad: FloatArray) -> FloatArray:

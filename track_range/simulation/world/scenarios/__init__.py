@@ -28,6 +28,7 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "overhead-sign": conflicts.overhead_sign,
     "following": conflicts.following,
     "occlusion": occlusion,
+    "winding": traffic.winding,
 }
 
 

@@ -4,6 +4,7 @@ town       a straight street without pitch or roll                  highway   th
 city       a winding street, stop and go, buses, lights, signs      cut-in    a car cuts in closely ahead, and brakes
 crossing   of the demo: people and a cyclist cross the road          queue     stop and go, bumper to bumper
 empty      a country road without road users                        night     the city at night, by headlights
+winding    a street with a bend of 15 to 60 degrees, parked cars
 
 The town is `scene.make_scene`.
 """
@@ -13,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
+from track_range.simulation.world.road_shape import RoadShape
 from track_range.simulation.world.scenarios import casting
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene
 
 # between centres of standing cars, and of each car after the one ahead
 QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
+COMFORTABLE_MPS2 = 2.5  # lateral acceleration of the ego car in the middle of a bend
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
 
@@ -43,6 +46,51 @@ def city(seed: int, seconds: float) -> Scene:
         *casting.lights(crossing_m),
     ]
     return casting.scene_of(seed, rng, users, ego, "city", (5.0, 1.0))
+
+
+def winding(seed: int, seconds: float) -> Scene:
+    """A street with one bend of 15 to 60 degrees to either side, parked cars and traffic."""
+    rng = np.random.default_rng([seed, 17])
+    ego_mps = float(rng.uniform(6, 12))
+    ego: SpeedChanges = (
+        (0, ego_mps),
+        (0.25 * seconds, ego_mps),
+        (0.4 * seconds, ego_mps * float(rng.uniform(0.75, 1.0))),
+        (0.6 * seconds, ego_mps * float(rng.uniform(0.75, 1.0))),
+        (0.8 * seconds, ego_mps * float(rng.uniform(0.9, 1.15))),
+    )
+    driven_m = travelled_m(ego, seconds)
+    until_m = driven_m + VIEW_M
+    turn_rad = float(np.radians(np.exp(rng.uniform(*np.log((17, 60))))) * rng.choice([-1, 1]))
+    # as sharp as is comfortable at this speed, and within the drive
+    comfortable_m = ego_mps**2 * np.tan(abs(turn_rad) / 2) / COMFORTABLE_MPS2
+    road = RoadShape(
+        swing_m=float(rng.uniform(0, 1.5)),
+        swing_phase_rad=float(rng.uniform(0, 2 * np.pi)),
+        hill_m=float(rng.uniform(0.2, 1.0)),
+        hill_phase_rad=float(rng.uniform(0, 2 * np.pi)),
+        bend_rad=turn_rad,
+        bend_at_m=driven_m * float(rng.uniform(0.4, 0.6)),
+        bend_half_m=min(max(comfortable_m, 9.0), driven_m / 6),
+    )
+    users = [
+        casting.road_user("Car", 0.1, 24.0, speed_changes=casting.earlier(ego, 2.0)),
+        *casting.lane(
+            rng, x_m=3.5, speed_mps=ego_mps, spacing_m=40.0, from_m=16.0, until_m=until_m
+        ),
+        *casting.oncoming(
+            rng,
+            x_m=-3.5,
+            speed_mps=float(rng.uniform(7, 11)),
+            spacing_m=float(rng.uniform(30, 45)),
+            until_m=until_m,
+            seconds=seconds,
+        ),
+        *casting.parked(rng, until_m=until_m, fraction=float(rng.uniform(0.4, 0.7))),
+        *casting.walkers(rng, until_m=until_m),
+        *casting.signs("city", until_m=until_m),
+    ]
+    return casting.scene_of(seed, rng, users, ego, "city", road)
 
 
 def night(seed: int, seconds: float) -> Scene:
