@@ -132,6 +132,8 @@ class Mounting:
     camera_height_sigma_m: float  # its standard deviation
     pitch_deg: float  # angle of the camera's axis below the horizon
     pitch_sigma_deg: float  # its standard deviation
+    # standard deviation of the first radial coefficient; None = no distortion was estimated
+    k1_sigma: float | None = None
 
     @property
     def sentence(self) -> str:

@@ -8,7 +8,8 @@ coefficients of the wide lens in `LENSES` that the key `lens` names:
     right: {...}
     right_from_left: {rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
 
-A camera that was calibrated from the road has the uncertainty of its focal length, and its height and pitch:
+A camera that was calibrated from drives has the uncertainty of its focal length (and of k1, as k1_sigma, if it was
+estimated), and its height and pitch:
 
     mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
 
@@ -86,6 +87,7 @@ class _MountingFile(BaseModel):
     camera_height_sigma_m: Annotated[Number, Field(ge=0, le=10)]
     pitch_deg: Annotated[Number, Field(ge=-90, le=90)]
     pitch_sigma_deg: Annotated[Number, Field(ge=0, le=90)]
+    k1_sigma: Annotated[Number, Field(ge=0, le=10)] | None = None
 
 
 class _AccuracyFile(BaseModel):
@@ -139,7 +141,7 @@ def save_camera(
     """
     check_camera(camera, path)
     known = {
-        name: asdict(part)
+        name: {key: value for key, value in asdict(part).items() if value is not None}
         for name, part in (("mounting", mounting), ("accuracy", accuracy))
         if part is not None
     }

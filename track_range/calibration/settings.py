@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.video.layouts import LayoutOption
 
-_ROAD = "Without a board"  # heading of the options of the calibration from a drive
+_ROAD = "From a drive, without a board"  # heading of the options of this calibration
 _BASELINE = "Check of the baseline"
 _KNOWN_BOX: dict[str, Any] = {"metavar": "BOX=M", "panel": _ROAD, "is_repeated": True}
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no file
@@ -79,7 +79,7 @@ class BaselineOptions(Options):
         return any(value is not None for value in (self.detector, self.detections, self.ego_speed))
 
 
-class CalibrationSettings(Options):
+class BoardOptions(Options):
     """Images, board and output files of `track-range calibrate`."""
 
     mono: Annotated[
@@ -137,6 +137,11 @@ class CalibrationSettings(Options):
     json_file: Annotated[
         Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
     ] = None
+
+
+class RoadOptions(Options):
+    """What is known of a camera that is calibrated from its drives."""
+
     known_distance: Annotated[
         tuple[str, ...],
         option(
@@ -205,10 +210,54 @@ class CalibrationSettings(Options):
         ),
     ] = None
 
+
+class DriveInputs(Options):
+    """Recordings and output files of `track-range calibrate drive`."""
+
+    recordings: Annotated[
+        tuple[str, ...],
+        option(
+            "Recordings of one camera: videos, or folders of images; all of them give one estimate, "
+            "which narrows with each.",
+            metavar="VIDEO...",
+            is_argument=True,
+            is_repeated=True,
+        ),
+    ]
+    rig: Annotated[
+        Path | None,
+        option(
+            "Calibration file of the same camera from earlier recordings, from whose estimate and "
+            "standard deviations this one continues."
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        option("Calibration file to write, rig.yaml (default: the estimate is only printed)."),
+    ] = None
+    json_file: Annotated[
+        Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")
+    ] = None
+
+
+class DriveSettings(RoadOptions, DriveInputs):
+    """Options of `track-range calibrate drive`."""
+
+
+class CalibrationSettings(RoadOptions, BoardOptions):
+    """Options of `track-range calibrate`, with a board or from one drive."""
+
     @property
     def is_from_road(self) -> bool:
         """Whether one camera is calibrated from a drive, instead of images of a board."""
         return self.board is None and self.stereo is None
+
+    @property
+    def of_drive(self) -> DriveSettings:
+        """The settings of a calibration from the drive `mono`."""
+        known = {name: getattr(self, name) for name in RoadOptions.model_fields}
+        recordings = () if self.mono is None else (self.mono,)
+        return DriveSettings(recordings=recordings, out=self.out, json_file=self.json_file, **known)
 
 
 class AlignmentSettings(BaselineOptions):

@@ -20,6 +20,7 @@ from track_range.recording.cameras.calibration import (
     RecordingCalibration,
     find_calibration,
 )
+from track_range.recording.cameras.camera_estimate import CameraEstimate
 from track_range.recording.pairs.aligner import (
     ESTIMATION_SPAN_S,
     LIVE,
@@ -42,7 +43,6 @@ from track_range.recording.video.video import Video
 from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -72,9 +72,15 @@ class Recording:
             return self.opened
         return replace(self.opened, alignment=self.aligner.calibration.alignment)
 
-    def with_focal_length(self, guess: FocalGuess) -> Recording:
-        """An uncalibrated recording with another focal length."""
-        return replace(self, opened=self.opened.with_focal_length(guess))
+    def with_camera(self, estimate: CameraEstimate) -> Recording:
+        """An uncalibrated recording, of which no frame was read, with an estimated camera."""
+        opened = self.opened.with_estimate(estimate)
+        source = self.pair or self.videos[0]
+        frames = _frames(
+            source, self.videos[0], opened, self.aligner, self.start_utc, self.options.every
+        )
+        self.frames.close()
+        return replace(self, opened=opened, frames=frames)
 
     @property
     def camera(self) -> PinholeCamera:

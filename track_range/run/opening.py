@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range.calibration.road.from_road import focal_from_video
+from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.pre_pass import PrePass
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.progress import StepProgress
@@ -84,7 +85,7 @@ def open_run(
             boxes = boxes_of(detector)
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
         if detector is None:  # an object may depend on the order of the frames
-            recording = _with_focal_length(recording, settings, box_source, shapes, progress)
+            recording = _with_estimate(recording, box_source, shapes, progress)
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
@@ -113,30 +114,17 @@ def open_run(
     )
 
 
-def _with_focal_length(
-    recording: Recording,
-    settings: RunSettings,
-    boxes: BoxSource,
-    shapes: SizeModel,
-    progress: StepProgress,
+def _with_estimate(
+    recording: Recording, boxes: BoxSource, shapes: SizeModel, progress: StepProgress
 ) -> Recording:
-    """The recording with its unknown focal length estimated from the boxes in its first seconds,
-    unless it is live.
+    """The recording with its unknown focal length and distortion estimated from its images, unless
+    it is live.
     """
-    guesses, video = recording.calibration.guesses, recording.videos[0].path
-    if not guesses or recording.live is not None:
+    if not recording.calibration.guesses or recording.live is not None:
         return recording
-    with progress("estimating the focal length") as advance:
-        posterior = focal_from_video(
-            video,
-            guesses,
-            boxes.detect,
-            shapes,
-            span_s=(settings.start_s, settings.duration_s),
-            folder_fps=settings.folder_fps,
-            advance=advance,
-        )
-    return recording.with_focal_length(posterior.as_guess(guesses))
+    pre_pass = PrePass(detect=boxes.detect, sizes=shapes, progress=progress)
+    camera = pre_pass.camera_of([DriveVideo.of_recording(recording)])
+    return recording.with_camera(camera.estimate)
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:

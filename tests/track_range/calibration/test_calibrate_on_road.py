@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from track_range.calibration.road.from_road import separability
-from track_range.calibration.road.road_evidence import known_lanes, known_metres
+from track_range.calibration.drive.known_metres import known_lanes, known_metres
+from track_range.calibration.drive.separability import separability
 from track_range.foundation.errors import UsageError
-from track_range.ranging.cameras.focal_evidence import FocalPosterior
+from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
@@ -210,9 +210,10 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
         "run", "--mono", video, "--detections", small_drive.detections, "--out", out, "--no-overlay"
     )
     assert status == 0, complaint
-    assert "No calibration" in printed
+    assert "Give --focal-px to replace it" in printed
     summary = json.loads((out / "summary.json").read_text())
     assert summary["calibration"] == "estimated"
+    assert summary["camera_estimate"]["focal_px"] == pytest.approx(summary["focal_px"], abs=0.01)
     assert 0.08 < summary["focal_sigma"] < 0.31
     true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
     assert abs(math.log(summary["focal_px"] / true_px)) < 3 * summary["focal_sigma"]
@@ -269,8 +270,8 @@ def mounting_of(path):
 
 
 def test_focal_length_before_the_measurements_is_named_once():
-    guesses = [FocalGuess(833.0, 0.3, "a guess")]
-    by_shape = FocalPosterior(np.array([833.0]), np.array([1.0]), n_tracks=1)
+    source = source_of_guess(FocalGuess(833.0, 0.1, "a guess"), "metadata", 1280)
+    before = CameraEstimate(size_px=(1280, 720), sources=(source,))
     fit = SimpleNamespace(
         camera=PinholeCamera(883.0, 883.0, 640.0, 360.0, 1280, 720),
         focal_sigma=0.092,
@@ -282,8 +283,8 @@ def test_focal_length_before_the_measurements_is_named_once():
         pitch_rad=0.0,
         pitch_sigma_rad=0.01,
     )
-    (first, *_) = separability(fit, guesses, by_shape, has_height=True)
+    (first, *_) = separability(fit, before, has_height=True)
     assert first.startswith(
         "Focal length 883 px within 9.2 %, from the measurements; without them, 833 px within"
     )
-    assert first.endswith("%, from a guess, and the shapes of 1 vehicle.")
+    assert first.endswith("%, from a guess.")

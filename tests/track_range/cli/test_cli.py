@@ -121,6 +121,9 @@ def test_bare_options_mean_run(cli):
             ["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"],
         ),
         (["evaluate", "ra"], ["ranges"]),
+        (["calibrate", "dr"], ["drive"]),
+        (["calibrate", "--mo"], ["--mono"]),
+        (["calibrate", "drive", "--known-l"], ["--known-lane-width"]),
         (["evaluate", "ranges", "--fil"], ["--filter"]),
     ],
 )

@@ -14,7 +14,7 @@ def commands(group, names=()):
         command = group.load(name)
         if hasattr(command, "load"):
             yield from commands(command, (*names, name))
-        else:
+        if not hasattr(command, "load") or command.invoke_without_command:
             yield (*names, name), command
 
 

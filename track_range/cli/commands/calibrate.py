@@ -8,16 +8,15 @@ from functools import partial
 from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
 from track_range.cli.shared.console import console, print_grid, print_line
-from track_range.cli.shared.parameters import command
+from track_range.cli.shared.lazy import Lazy
+from track_range.cli.shared.parameters import command_group
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import counted
 from track_range.run.progress import step_progress
 from track_range.stereo.calibration.board_views import RejectedView
-from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
-from track_range.views.tables import SIGMA, Column, grid_of
+from track_range.views.tables import Column, grid_of
 
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
 _ROAD_OPTIONS = (
@@ -30,7 +29,9 @@ _N_COEFFICIENTS = (0, 4, 5, 8)
 def _calibrate(settings: CalibrationSettings) -> None:
     _check(settings)
     if settings.is_from_road:
-        _calibrate_on_road(settings)
+        from track_range.cli.commands.calibrate_drive import calibrate_from_drives_and_print
+
+        calibrate_from_drives_and_print(settings.of_drive)
         return
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
@@ -56,8 +57,8 @@ def _check(settings: CalibrationSettings) -> None:
     """
     if settings.is_from_road and settings.lens != "pinhole":
         raise UsageError(
-            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's "
-            "distortion."
+            f"--lens {settings.lens}: expected --board, since a drive shows the distortion of a "
+            "pinhole only."
         )
     fields = CalibrationSettings.model_fields
     for name in _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS:
@@ -83,42 +84,6 @@ def _check(settings: CalibrationSettings) -> None:
             "--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit "
             "--lens-terms."
         )
-
-
-def _calibrate_on_road(settings: CalibrationSettings) -> None:
-    from track_range.calibration.road.from_road import Detect, calibrate_on_road
-    from track_range.detection.catalogue.lookup import DEFAULT_MODEL
-    from track_range.run.options.opened import DetectorOptions, open_detector
-    from track_range.run.ready_model import ready_model
-
-    def open_detect() -> Detect:
-        network = open_detector(
-            ready_model(settings.detector or DEFAULT_MODEL, console), DetectorOptions()
-        )
-        return lambda frame: network.detect(frame.left)
-
-    calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))
-    frames, vehicles = (
-        counted(calibration.n_frames, "frame"),
-        counted(calibration.by_shape.n_tracks, "vehicle"),
-    )
-    print_line(console, f"{frames} of the video, {vehicles}.")
-    residuals = calibration.fit.residuals
-    if residuals:
-        columns = [
-            Column("measured - fitted", [residual.value for residual in residuals], "{:+.1f}"),
-            Column(SIGMA, [residual.sigma for residual in residuals], "{:.1f}"),
-        ]
-        names = [f"{residual.name}: {residual.kind}, {residual.unit}" for residual in residuals]
-        print_grid(console, grid_of("Residuals", "measurement", names, columns))
-    print_line(console, *calibration.sentences)
-    if calibration.fit.contradiction != 1.0 and not settings.force:
-        raise CalibrationError(
-            "expected measurements that agree, found a contradiction (see the warning), so "
-            f"{settings.out} was not written; correct the boxes or metres, or give --force to "
-            "write it with larger sigmas."
-        )
-    print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
 def _print_rejected(rejected: Sequence[RejectedView]) -> None:
@@ -183,4 +148,24 @@ def _print_pair(pair: PairCalibration) -> None:
     )
 
 
-app = command(CalibrationSettings, _calibrate)
+app = command_group(
+    CalibrationSettings,
+    _calibrate,
+    {
+        "drive": Lazy(
+            "track_range.cli.commands.calibrate_drive",
+            "Calibrate one camera from its recordings of drives, without a board.",
+            "The focal length and the lens distortion follow from the motion of the static scene in "
+            "turns, the shapes of road users, the metadata of the files, and what you measured; "
+            "height and pitch from the road. All recordings give one estimate, which narrows with "
+            "each. A run of the same camera uses the file with --rig, and --rig here continues from "
+            "it.",
+            (
+                "track-range calibrate drive monday.mp4 tuesday.mp4 --out rig.yaml",
+                "track-range calibrate drive friday.mp4 --rig rig.yaml --out rig.yaml",
+                "track-range calibrate drive drive.mp4 \\\n"
+                "      --known-distance '3.2,610,340,702,415=12.4' --out rig.yaml",
+            ),
+        ),
+    },
+)

@@ -18,6 +18,8 @@ from typer.core import TyperCommand, TyperGroup
 
 # largest width of the first column, in characters; longer names have their text on the next line
 _OPTION_COLUMNS = 26
+# key of a context's data: whether the first argument names a sub-command
+_IS_SUB_COMMAND = "track_range.is_sub_command"
 
 
 class HelpPage:
@@ -173,18 +175,42 @@ class LazyGroup(HelpGroup):
         return name, command if name is None else self.load(name), rest
 
 
-def lazy_app(
-    modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any
-) -> typer.Typer:
-    """A group of the commands in `modules`; `examples` only for a top-level group; `settings` for
-    typer.Typer.
+class CommandGroup(LazyGroup):
+    """A command that has sub-commands too: its own options are parsed unless the first argument
+    names a sub-command.
     """
-    group = type("Group", (LazyGroup,), {"modules": modules, "examples": examples})
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the options of the command, or only the name of a sub-command."""
+        ctx.meta[_IS_SUB_COMMAND] = bool(args) and not args[0].startswith("-")
+        return super().parse_args(ctx, args)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Parameters of the command, of which none but --help applies beside a sub-command."""
+        params = super().get_params(ctx)
+        if ctx.meta.get(_IS_SUB_COMMAND):
+            return [parameter for parameter in params if parameter.opts == ["--help"]]
+        return params
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Pieces of the usage line."""
+        return ["[OPTIONS] | COMMAND [OPTIONS]"]
+
+
+def lazy_app(
+    modules: Mapping[str, Lazy],
+    *,
+    examples: tuple[str, ...] = (),
+    group: type[LazyGroup] = LazyGroup,
+    **settings: Any,
+) -> typer.Typer:
+    """A group of the commands in `modules`, of the class `group`; `examples` only for a top-level
+    group; `settings` for typer.Typer.
+    """
     app = typer.Typer(
-        cls=group,
-        no_args_is_help=True,
+        cls=type("Group", (group,), {"modules": modules, "examples": examples}),
         rich_markup_mode=None,
-        **{"add_completion": False, **settings},
+        **{"no_args_is_help": True, "add_completion": False, **settings},
     )
     for name, lazy in modules.items():
         app.command(name, help=lazy.summary)(_placeholder)

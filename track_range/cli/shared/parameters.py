@@ -13,7 +13,7 @@ from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
 from track_range.cli.shared.bare_recordings import refuse_expanded
-from track_range.cli.shared.lazy import HelpCommand
+from track_range.cli.shared.lazy import CommandGroup, HelpCommand, Lazy, lazy_app
 from track_range.foundation.schemas.options import (
     Options,
     choices_of,
@@ -24,13 +24,15 @@ from track_range.foundation.schemas.options import (
 
 _O = TypeVar("_O", bound=Options)
 
+_CONTEXT = "context"  # parameter of a command with sub-commands
+
 # in the help, by type; "" for a switch
 _PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}
 
 
-class PairCommand(HelpCommand):
-    """Command with the option --stereo, which takes one or two values: one is the recording of both
-    cameras.
+class PairOptions:
+    """Mix-in of commands with the option --stereo, which takes one or two values: one is the
+    recording of both cameras.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -44,8 +46,18 @@ class PairCommand(HelpCommand):
             refuse_expanded(
                 option, [*takewhile(lambda value: not value.startswith("-"), after)], most
             )
-        stereo = next(parameter for parameter in self.params if parameter.name == "stereo")
-        return super().parse_args(ctx, _split_pairs(args, is_single=stereo.nargs == 1))
+        parameters: list[Any] = self.params  # type: ignore[attr-defined]
+        stereo = next(parameter for parameter in parameters if parameter.name == "stereo")
+        parts = _split_pairs(args, is_single=stereo.nargs == 1)
+        return super().parse_args(ctx, parts)  # type: ignore[misc,no-any-return]
+
+
+class PairCommand(PairOptions, HelpCommand):
+    """Command with the option --stereo."""
+
+
+class PairGroup(PairOptions, CommandGroup):
+    """Command with the option --stereo that has sub-commands too."""
 
 
 def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:
@@ -85,17 +97,38 @@ def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
     )
 
 
+def command_group(
+    model: type[_O], function: Callable[[_O], object], modules: Mapping[str, Lazy]
+) -> typer.Typer:
+    """As `command`, for a command that has the sub-commands `modules` too."""
+
+    def callback(**values: Any) -> None:
+        context = values.pop(_CONTEXT)
+        if context.invoked_subcommand is None:
+            function(model.of(given_values(model, values)))
+
+    context = Parameter(_CONTEXT, Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    app = lazy_app(modules, group=PairGroup, no_args_is_help=False, invoke_without_command=True)
+    app.callback()(_with_parameters(callback, [context, *parameters(model)]))
+    return app
+
+
 def command_of(
     callback: Callable[..., None],
     listed: list[Parameter],
     command_class: type[HelpCommand] = HelpCommand,
 ) -> typer.Typer:
     """Application of one command, which calls `callback` with the given parameters."""
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command(cls=command_class)(_with_parameters(callback, listed))
+    return app
+
+
+def _with_parameters(callback: Callable[..., None], listed: list[Parameter]) -> Callable[..., None]:
+    """The function, for Typer with the given parameters."""
     callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
     callback.__annotations__ = {parameter.name: parameter.annotation for parameter in listed}
-    app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command(cls=command_class)(callback)
-    return app
+    return callback
 
 
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:

@@ -13,6 +13,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
+from track_range.recording.cameras.camera_estimate import CameraEstimate
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.sources.names import source_of
 from track_range.recording.video.frame import RecordedFrame, VideoError, VideoFrame
@@ -97,6 +98,8 @@ class RecordingCalibration:
     guesses: tuple[FocalGuess, ...] = ()
     # estimate of a focal length that is not known exactly; None = it is
     focal: FocalGuess | None = None
+    # evidence of the focal length, from a pass over the recording; None = there was none
+    estimate: CameraEstimate | None = None
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the
     # road; None = unknown
     mounting: Mounting | None = None
@@ -173,16 +176,14 @@ class RecordingCalibration:
         )
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
+        if len(self.sizes_px) == 1 and self.estimate is not None:
+            return self.estimate.notes
         length = (
             f"the focal length is estimated as {focal.focal_px:.0f} px within "
             f"{100 * focal.sigma:.0f} %, from {focal.source} (give --focal-px if it is known)"
         )
         if len(self.sizes_px) == 1:
-            return (
-                f"No calibration: {length}, and all distances share the error of the focal length; "
-                "a known distance reduces this error: track-range calibrate --mono VIDEO "
-                "--known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
-            )
+            return (f"No calibration: {length}; all distances share its error.",)
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
         how = (
@@ -298,14 +299,21 @@ class RecordingCalibration:
         rig = assumed_rig(self.raw_camera or self.camera)
         return replace(self, rectifier=Rectifier(rig, row_offset_px=row_px), row_offset_px=row_px)
 
-    def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
-        """An uncalibrated recording with another focal length, on which its rectified images do not
-        depend.
-        """
-        return replace(
+    def with_estimate(self, estimate: CameraEstimate) -> RecordingCalibration:
+        """An uncalibrated recording with an estimated camera; one camera is undistorted."""
+        calibration = replace(
             self,
-            camera=self.camera.with_focal_length(guess.focal_px),
-            focal=guess,
+            camera=self.camera.with_focal_length(estimate.focal_px),
+            focal=estimate.guess,
+            estimate=estimate,
+        )
+        if not estimate.distortion or not isinstance(self.rectifier, Undistorter):
+            return calibration
+        stored = (self.raw_camera or self.camera).with_focal_length(estimate.focal_px)
+        lens = replace(stored, distortion=estimate.distortion)
+        undistorter = Undistorter(lens)
+        return replace(
+            calibration, raw_camera=lens, rectifier=undistorter, camera=undistorter.camera
         )
 
 

@@ -60,10 +60,12 @@ class RecordedCameras(Reports):
     def summary(self) -> Mapping[str, Any]:
         """The camera models with which the run measured."""
         calibration, rig = self.recording.calibration, self.recording.rig
+        estimate = calibration.estimate
         return {
             "calibration": calibration.kind,
             "focal_px": self.recording.camera.fx_px,
             "focal_sigma": round(calibration.focal_sigma, 4),
+            "camera_estimate": None if estimate is None else estimate.summary(),
             "region": self.region,
             "baseline_m": rig.baseline_m if rig else None,
         }

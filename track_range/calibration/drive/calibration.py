@@ -1,0 +1,180 @@
+"""Calibration of one camera from its drives: `track-range calibrate --mono` and `calibrate drive`.
+
+recordings -> pre-pass (pre_pass) -> focal length, distortion, height and pitch -> rig.yaml
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.known_metres import (
+    Detect,
+    KnownMeasurements,
+    known_lanes,
+    known_metres,
+)
+from track_range.calibration.drive.pre_pass import CameraPrior, DriveCamera, MountedCamera, PrePass
+from track_range.calibration.drive.separability import separability
+from track_range.calibration.settings import DriveSettings
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
+from track_range.foundation.files.output_files import check_outputs, write_json
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.cameras.camera_fit import CameraFit
+from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.sources.names import source_of, video_name
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess
+from track_range.stereo.geometry.rig import Mounting
+from track_range.stereo.rig_formats.reading import load_camera, read_calibration
+from track_range.stereo.rig_formats.rig_yaml import save_camera
+
+_UNSTATED_SIGMA = 0.02  # of a focal length whose file has no standard deviation; assumed
+
+
+@dataclass(frozen=True, slots=True)
+class DriveCalibration:
+    """A camera calibrated from its drives."""
+
+    source: str  # the videos
+    mounted: MountedCamera
+    guesses: tuple[FocalGuess, ...]  # guesses of the focal length from outside the images
+    sentences: tuple[str, ...]  # what the measurements determine, in words
+
+    @property
+    def drive_camera(self) -> DriveCamera:
+        """The camera without height and pitch."""
+        return self.mounted.drive_camera
+
+    @property
+    def fit(self) -> CameraFit:
+        """The fit of all measurements."""
+        return self.mounted.fit
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The camera, whose distortion is empty unless the motion shows one."""
+        estimate = self.drive_camera.estimate
+        camera = PinholeCamera.of_focal_length(self.fit.camera.fx_px, estimate.size_px)
+        return PinholeCamera.of_matrix(camera.matrix, camera.size_px, estimate.distortion)
+
+    @property
+    def mounting(self) -> Mounting:
+        """Height and pitch of the camera, and the uncertainty of its focal length."""
+        fit, estimate = self.fit, self.drive_camera.estimate
+        return Mounting(
+            focal_sigma=round(max(fit.focal_sigma, estimate.sigma), 4),
+            camera_height_m=round(fit.height_m, 3),
+            camera_height_sigma_m=round(fit.height_sigma_m, 3),
+            pitch_deg=round(float(np.degrees(fit.pitch_rad)), 3),
+            pitch_sigma_deg=round(float(np.degrees(fit.pitch_sigma_rad)), 3),
+            k1_sigma=round(estimate.k1_sigma, 5) if estimate.distortion else None,
+        )
+
+    def save(self, settings: DriveSettings) -> list[Path]:
+        """Write the camera and the results, where files are given, and return their paths;
+        OutputError or RigError.
+        """
+        if settings.out is not None:
+            known = len({residual.name for residual in self.fit.residuals})
+            drives = counted(len(settings.recordings), "recording")
+            comments = [f"track-range calibrate: from {drives} of drives, {known} measurements"]
+            save_camera(self.camera, settings.out, comments=comments, mounting=self.mounting)
+        if settings.json_file is not None:
+            write_json(settings.json_file, self.figures)
+        return [file for file in (settings.out, settings.json_file) if file is not None]
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """All values, as plain values for JSON."""
+        fit, drive_camera = self.fit, self.drive_camera
+        before = self.mounted.before
+        return {
+            "source": self.source,
+            "frames": drive_camera.n_frames,
+            "focal_px": fit.camera.fx_px,
+            **asdict(self.mounting),
+            "roll_deg": float(np.degrees(fit.roll_rad)),
+            "focal_height_sigma": fit.product_sigma,
+            "guesses": [asdict(guess) for guess in self.guesses],
+            "by_shape": {
+                "focal_px": before.focal_px,
+                "sigma": before.sigma,
+                "tracks": drive_camera.shapes.n_tracks,
+                "box_noise": drive_camera.shapes.relative_noise,
+            },
+            "camera_estimate": drive_camera.estimate.summary(),
+            "residuals": [asdict(residual) for residual in fit.residuals],
+            "determined": list(self.sentences),
+        }
+
+
+def calibrate_from_drives(
+    settings: DriveSettings,
+    open_detect: Callable[[], Detect],
+    progress: StepProgress = no_progress,
+) -> DriveCalibration:
+    """Calibrate the camera of the recordings of the settings; nothing is written before
+    `DriveCalibration.save`.
+
+    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside the
+    image or the video, or the recordings are of different sizes, and VideoError if a video cannot
+    be read.
+    """
+    if not settings.recordings:
+        raise UsageError(
+            "expected --mono VIDEO; without --board, one camera is calibrated from a drive."
+        )
+    objects = known_metres(settings.known_distance, settings.known_height, settings.known_width)
+    known = KnownMeasurements(
+        objects=objects,
+        lanes=known_lanes(settings.known_lane_width),
+        camera_height_m=settings.camera_height_m,
+    )
+    names = [video_name(name) for name in settings.recordings]
+    outputs = [file for file in (settings.out, settings.json_file) if file is not None]
+    check_outputs(outputs, [file for name in names for file in source_of(name).files])
+    drives = [DriveVideo.of(name, settings.camera_model) for name in names]
+    first = drives[0]
+    for drive in drives[1:]:
+        if drive.size_px != first.size_px:
+            (w, h), (fw, fh) = drive.size_px, first.size_px
+            raise UsageError(
+                f"{drive.name}: expected images of {fw}x{fh} px as in {first.name}, found "
+                f"{w}x{h} px; recordings of one camera have one size, so calibrate each apart."
+            )
+    known.check(first)
+    pre_pass = PrePass(
+        detect=open_detect(),
+        sizes=load_curves(settings.curves, "europe"),
+        prior=None if settings.rig is None else _prior(settings.rig, first),
+        known=known,
+        progress=progress,
+    )
+    mounted = pre_pass.mounted_camera_of(drives)
+    has_height = settings.camera_height_m is not None
+    sentences = separability(mounted.fit, mounted.before, has_height=has_height)
+    source = " ".join(str(name) for name in names)
+    return DriveCalibration(source, mounted, first.guesses, sentences)
+
+
+def _prior(path: Path, drive: DriveVideo) -> CameraPrior:
+    """What a calibration file says of the camera; RigError if it cannot be used."""
+    camera, _ = load_camera(path, size_px=drive.size_px)
+    if camera.is_wide:
+        raise UsageError(
+            f"{path}: expected a pinhole camera, found a wide lens, which drives do not calibrate."
+        )
+    content = read_calibration(path, is_grey=False, is_pair=False)
+    stated = content.mounting or content.accuracy
+    sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
+    k1_sigma = None if content.mounting is None else content.mounting.k1_sigma
+    return CameraPrior(
+        FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name)),
+        k1=camera.distortion[0] if camera.distortion else 0.0,
+        k1_sigma=float("nan") if k1_sigma is None else k1_sigma,
+    )

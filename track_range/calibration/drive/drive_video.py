@@ -1,0 +1,99 @@
+"""DriveVideo: a recorded drive before it is read, and the parts of it that are."""
+
+from collections.abc import Generator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+
+from track_range.foundation.errors import UsageError
+from track_range.recording.cameras.focal_sources import focal_guesses
+from track_range.recording.recording import Recording, open_recording
+from track_range.recording.sources.names import VideoName, source_of
+from track_range.recording.sources.open_video import open_video
+from track_range.recording.video.options import DEFAULTS, RecordingOptions
+from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess
+
+# length up to which all of a recording is read, and that of the parts of a longer one, seconds
+_WHOLE_S, _PART_S = 30.0, 10.0
+# starts of the parts of a longer recording, as fractions of it
+_PARTS = (0.0, 0.5, 0.85)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveVideo:
+    """What is known of a recorded drive before it is read."""
+
+    name: VideoName
+    size_px: tuple[int, int]  # width, height, with square pixels
+    duration_s: float  # of the part that may be read; 0 = unknown
+    guesses: tuple[FocalGuess, ...]  # of the focal length, from outside the images
+    # how it is opened; `start_s` and `duration_s` are the part that may be read
+    options: RecordingOptions = DEFAULTS
+
+    @classmethod
+    def of(cls, name: VideoName, camera_model: str | None = None) -> "DriveVideo":
+        """The drive of a video; UsageError for a live source."""
+        if not source_of(name).files:
+            raise UsageError(
+                f"{name}: expected a recorded video, found a live source; record the camera first."
+            )
+        with closing(open_video(name)) as reader:
+            duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
+            guesses = focal_guesses(reader, camera_model)
+            return cls(name, reader.shown_size_px, duration_s, guesses)
+
+    @classmethod
+    def of_recording(cls, recording: Recording) -> "DriveVideo":
+        """The drive of the left or only camera of an opened recording without a calibration, which
+        is opened again.
+        """
+        video, options = recording.videos[0], recording.options
+        duration_s = (video.n_frames or 0) / video.fps if video.fps else 0.0
+        return cls(
+            video.path,
+            recording.size_px,
+            duration_s,
+            recording.calibration.guesses,
+            replace(options, topics=(), stereo_layout=None, start_utc=None),
+        )
+
+    @property
+    def parts_s(self) -> list[tuple[float, float | None]]:
+        """Start and length of each part that is read: all of a short drive, some of a long one;
+        None = to the end.
+        """
+        start_s, given_s = self.options.start_s, self.options.duration_s
+        length_s = self.duration_s if given_s is None else min(given_s, self.duration_s or given_s)
+        if 0 < length_s <= _WHOLE_S:
+            return [(start_s, given_s)]
+        if not length_s:
+            return [(start_s, _WHOLE_S)]
+        return [(start_s + fraction * length_s, _PART_S) for fraction in _PARTS]
+
+    @contextmanager
+    def opened(self, start_s: float, duration_s: float | None) -> Generator[Recording]:
+        """A part of the drive, opened with a focal length from the guesses and without a
+        distortion.
+        """
+        options = replace(
+            self.options,
+            rig=None,
+            focal_px=best_guess(self.guesses).focal_px,
+            start_s=start_s,
+            duration_s=duration_s,
+            every=1,
+        )
+        with closing(open_recording(self.name, None, options)) as recording:
+            yield recording
+
+    def check_inside(
+        self, name: str, expected: str, xyxy_px: tuple[float, float, float, float], time_s: float
+    ) -> None:
+        """Raise UsageError for a measurement outside the image or the video."""
+        x1, y1, x2, y2 = xyxy_px
+        width_px, height_px = self.size_px
+        if x1 < -1 or y1 < -1 or x2 > width_px or y2 > height_px:
+            raise UsageError(f"{name}: expected {expected.format(f'{width_px}x{height_px}')}.")
+        if self.duration_s and time_s > self.duration_s + 1.0:
+            raise UsageError(
+                f"{name}: expected a time up to {self.duration_s:.1f} s, the end of the video."
+            )

@@ -1,0 +1,197 @@
+"""The pre-pass of recordings of one camera: all evidence of its focal length and distortion.
+
+    recordings -> parts of them (drive_video) -> road users, horizon, motion (road_evidence)
+               -> one source per kind of evidence -> CameraEstimate
+
+`track-range calibrate` and every run of a recording without a calibration call it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.known_metres import Detect, KnownMeasurements, known_objects
+from track_range.calibration.drive.road_evidence import RoadEvidence
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.cameras.camera_fit import (
+    HEIGHT_M,
+    HEIGHT_SIGMA,
+    CameraFit,
+    fit_camera,
+)
+from track_range.ranging.cameras.focal_evidence import FocalPosterior, focal_posterior
+from track_range.ranging.cameras.measurements import CameraMeasurements, SceneBoxes
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.size_model import SizeModel
+from track_range.recording.cameras.camera_estimate import (
+    CameraEstimate,
+    FocalSource,
+    SourceKind,
+    source_of_curve,
+    source_of_guess,
+)
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+
+_MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
+# smallest and largest height of a camera above the road that measurements may give, m
+_CAMERA_HEIGHT_M = (0.3, 5.0)
+_FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPrior:
+    """What earlier recordings of the camera showed."""
+
+    focal: FocalGuess
+    k1: float = 0.0
+    k1_sigma: float = float("nan")  # NaN = not known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveCamera:
+    """A camera by all evidence of its recordings."""
+
+    estimate: CameraEstimate
+    shapes: FocalPosterior  # what the shapes of road users show, without any other source
+    scene: SceneBoxes  # the road users, without the distortion
+    n_frames: int  # number of frames that were read
+
+
+@dataclass(frozen=True, slots=True)
+class MountedCamera:
+    """A camera with its height and pitch."""
+
+    drive_camera: DriveCamera
+    before: CameraEstimate  # the estimate without the measurements of the user
+    fit: CameraFit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrePass:
+    """How recordings of one camera are evaluated."""
+
+    detect: Detect
+    sizes: SizeModel
+    prior: CameraPrior | None = None
+    known: KnownMeasurements = field(default_factory=KnownMeasurements)
+    progress: StepProgress = no_progress
+
+    def camera_of(self, drives: Sequence[DriveVideo]) -> DriveCamera:
+        """The camera of recordings, which have images of one size.
+
+        Raises UsageError if a measurement is outside the image or the video, or none of an object,
+        and VideoError if a video cannot be read.
+        """
+        if self.known.are_given:
+            return self.mounted_camera_of(drives).drive_camera
+        return self._evaluated(drives[0], self._seen(drives, has_horizon=False))
+
+    def mounted_camera_of(self, drives: Sequence[DriveVideo]) -> MountedCamera:
+        """The camera with its height and pitch; the same errors."""
+        first = drives[0]
+        self.known.check(first)
+        objects = known_objects(self.known.objects, first, self.detect)
+        view = self._seen(drives, has_horizon=True)
+        drive_camera = self._evaluated(first, view)
+        measured = CameraMeasurements(
+            objects=objects,
+            lanes=self.known.lanes,
+            horizon=view.horizon(drive_camera.estimate.focal_px),
+            scene=drive_camera.scene,
+            scene_noise=drive_camera.shapes.relative_noise,
+        )
+        return self._fitted(drive_camera, measured)
+
+    def _seen(self, drives: Sequence[DriveVideo], *, has_horizon: bool) -> RoadEvidence:
+        """What the images of the drives show."""
+        view = RoadEvidence(has_horizon=has_horizon)
+        with self.progress("estimating the focal length") as advance:
+            for drive in drives:
+                for start_s, duration_s in drive.parts_s:
+                    with drive.opened(start_s, duration_s) as recording:
+                        view.add(recording.camera, recording.frames, self.detect, advance)
+        return view
+
+    def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
+        """The camera without the measurements of the user."""
+        size_px = drive.size_px
+        estimate = CameraEstimate(size_px=size_px, sources=self._outside_sources(drive))
+        camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
+        scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
+        cuboids = self.sizes if isinstance(self.sizes, CuboidSizes) else None
+        flat = replace(default_guess(size_px[0]), sigma=_FLAT_SIGMA)
+        shapes = focal_posterior([flat], scene, size_px, cuboids)
+        if shapes.n_tracks:
+            curve = np.log(shapes.density + 1e-300)
+            by_shape = source_of_curve("shapes", shapes.shapes, shapes.focal_px, curve, size_px[0])
+            estimate = replace(estimate, sources=(*estimate.sources, by_shape))
+        return DriveCamera(estimate=estimate, shapes=shapes, scene=scene, n_frames=view.n_frames)
+
+    def _outside_sources(self, drive: DriveVideo) -> tuple[FocalSource, ...]:
+        """What is known of the focal length without the images."""
+        width_px = drive.size_px[0]
+        usual = default_guess(width_px)
+        given = () if self.prior is None else (self.prior.focal,)
+        kinds: list[tuple[SourceKind, FocalGuess]] = [("given", guess) for guess in given]
+        for guess in drive.guesses:
+            if guess != usual:
+                kinds.append(("metadata", guess))
+        if not kinds:
+            kinds.append(("usual", usual))
+        return tuple(source_of_guess(guess, kind, width_px) for kind, guess in kinds)
+
+    def _fitted(self, drive_camera: DriveCamera, measured: CameraMeasurements) -> MountedCamera:
+        """The camera with its height and pitch, and with the user's measurements as a source;
+        UsageError if the height is impossible.
+        """
+        height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
+        if self.known.camera_height_m is not None:
+            height = self.known.camera_height_m, _MEASURED_HEIGHT_SIGMA_M
+        before = drive_camera.estimate
+        fit = fit_camera(before.size_px, before.guess, self.sizes, measured, height=height)
+        low, high = _CAMERA_HEIGHT_M
+        if not low <= fit.height_m <= high:
+            raise UsageError(
+                f"expected measurements that give a camera height of {low:g} to {high:g} m, found "
+                f"{fit.height_m:.2f} m; check the boxes, the rows of lanes, and the distances in "
+                "metres."
+            )
+        known = _known_source(fit, before) if self.known.are_given else None
+        if known is not None:
+            estimate = replace(before, sources=(*before.sources, known))
+            drive_camera = replace(drive_camera, estimate=estimate)
+        return MountedCamera(drive_camera, before, fit)
+
+
+def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
+    """The likelihood that takes the estimate before the measurements to the fit with them; None =
+    they say nothing of the focal length.
+    """
+    prior = before.guess
+    gained = fit.focal_sigma**-2 - prior.sigma**-2
+    if gained <= 0.0:
+        return None
+    log_fit, log_prior = np.log([fit.camera.fx_px, prior.focal_px])
+    log_f = (log_fit * fit.focal_sigma**-2 - log_prior * prior.sigma**-2) / gained
+    guess = FocalGuess(float(np.exp(log_f)), float(gained**-0.5), "the known metres")
+    return source_of_guess(guess, "known metres", before.size_px[0])
+
+
+def undistorted(boxes: SceneBoxes, camera: PinholeCamera) -> SceneBoxes:
+    """Boxes of recorded images in the images without distortion: by the middles of their edges."""
+    if not camera.is_distorted or not len(boxes):
+        return boxes
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    x, y = (x1 + x2) / 2, (y1 + y2) / 2
+
+    def moved(x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+        rays = camera.recorded_rays(np.stack([x_px, y_px], axis=1))
+        return camera.without_distortion().project(rays)
+
+    sides = [moved(x1, y)[:, 0], moved(x, y1)[:, 1], moved(x2, y)[:, 0], moved(x, y2)[:, 1]]
+    return replace(boxes, xyxy_px=np.stack(sides, axis=1))

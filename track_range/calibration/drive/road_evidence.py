@@ -1,0 +1,109 @@
+"""Evidence of a video about its camera: boxes of road users, rows of the horizon, and the motion of
+the static scene.
+
+Frames are read at `STEP_S`, as close as the tracker needs them. The horizon comes from the lines of
+the ego lane, where they meet, and from the direction of travel (epipole), which is parallel to the
+road.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from track_range.detection.detections import Detections
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.ranging.cameras.measurements import (
+    HorizonRow,
+    SceneBoxes,
+    unhidden,
+)
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.tracking.registry import create_tracker
+
+STEP_S = 0.1  # time between the frames that are read
+_TIME_EPSILON_S = 0.004  # tolerance of that time, for frame rates that divide it
+_MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
+# Standard deviations of the horizon from lanes and from the direction of travel that do not average
+# out: slopes and curves of the road, and the vehicle's attitude.
+_LANE_SIGMA_RAD, _TRAVEL_SIGMA_RAD = 0.006, 0.006
+_IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a video
+
+
+@dataclass(slots=True)
+class RoadEvidence:
+    """The evidence so far."""
+
+    has_horizon: bool  # whether the row of the horizon is sought
+    n_frames: int = 0
+    # of tracks, not hidden by others, by frame
+    boxes: list[SceneBoxes] = field(default_factory=list)
+    lane_rows: list[float] = field(default_factory=list)  # rows of the horizon from lanes, px
+    travel_rows: list[float] = field(default_factory=list)  # rows of the direction of travel, px
+    _n_parts: int = 0
+
+    def add(
+        self,
+        camera: PinholeCamera,
+        frames: Iterable[Frame],
+        detect: Callable[[Frame], Detections],
+        advance: Callable[[int, int | None], None],
+    ) -> None:
+        """Add a part of a video of an approximate camera; `advance` is called with the number of
+        frames so far.
+        """
+        tracker, lanes, motion = (
+            create_tracker("deepsort"),
+            EdgeLaneFinder(),
+            ImageMotionEstimator(camera),
+        )
+        self._n_parts += 1
+        last_s = -np.inf
+        for frame in frames:
+            if frame.time_s - last_s < STEP_S - _TIME_EPSILON_S:
+                continue
+            last_s = frame.time_s
+            detections = detect(frame)
+            tracks = tracker.update(detections, frame.time_s, frame.left)
+            rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
+            ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
+            self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
+            if self.has_horizon:
+                if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
+                    self.lane_rows.append(row[0])
+                epipole_px = motion.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
+                if np.isfinite(epipole_px[1]):
+                    self.travel_rows.append(epipole_px[1])
+            self.n_frames += 1
+            advance(self.n_frames, None)
+
+    @property
+    def scene(self) -> SceneBoxes:
+        """All boxes."""
+        return SceneBoxes.joined(self.boxes)
+
+    def horizon(self, focal_px: float) -> tuple[HorizonRow, ...]:
+        """The row of the horizon from lanes and from the direction of travel, where enough frames
+        have a horizon; `focal_px` gives its sigma.
+        """
+        rows = (
+            _row(self.lane_rows, _LANE_SIGMA_RAD * focal_px, "lane lines"),
+            _row(self.travel_rows, _TRAVEL_SIGMA_RAD * focal_px, "direction of travel"),
+        )
+        return tuple(row for row in rows if row is not None)
+
+
+def _row(rows_px: Sequence[float], common_px: float, source: str) -> HorizonRow | None:
+    """Median of the rows; its sigma covers independent rows and a part common to all rows."""
+    if len(rows_px) < _MIN_ROWS:
+        return None
+    values: FloatArray = np.array(rows_px)
+    middle = float(np.median(values))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
+    return HorizonRow(
+        middle, float(np.hypot(common_px, 1.25 * scatter / np.sqrt(len(values)))), source
+    )

@@ -1,0 +1,266 @@
+"""CameraEstimate: the focal length of one camera from all evidence of its recordings, and what would
+make it better.
+
+Each source is a likelihood L_i of the log focal length on one grid. A source may also be a mistake
+(a cropped video, a tracked lorry, a wrong tape measure), with a probability e_i that depends on its
+kind; it then says nothing. The posterior is the mean over both hypotheses of every source:
+
+    p(log f)  ~  prod_i [ (1 - e_i) L_i(log f) / integral(L_i) + e_i U(log f) ]
+
+with the usual field of view of road cameras U. The uncertainty widens with the contradiction of the
+sources, without a threshold. Its sigma is that of the intervals of 68 and 95 %, the larger one:
+the second moment of such a mixture would state the size of its rare mistakes.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
+
+# "given" = a calibration file with its sigma; "usual" = the field of view of most road cameras
+SourceKind = Literal["given", "usual", "metadata", "shapes", "motion", "speed", "known metres"]
+
+FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
+_N_GRID = 1201  # points of the grid, 0.25 % apart
+# probabilities below the bounds of the intervals of one and two standard deviations, and the median
+_QUANTILES = (0.0228, 0.1587, 0.5, 0.8413, 0.9772)
+# Probability that a source is a mistake. Assumed: metadata of cropped or stabilised video is wrong
+# most often; the usual field of view is so wide that it has no outliers.
+_MISTAKE = {
+    "given": 0.01,
+    "usual": 0.0,
+    "metadata": 0.05,
+    "shapes": 0.02,
+    "motion": 0.02,
+    "speed": 0.05,
+    "known metres": 0.02,
+}
+_WORTHWHILE = 0.8  # largest ratio of the sigma with further evidence to that without worth a note
+# smallest ratio of |k1| to its sigma, and displacement of the image's corner in px, from which on a
+# distortion is corrected
+_SIGNIFICANT, _VISIBLE_PX = 3.0, 1.0
+
+# points of the curves in summary.json (about), and the relative density above which they are closer
+_N_SHOWN, _SHOWN_DENSITY = 60, 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """Evidence that a user can add, and what it would give."""
+
+    what: str  # the subject of a sentence
+    how: str  # the option or command
+    sigma: float  # relative standard deviation of the focal length from it alone
+
+
+# In the order in which users can do it most easily. Sigmas: simulated drives of
+# `python -m benchmarks self_calibration`; of the distance that of the sizes of cars.
+_REMEDIES: Mapping[SourceKind, Remedy] = {
+    "motion": Remedy(
+        "a recording with a turn", "track-range calibrate drive VIDEO... --out rig.yaml", 0.015
+    ),
+    "known metres": Remedy("one known distance", "--known-distance", 0.05),
+    "speed": Remedy("the speed of the camera (GPS)", "--ego-speed", 0.06),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FocalSource:
+    """What one kind of evidence says about the focal length."""
+
+    kind: SourceKind
+    source: str  # where it comes from, as it continues "focal length from ..."
+    log_likelihood: FloatArray  # (G,) at the points of the grid, up to a constant
+
+    @property
+    def density(self) -> FloatArray:
+        """(G,) probability of each point, as if nothing else were known."""
+        density = np.exp(self.log_likelihood - self.log_likelihood.max())
+        return np.asarray(density / density.sum())
+
+    def robust_log_density(self, usual: FloatArray) -> FloatArray:
+        """(G,) log probability of each point, if the source may be a mistake; `usual` is the density
+        that holds then.
+        """
+        mistake = _MISTAKE[self.kind]
+        return np.asarray(np.log((1 - mistake) * self.density + mistake * usual + 1e-300))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraEstimate:
+    """The focal length and the distortion of a camera, with their evidence."""
+
+    size_px: tuple[int, int]  # width and height of the images
+    sources: tuple[FocalSource, ...]
+    k1: float = 0.0  # first radial coefficient (OpenCV's); 0 = not estimated
+    k1_sigma: float = math.nan  # its standard deviation; NaN = not estimated
+
+    @property
+    def focal_grid_px(self) -> FloatArray:
+        """(G,) focal lengths of the grid."""
+        return focal_grid_px(self.size_px[0])
+
+    @property
+    def density(self) -> FloatArray:
+        """(G,) probability of each point of the grid by all sources."""
+        width_px = self.size_px[0]
+        usual = source_of_guess(default_guess(width_px), "usual", width_px).density
+        log_p = np.sum([source.robust_log_density(usual) for source in self.sources], axis=0)
+        density = np.exp(log_p - log_p.max())
+        return np.asarray(density / density.sum())
+
+    @property
+    def focal_px(self) -> float:
+        """The focal length in px (median)."""
+        return self._moments(self.density)[0]
+
+    @property
+    def sigma(self) -> float:
+        """Its relative standard deviation."""
+        return self._moments(self.density)[1]
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weight of each source in the information on the focal length; their sum is 1."""
+        precision = [self._moments(source.density)[1] ** -2 for source in self.sources]
+        return tuple(value / sum(precision) for value in precision)
+
+    @property
+    def leading(self) -> FocalSource:
+        """The source that determines the focal length most."""
+        return self.sources[int(np.argmax(self.weights))]
+
+    @property
+    def guess(self) -> FocalGuess:
+        """The focal length as a guess that names its sources, the leading one first."""
+        rest = [source.source for source in self.sources if source is not self.leading]
+        return FocalGuess(self.focal_px, self.sigma, " and ".join([self.leading.source, *rest]))
+
+    @property
+    def distortion(self) -> tuple[float, ...]:
+        """OpenCV's coefficients of the distortion; empty = none that is worth a correction."""
+        radius = math.hypot(*self.size_px) / 2 / self.focal_px
+        corner_px = abs(self.k1) * radius**3 * self.focal_px
+        is_significant = abs(self.k1) > _SIGNIFICANT * self.k1_sigma
+        return (self.k1, 0.0, 0.0, 0.0) if is_significant and corner_px > _VISIBLE_PX else ()
+
+    @property
+    def remedy(self) -> tuple[Remedy, float] | None:
+        """The missing evidence that would help most, and the sigma with it; None = none would."""
+        present = {source.kind for source in self.sources}
+        missing = [remedy for kind, remedy in _REMEDIES.items() if kind not in present]
+        if not missing:
+            return None
+        best = min(missing, key=lambda remedy: remedy.sigma)
+        sigma = (self.sigma**-2 + best.sigma**-2) ** -0.5
+        return None if sigma > _WORTHWHILE * self.sigma else (best, sigma)
+
+    @property
+    def sentence(self) -> str:
+        """The estimate, how well it is known, and from what."""
+        focal_px, sigma = self.focal_px, self.sigma
+        lens = (
+            f"; its distortion, k1 = {self.k1:+.3f} ± {self.k1_sigma:.3f}, is corrected"
+            if self.distortion
+            else ""
+        )
+        return (
+            f"Focal length {focal_px:,.0f} ± {sigma * focal_px:,.0f} px ({100 * sigma:.1f} %), from "
+            f"{self.leading.source}{lens}; all distances share its error. Give --focal-px to "
+            "replace it."
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user: the estimate, and what would help most."""
+        if (helpful := self.remedy) is None:
+            return (self.sentence,)
+        remedy, sigma = helpful
+        return (
+            self.sentence,
+            f"Most would help {remedy.what}: the focal length would be known within "
+            f"{100 * sigma:.1f} % ({remedy.how}).",
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Entry `camera_estimate` of summary.json, with the curves for the report's picture."""
+        shown = self._shown_points()
+        sources = [
+            {
+                "kind": source.kind,
+                "source": source.source,
+                "focal_px": round(self._moments(source.density)[0], 1),
+                "sigma": round(self._moments(source.density)[1], 4),
+                "weight": round(weight, 3),
+                "density": _rounded_curve(source.density[shown]),
+            }
+            for source, weight in zip(self.sources, self.weights, strict=True)
+        ]
+        helpful = self.remedy
+        return {
+            "focal_px": round(self.focal_px, 2),
+            "focal_sigma": round(self.sigma, 5),
+            "k1": round(self.k1, 4) if math.isfinite(self.k1_sigma) else None,
+            "k1_sigma": round(self.k1_sigma, 4) if math.isfinite(self.k1_sigma) else None,
+            "is_distortion_corrected": bool(self.distortion),
+            "curve_px": [round(float(value), 1) for value in self.focal_grid_px[shown]],
+            "density": _rounded_curve(self.density[shown]),
+            "sources": sources,
+            "remedy": None
+            if helpful is None
+            else {"evidence": helpful[0].what, "focal_sigma": round(helpful[1], 4)},
+        }
+
+    def _shown_points(self) -> IntArray:
+        """(S,) points of the grid that a picture needs: some everywhere, more where the density
+        is.
+        """
+        is_near = self.density > _SHOWN_DENSITY * self.density.max()
+        near = np.flatnonzero(is_near)
+        coarse = np.arange(0, _N_GRID, _N_GRID // _N_SHOWN)
+        return np.union1d(coarse, near[:: max(1, len(near) // _N_SHOWN)])
+
+    def _moments(self, density: FloatArray) -> tuple[float, float]:
+        """Median in px and relative standard deviation of a density on the grid."""
+        log_f, below = np.log(self.focal_grid_px), np.cumsum(density) - density / 2
+        quantiles = np.interp(_QUANTILES, below, log_f)
+        low_95, low_68, middle, high_68, high_95 = quantiles.tolist()
+        return math.exp(middle), max((high_68 - low_68) / 2, (high_95 - low_95) / 4)
+
+
+def focal_grid_px(width_px: int) -> FloatArray:
+    """(G,) focal lengths of images of this width, evenly spaced in their logarithm."""
+    low, high = (focal_of_field(field_deg, width_px) for field_deg in FIELDS_DEG)
+    return np.asarray(np.geomspace(low, high, _N_GRID))
+
+
+def source_of_guess(guess: FocalGuess, kind: SourceKind, width_px: int) -> FocalSource:
+    """A focal length with a standard deviation as a source."""
+    deviation = np.log(focal_grid_px(width_px) / guess.focal_px) / guess.sigma
+    return FocalSource(kind, guess.source, np.asarray(-0.5 * deviation**2))
+
+
+def source_of_curve(
+    kind: SourceKind, source: str, focal_px: FloatArray, log_likelihood: FloatArray, width_px: int
+) -> FocalSource:
+    """A log likelihood (K,) at other focal lengths (K,), ascending, as a source; outside of them it
+    falls as its ends do.
+    """
+    log_f, log_grid = np.log(focal_px), np.log(focal_grid_px(width_px))
+    inside = np.interp(log_grid, log_f, log_likelihood)
+    for end, neighbour in ((0, 1), (-1, -2)):
+        slope = (log_likelihood[end] - log_likelihood[neighbour]) / (log_f[end] - log_f[neighbour])
+        beyond = log_grid < log_f[0] if end == 0 else log_grid > log_f[-1]
+        falling = min(slope, 0.0) if end == -1 else max(slope, 0.0)
+        inside[beyond] = log_likelihood[end] + falling * (log_grid[beyond] - log_f[end])
+    return FocalSource(kind, source, np.asarray(inside))
+
+
+def _rounded_curve(density: FloatArray) -> list[float]:
+    """Values of a curve relative to the largest one."""
+    return [round(float(value), 4) for value in density / density.max()]
