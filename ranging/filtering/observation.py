@@ -14,7 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.noise_scale import MeasuredDistances
 from track_range.ranging.measurement.growth import Growth
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import PREDICTED_NOISE, EgoMotion
 
 # tau, over which errors of the ego speed are correlated; assumed: that of receivers at 1 Hz
 _EGO_CORRELATION_S = 1.0
@@ -66,6 +66,8 @@ class EgoStep:
             return cls(True, speed_mps, 0.0, change_mps, zero)
         variance = 2 * ego.speed_sigma_mps**2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         change_variance = np.where(change_mps == 0, 0.0, variance)
+        if ego.is_predicted:
+            change_variance = PREDICTED_NOISE**2 * dt
         return cls(True, speed_mps, ego.speed_sigma_mps, change_mps, change_variance)
 
 

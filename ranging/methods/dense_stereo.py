@@ -42,6 +42,12 @@ class DenseRanger(Ranger):
         """Compute the disparity image of a frame in the background; `measure` waits for it."""
         self._pending[frame.index] = self._thread.submit(self._disparity, frame)
 
+    def skip(self, frame: Frame) -> None:
+        """Drop the disparity image of a frame."""
+        pending = self._pending.pop(frame.index, None)
+        if pending is not None:
+            pending.cancel()
+
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of observed boxes with enough valid disparities; NaN for other boxes."""
         if frame.index not in self._pending:

@@ -82,7 +82,8 @@ class Ranger(ABC):
     defaults do nothing. For each frame a run calls `start` (in another thread, up to a few frames
     ahead), `update_road` and `update_motion` if the images show the road and the motion of the
     camera, `update_lanes` if lanes were detected in the frame, and `measure_at_scale`, which by
-    default calls `measure_with`; after the last frame it calls `close`.
+    default calls `measure_with`; of an image that only repeats the one before it, it calls `start`
+    and `skip`. After the last frame it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the
@@ -118,9 +119,12 @@ class Ranger(ABC):
         return Measured(self.measure_with(tracks, frame, others))
 
     def start(self, frame: Frame) -> None:  # noqa: B027
-        """Start work on a frame in the background, before its tracks are known; `measure` of the
-        frame follows.
+        """Start work on a frame in the background, before its tracks are known; `measure` or `skip`
+        of the frame follows.
         """
+
+    def skip(self, frame: Frame) -> None:  # noqa: B027
+        """Drop the work that `start` began: the frame is not measured."""
 
     def update_lanes(self, lines: LaneLines) -> None:  # noqa: B027
         """Store newly detected lines of the ego lane; called a few times per second, valid until

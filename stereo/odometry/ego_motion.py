@@ -21,6 +21,18 @@ class EgoMotion:
     speed_sigma_mps: float = math.nan  # its standard deviation; NaN = not measured
     yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right; NaN = not measured
     is_still: bool = False  # whether the camera is at rest; False if unknown
+    is_predicted: bool = False  # whether the speed is that of an earlier frame
+
+
+# random walk of a speed that is not measured, m/s per root of a second: 2.5 m/s after one second
+PREDICTED_NOISE = 2.5
+
+
+def predicted_sigma_mps(since_s: float) -> float:
+    """Standard deviation of the change of the camera's speed after a time without a
+    measurement.
+    """
+    return PREDICTED_NOISE * math.sqrt(since_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,8 +2,10 @@
 order.
 """
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.alarming import AlarmStage
@@ -13,15 +15,25 @@ from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.filtering import Approach, FilterStage, reported
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.ranging import RangingStage
+from track_range.pipeline.ranging import FrameRanges, RangingStage
 from track_range.pipeline.tracking import tracked
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
+from track_range.stereo.odometry.image_times import ImageTimes
 from track_range.tracking.registry import ObjectTracker
+from track_range.tracking.tracks import Tracks
+
+
+class _Seen(NamedTuple):
+    """What the image of a frame shows, before it is fused and filtered."""
+
+    tracks: Tracks
+    ego: Ego
+    measured: FrameRanges
 
 
 @dataclass(slots=True, kw_only=True)
@@ -37,11 +49,13 @@ class FramePipeline:
     filtering: FilterStage  # distances over time
     world: WorldStage  # positions and motion over ground
     alarming: AlarmStage  # warnings and measures of safety
+    times: ImageTimes = field(default_factory=ImageTimes)  # which frames show a new moment
     setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     # from the frames so far; used with the next one
     scale: DriveScale = field(default_factory=DriveScale, init=False)
     doubt: Doubt = field(init=False)
+    tracks: Tracks = field(default_factory=Tracks.empty, init=False)
 
     def __post_init__(self) -> None:
         self.doubt = self.doubting.initial
@@ -58,17 +72,19 @@ class FramePipeline:
         `known_ego` is a speed of the camera that is known for this frame; None = as the ego stage
         measures it.
         """
-        frame, lanes, detections, candidates = detected
-        time_s, stage = frame.time_s, self.clock.stage
-        with stage("track"):
-            tracks = tracked(self.tracker, detections, frame)
-        with stage("ego"):
-            ego = self.ego.update(
-                frame, detections.xyxy_px, known_ego, trusts_given=self.doubt.trusts_speed
-            )
-        measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
-        with stage("doubt"):
-            doubt, scale = self.doubting.update(tracks, measured, ego, lanes, self.scale, time_s)
+        frame, lanes, _, candidates = detected
+        image = self.times.update(frame.left, frame.time_s)
+        time_s, stage = image.time_s, self.clock.stage
+        if image.is_repeated:
+            seen = self._predicted(frame, known_ego)
+        else:
+            shown = detected._replace(frame=replace(frame, time_s=time_s))
+            seen = self._measured(shown, known_ego)
+        tracks, ego, measured = seen
+        doubt, scale = self.doubt, self.scale
+        if not image.is_repeated:
+            with stage("doubt"):
+                doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, time_s)
         with stage("fuse"):
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
         with stage("filter"):
@@ -85,7 +101,7 @@ class FramePipeline:
         self.doubt, self.scale = doubt, scale
         return FrameResult(
             frame=frame,
-            tracks=tracks,
+            tracks=self.tracks,
             ranges=ranges,
             approach=approach,
             world=world,
@@ -97,9 +113,28 @@ class FramePipeline:
             candidates=candidates,
         )
 
+    def _measured(self, detected: Detected, known_ego: EgoMotion | None) -> _Seen:
+        """What a new image shows."""
+        frame, lanes, detections, _ = detected
+        with self.clock.stage("track"):
+            self.tracks = tracks = tracked(self.tracker, detections, frame)
+        with self.clock.stage("ego"):
+            ego = self.ego.update(
+                frame, detections.xyxy_px, known_ego, trusts_given=self.doubt.trusts_speed
+            )
+        measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
+        return _Seen(tracks, ego, measured)
+
+    def _predicted(self, frame: Frame, known_ego: EgoMotion | None) -> _Seen:
+        """The last tracks, without measurements: a repeated image shows nothing of its time."""
+        tracks = replace(self.tracks, observed=np.zeros(len(self.tracks), np.bool_))
+        with self.clock.stage("ego"):
+            ego = self.ego.predicted(frame.time_s, known_ego, trusts_given=self.doubt.trusts_speed)
+        return _Seen(tracks, ego, self.ranging.skip(tracks, frame))
+
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the parts of the pipeline, besides those of the stages."""
-        return self.setup_notes
+        return (*self.setup_notes, *self.times.notes)
 
     def summary(self) -> dict[str, Any]:
         """The scale of the drive for summary.json; no entry without evidence."""

@@ -108,6 +108,16 @@ class RangingStage:
         self._lanes = lanes
         return FrameRanges(ranges, tuple(evidence), self._disparity())
 
+    def skip(self, tracks: Tracks, frame: Frame) -> FrameRanges:
+        """No distances of the tracks: the image of the frame, which was started, shows nothing of
+        its time.
+        """
+        for name, ranger in self.rangers.items():
+            with _named(name, ranger, f", frame {frame.index}"):
+                ranger.skip(frame)
+        unmeasured = Ranges.unmeasured(tracks.track_id)
+        return FrameRanges(dict.fromkeys(self.rangers, unmeasured))
+
     def _disparity(self) -> FloatArray32 | None:
         disparities = (ranger.disparity for ranger in self.rangers.values())
         return next((disparity for disparity in disparities if disparity is not None), None)

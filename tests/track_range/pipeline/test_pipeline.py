@@ -4,6 +4,7 @@ import itertools
 import time
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -399,3 +400,57 @@ def test_two_frames_of_a_camera_are_in_progress():
         assert len(taken) <= number + LIVE_DEPTHS.in_progress
     run.close()  # does not wait for a slot
     assert len(taken) <= 20
+
+
+class FallingByImage(Ranger):
+    """A ranger whose distance shrinks by 1 m with each image that is measured."""
+
+    def __init__(self):
+        self.n_measured = self.n_skipped = 0
+
+    def measure(self, tracks, frame):
+        self.n_measured += 1
+        n = len(tracks)
+        return Ranges(tracks.track_id, np.full(n, 70.0 - self.n_measured), np.full(n, 0.5))
+
+    def skip(self, frame):
+        self.n_skipped += 1
+
+
+def textured_frames(numbers, fps):
+    """Frames that show numbered images of a moving camera."""
+    texture = cv2.resize(np.random.default_rng(0).integers(0, 256, (20, 300), np.uint8), (1200, 80))
+    for k, number in enumerate(numbers):
+        grey = texture[:, 4 * number : 4 * number + 100]
+        yield Frame(k, k / fps, np.repeat(grey[:, :, None], 3, axis=2), None)
+
+
+def test_repeated_images_are_not_measured_and_speeds_are_those_between_new_ones():
+    loop, ranger = pipeline(), FallingByImage()
+    loop.ranging.rangers = {"mono": ranger}
+    numbers = [(5 * k + 4) // 6 for k in range(48)]  # 10 images per second in 12 frames
+    results = list(run_in_threads(loop, textured_frames(numbers, fps=12.0)))
+    assert [bool(np.isnan(r.ranges["fused"].distance_m[0])) for r in results] == [
+        k % 6 == 5 for k in range(48)
+    ]
+    assert (ranger.n_measured, ranger.n_skipped) == (40, 8)
+    assert [r.time_s for r in results] == pytest.approx([k / 12 for k in range(48)])
+    assert all(r.tracks.observed.all() for r in results)
+    closing_mps = np.array([r.closing_mps[0] for r in results[36:]])
+    assert closing_mps == pytest.approx(10.0, abs=0.05)
+    filtered_m = np.array([r.ranges["fused_kf"].distance_m[0] for r in results[24:]])
+    assert np.diff(filtered_m).mean() == pytest.approx(-10 / 12, abs=0.02)
+    assert loop.notes()[-1].startswith("Every sixth frame repeats")
+
+
+def test_distances_of_a_frozen_camera_are_predicted_and_soon_unknown():
+    loop, ranger = pipeline(), FallingByImage()
+    loop.ranging.rangers = {"mono": ranger}
+    numbers = [*range(20), *[19] * 15, *range(35, 40)]
+    results = list(run_in_threads(loop, textured_frames(numbers, fps=10.0)))
+    frozen = [r.ranges["fused_kf"] for r in results[20:35]]
+    sigma_m = np.array([ranges.sigma_m[0] for ranges in frozen])
+    assert sigma_m[8] > 1.2 * sigma_m[0]
+    assert np.isnan(sigma_m[11:]).all()
+    assert frozen[8].distance_m[0] == pytest.approx(50.0 - 9.0, abs=3 * sigma_m[8])
+    assert np.isnan([r.closing_mps[0] for r in results[31:35]]).all()

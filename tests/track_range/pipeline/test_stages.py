@@ -220,3 +220,28 @@ def test_positions_are_on_the_rays_of_the_boxes():
     x_m = (50.0 - CAMERA.cx_px) / CAMERA.fx_px * fused.ranges.distance_m[0]
     np.testing.assert_allclose(world.xyz_m[0], [x_m, 0.105 * 6.0, 6.0], rtol=1e-9)
     assert world.ego_pose.x_m == 0.0
+
+
+def test_speed_of_a_repeated_image_is_predicted_for_a_second():
+    stage = EgoStage(pair_odometry=_SteadyOdometry())
+    stage.update(frame(1.0), NO_BOXES)
+    soon, late = (stage.predicted(1.0 + since_s).motion for since_s in (0.25, 1.1))
+    assert (soon.speed_mps, soon.yaw_rad_s, soon.is_predicted) == (9.0, 0.1, True)
+    # 2.5 m/s per root of a second
+    assert soon.speed_sigma_mps == pytest.approx(math.hypot(0.1, 1.25))
+    assert math.isnan(late.speed_mps)
+    assert math.isnan(late.yaw_rad_s)
+
+
+def test_given_speed_of_a_repeated_image_is_that_of_its_time():
+    stage = EgoStage(speed=EgoSpeed(np.array([0.0, 2.0]), np.array([10.0, 14.0]), "a file"))
+    stage.update(frame(0.0), NO_BOXES)
+    assert stage.predicted(1.5).motion.speed_mps == pytest.approx(13.0)
+    assert stage.predicted(1.5, EgoMotion(5.0, 0.1)).motion.speed_mps == 5.0
+
+
+class _SteadyOdometry:
+    source = "steady odometry"
+
+    def update(self, frame: Frame, xyxy_px: np.ndarray) -> EgoMotion:
+        return EgoMotion(9.0, 0.1, 0.1)

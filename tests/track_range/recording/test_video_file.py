@@ -486,22 +486,6 @@ def test_clock_that_continues_after_wrong_times(tmp_path: Path, film: Film) -> N
     assert (np.diff(time_s) > 0.09).all()
 
 
-@pytest.mark.parametrize(("n_each", "n_repeated"), [(1, 0), (2, 20)])
-def test_repeated_images(
-    tmp_path: Path, film: Film, level: Callable[..., np.ndarray], n_each: int, n_repeated: int
-) -> None:
-    """A conversion from 5 to 10 frames/s repeats every image; a stop repeats one many times."""
-    images = [level(number // n_each % 40) for number in range(40)] + [level(0)] * 20
-    reader = open_video(
-        film(
-            tmp_path / "film.mp4", [n / 10 for n in range(60)], images=images, options={"crf": "0"}
-        )
-    )
-    list(reader)
-    notes = [note for note in reader.notes if "repeat the previous image" in note]
-    assert [f" {n_repeated} frames of 60" in note for note in notes] == [True] * bool(n_repeated)
-
-
 def test_rounded_times_of_matroska(tmp_path: Path, film: Film) -> None:
     reader = open_video(film(tmp_path / "film.mkv", [n / 30 for n in range(40)], rate=30))
     assert [frame.time_s for frame in reader] == pytest.approx(

@@ -28,6 +28,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.stereo.alignment.sync_check import Lag, measured_lag
 from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
 from track_range.stereo.geometry.rectification import RemappedView
+from track_range.stereo.odometry.image_times import sampled
 
 Side = Literal["left", "right"]
 Kind = Literal["repeated", "lag", "apart", "uniform"]
@@ -409,13 +410,8 @@ def _image(frame: Frame, *, is_right: bool) -> ImageView:
 
 
 def _small(view: ImageView) -> Image:
-    """Means of 2x2 recorded pixels in every fourth row and column: cheap, with changes above the
-    noise in motion.
-    """
-    image = view.recorded if isinstance(view, RemappedView) else whole_image(view)
-    sample = np.ascontiguousarray(image[::4, ::4] if image.ndim == 2 else image[::4, ::4, 1])
-    size_px = max(sample.shape[1] // 2, 1), max(sample.shape[0] // 2, 1)
-    return np.asarray(cv2.resize(sample, size_px, interpolation=cv2.INTER_AREA), np.uint8)
+    """A small copy of the recorded image."""
+    return sampled(view.recorded if isinstance(view, RemappedView) else whole_image(view))
 
 
 def _sentence(group: list[SyncFinding]) -> str:

@@ -2,16 +2,10 @@
 
 import heapq
 
-import numpy as np
-
-from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import counted
 
 # time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
 _GAP_INTERVALS = 2.5
-_SAMPLE_STEP = 16  # pixels from one to the next in which images are compared
-# fraction of repeated images above which there is a note; a camera repeats single ones
-_MAX_REPEATED = 0.02
 
 
 class DecodeLog:
@@ -22,13 +16,10 @@ class DecodeLog:
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last timestamp.
         resets_s: times of the last frames before the clock of the file was set back.
-        n_repeated: frames that exactly repeat the previous image, between images that differ.
     """
 
     def __init__(self) -> None:
-        self.n_used = self.n_damaged = self.n_backward = self.n_repeated = 0
-        self._sample: Image | None = None  # of the image before
-        self._repeats = (False, False)  # whether the two images before repeated the one before each
+        self.n_used = self.n_damaged = self.n_backward = 0
         self.last_s: float | None = None  # time of the last decoded frame; None = none yet
         self.end_s = 0.0  # time at which that frame ends
         self.stopped_by = ""  # reason why reading stopped early; empty = it did not
@@ -81,15 +72,6 @@ class DecodeLog:
                 self._longest_gap = step_s, time_s - step_s
         self.last_s, self.end_s = time_s, time_s + duration_s
 
-    def image(self, image: Image) -> None:
-        """Count an image that exactly repeats the previous image, if the images before and after
-        the two differ.
-        """
-        sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
-        is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
-        self.n_repeated += self._repeats == (False, True) and not is_repeat
-        self._sample, self._repeats = sample, (self._repeats[1], is_repeat)
-
     def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
         """Report a file that ends more than `tolerance_s` before the end stated by its header."""
         if not self.stopped_by and self.end_s < declared_end_s - tolerance_s:
@@ -115,12 +97,6 @@ class DecodeLog:
                 f"the timestamps have {counted(self._n_gaps, 'gap')}, the longest "
                 f"{self._longest_gap[0]:.2f} s, after {self._longest_gap[1]:.2f} s: frames are "
                 "missing there."
-            )
-        if self.n_repeated > _MAX_REPEATED * self.n_used:
-            notes.append(
-                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the previous image, "
-                "as after a change of the frame rate: speeds are less accurate; use the camera's "
-                "original video."
             )
         if self.n_damaged:
             notes.append(f"skipped {counted(self.n_damaged, 'damaged frame')}.")

@@ -189,7 +189,6 @@ class VideoFile(RecordedVideo):
                         )
                         self.check_size(decoded.size_px, "", advice)
                     image = decoded.to_bgr()
-                    self._log.image(image)
                     yield VideoFrame(index, time_s, image, decoded)
         _check_times(self.path, self._log.n_used + self._log.n_backward, self._log.n_used)
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
