@@ -119,7 +119,7 @@ class ImageTimes:
         was_moving = usual_grey >= _MOVING_GREY
         was_steady = self._usual[-1][0] >= _STEADY_FRACTION * usual_grey
         is_equal = block_grey <= max(_BLOCK_GREY, _BLOCK_FRACTION * usual_block)
-        return was_moving and was_steady and is_equal and grey <= _FRACTION * usual_grey
+        return bool(was_moving and was_steady and is_equal and grey <= _FRACTION * usual_grey)
 
     def _end_row(self) -> None:
         """Count the repetitions before a new image."""
