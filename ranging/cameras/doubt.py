@@ -9,6 +9,7 @@ from typing import Self
 
 from track_range.ranging.cameras.causes import ScaleDoubt, causes_of
 from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.registry import methods
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
@@ -59,16 +60,22 @@ class SharedErrors:
         }
         scale_source = "baseline" if has_rig else "horizon"
         self._causes["fused"] = causes_of([scale_source], has_rig=has_rig)
-        self._without_doubt = Doubt(shared_sigma=dict.fromkeys(self._causes, calibration_sigma))
 
-    def doubt(self, scale: ScaleDoubt | None) -> Doubt:
-        """The doubt by a contradiction; None = none was found."""
+    def doubt(self, scale: ScaleDoubt | None, rig: RigScale = CALIBRATED) -> Doubt:
+        """The doubt by a contradiction, None = none was found, with the scale of a pair."""
+        of_rig = self._calibration_sigma
+        if rig != CALIBRATED and rig.is_known:
+            of_rig = rig.sigma  # with the focal length
+        known = {
+            name: of_rig if Unknown.BASELINE in causes else self._calibration_sigma
+            for name, causes in self._causes.items()
+        }
         if scale is None:
-            return self._without_doubt
+            return Doubt(shared_sigma=known)
         doubt = Doubt.of(scale)
         unused = frozenset[Unknown]() if doubt.trusts_speed else frozenset[Unknown]({Unknown.SPEED})
         shared_sigma = {
-            name: math.hypot(self._calibration_sigma, doubt.sigma_of(causes - unused))
+            name: math.hypot(known[name], doubt.sigma_of(causes - unused))
             for name, causes in self._causes.items()
         }
         return replace(doubt, shared_sigma=shared_sigma)

@@ -41,16 +41,21 @@ class SizeEvidence:
     size.
     """
 
-    def __init__(self, camera: PinholeCamera, height_m: float) -> None:
-        """`height_m` is the assumed height of the camera above the road."""
+    def __init__(
+        self, camera: PinholeCamera, height_m: float, *, min_frames: int = _MIN_FRAMES
+    ) -> None:
+        """`height_m` is the assumed height of the camera above the road; a road user is evidence
+        after `min_frames`.
+        """
         self._camera, self._log_height = camera, math.log(height_m)
+        self._min_frames = min_frames
         # number of frames, mean, mean variance of g - a, the same of h + a
         self._objects = TrackState(np.zeros(6))
 
     @property
     def n_objects(self) -> int:
         """Number of road users that are evidence."""
-        return int((self._objects.known[[0, 3]] >= _MIN_FRAMES).any(axis=0).sum())
+        return int((self._objects.known[[0, 3]] >= self._min_frames).any(axis=0).sum())
 
     def add(self, seen: SeenFrame) -> None:
         """Add a frame."""
@@ -92,7 +97,7 @@ class SizeEvidence:
         """The evidence of all frames so far."""
         evidence = []
         n, r, r_variance, n_q, q, q_variance = self._objects.known
-        has_rig, has_height = n >= _MIN_FRAMES, n_q >= _MIN_FRAMES
+        has_rig, has_height = n >= self._min_frames, n_q >= self._min_frames
         if has_rig.sum() >= _MIN_OBJECTS:
             name = f"the sizes of {has_rig.sum()} road users"
             of = {Unknown.BASELINE: 1.0, Unknown.SIZES: -1.0}

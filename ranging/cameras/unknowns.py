@@ -50,13 +50,14 @@ def camera_priors(
     *,
     focal_sigma: float = 0.0,
     baseline_m: float | None = None,
+    baseline_sigma: float = 0.0,
     height_m: float | None = None,
     region: Region = "unknown",
 ) -> CameraPriors:
-    """The priors of one camera, or of the pair with the calibrated baseline.
+    """The priors of one camera, or of the pair with the baseline.
 
-    `focal_sigma` is relative, 0 = calibrated; `height_m` is a given height above the road, None = a
-    usual one.
+    `focal_sigma` and `baseline_sigma` are relative, 0 = calibrated; `height_m` is a given height
+    above the road, None = a usual one.
     """
     height = Prior(_HEIGHT_SIGMA, "usual", USUAL_HEIGHT_M)
     if height_m is not None:
@@ -67,6 +68,8 @@ def camera_priors(
         Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), "given", focal_px),
         Unknown.SPEED: Prior(_SPEED_SIGMA),
     }
-    if baseline_m is not None:
+    if baseline_m is not None and baseline_sigma:
+        priors[Unknown.BASELINE] = Prior(baseline_sigma, "unknown", baseline_m)
+    elif baseline_m is not None:
         priors[Unknown.BASELINE] = Prior(_RIG_SIGMA, "given", baseline_m)
     return priors

@@ -160,8 +160,9 @@ class MethodContext:
 
     Attributes:
         camera: the (left) camera, undistorted.
-        rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
-        assumed_rig: an uncalibrated, row-aligned pair with an assumed baseline; None = any other.
+        rig: the rectified pair, of which a pair without a calibration has an assumed baseline
+            (`StereoRig.is_assumed`): what has the scale of the rig (`RangingMethod.has_rig_scale`)
+            is corrected after the measurement; None = one camera.
         focal_sigma: relative sigma of the focal length, which all methods share; 0 = calibrated.
         size_model: sizes of road users; None = the packaged model.
         box_sigma_px: sigma of one box edge; None = the noise model of a detector (`BoxNoise`).
@@ -182,7 +183,6 @@ class MethodContext:
 
     camera: PinholeCamera
     rig: StereoRig | None = None
-    assumed_rig: StereoRig | None = None
     focal_sigma: float = 0.0
     size_model: SizeModel | None = None
     box_sigma_px: float | None = None
@@ -211,8 +211,8 @@ class MethodContext:
         """Requirements that this context meets."""
         is_met: dict[Requirement, bool] = {
             "image": self.has_images,
-            "rig": self.rig is not None,
-            "right_image": self.rig is not None or self.assumed_rig is not None,
+            "rig": self.rig is not None and not self.rig.is_assumed,
+            "right_image": self.rig is not None,
             "dense_disparity": self.has_dense_disparity,
             "lane_lines": self.has_lane_lines,
             "camera_height": self.camera_height_m is not None,

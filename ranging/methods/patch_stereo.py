@@ -1,15 +1,4 @@
-"""StereoRanger: stereo distance of each box from its match in the right image.
-
-SizeScaledRanger: stereo without calibration; the scale is learnt from the sizes of tracked objects.
-
-    Z = K / d        K = f B, the product of focal length and baseline that a calibration would give
-    K_i = Z_mono d   one measurement per track of a class of known size; K is their weighted median
-
-A single object is a poor measurement, since sizes vary within a class; the median of many is a good
-measurement. Distances are then consistent with each other and over time, and only their common
-scale is uncertain. The error of the focal length is common to all methods and not part of these
-sigmas.
-"""
+"""StereoRanger: stereo distance of each box from its match in the right image."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -18,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA, weighted_median
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import (
     ErrorSource,
@@ -47,20 +35,6 @@ _DETAILS = {
 }
 # relative error of all distances of a pair, as a reference for the scale of the drive
 _REFERENCE_SIGMA = 0.01
-# standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
-_UNALIGNED_SIGMA_PX = 1.0
-# relative, of the mean size of a class: countries, car models and detectors differ
-_SIZES_SIGMA = 0.08
-# relative, of K from single tracks, in addition to the sigma of their distances by size
-_TRACK_SIGMA = 0.15
-# effective number from which the observed scatter replaces `_TRACK_SIGMA`
-_MIN_TRACKS_FOR_SCATTER = 6
-# that K is learnt from; smaller ones depend more on the alignment than on the scale
-_MIN_DISPARITY_PX = 3.0
-# after which a track's weight is constant: its size error is always the same
-_MAX_WEIGHTED_SAMPLES = 10
-# per track and of tracks, to bound memory; more do not change the median
-_MAX_SAMPLES, _MAX_TRACKS = 30, 500
 
 
 class StereoRanger(Ranger):
@@ -121,13 +95,14 @@ class StereoRanger(Ranger):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """See `measure_with`; the distances are evidence of the drive's scale, and do not depend on
-        it.
+        """See `measure_with`; the distances have the scale of the rig, and are evidence of the
+        drive's scale.
         """
         by_size = None
-        if "mono" in others:
+        if "mono" in others and scale.rig.is_known:
             image_hw = (frame.left.shape[0], frame.left.shape[1])
-            by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
+            expected = scale.rig.measured(others["mono"])
+            by_size = disparities_by_size(expected, tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
         details = self._surfaces(tracks) if frame.right is not None else None
         alignment = self._given or self._rig.alignment_of(frame)
@@ -167,128 +142,8 @@ class StereoRanger(Ranger):
         return {"stereo_unmatched": unmatched, "stereo_surfaces": surfaces}
 
 
-class FocalBaseline:
-    """Estimator of K = f B in px m from the disparities and sizes of tracks."""
-
-    def __init__(self) -> None:
-        # by track: the samples of log K, their median, and its weight in the median over tracks
-        self._samples: dict[int, list[float]] = {}
-        self._median: dict[int, float] = {}
-        self._weight: dict[int, float] = {}
-
-    def learn(self, disparity_px: FloatArray, by_size: Ranges) -> None:
-        """Add a frame: (N,) disparities, NaN = not matched, and distances of the same tracks by
-        size.
-        """
-        with np.errstate(invalid="ignore"):
-            usable_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
-            log_k = np.log(usable_px * by_size.distance_m)
-            size_sigma = by_size.sigma_m / by_size.distance_m
-        variance = _TRACK_SIGMA**2 + size_sigma**2 + (_UNALIGNED_SIGMA_PX / usable_px) ** 2
-        for i in np.flatnonzero(np.isfinite(log_k)).tolist():
-            track_id = int(by_size.track_id[i])
-            samples = self._samples.get(track_id, [])
-            if len(samples) == _MAX_SAMPLES or (not samples and len(self._samples) == _MAX_TRACKS):
-                continue
-            self._samples[track_id] = [*samples, float(log_k[i])]
-            self._median[track_id] = float(np.median(self._samples[track_id]))
-            if len(samples) < _MAX_WEIGHTED_SAMPLES:
-                self._weight[track_id] = self._weight.get(track_id, 0.0) + 1.0 / float(variance[i])
-
-    @property
-    def n_tracks(self) -> int:
-        """Number of tracks with a sample."""
-        return len(self._samples)
-
-    def estimate(self) -> tuple[float, float]:
-        """K in px m and its relative standard deviation; both NaN before the first sample."""
-        if not self._samples:
-            return float("nan"), float("nan")
-        log_k = np.array(list(self._median.values()))
-        weight = np.array(list(self._weight.values()))
-        centre = weighted_median(log_k, weight)
-        scatter = MAD_TO_SIGMA * weighted_median(np.abs(log_k - centre), weight)
-        n_effective = float(weight.sum() ** 2 / (weight @ weight))
-        scatter = scatter if n_effective >= _MIN_TRACKS_FOR_SCATTER else max(scatter, _TRACK_SIGMA)
-        # The standard error of a median is 1.25 times that of a mean.
-        return float(np.exp(centre)), float(
-            np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective))
-        )
-
-
-class SizeScaledRanger(Ranger):
-    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked
-    objects.
-    """
-
-    def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
-        """Create a ranger without tracks; the focal length of distances by size and its sigma are
-        for the summary.
-        """
-        self._matcher = TrackMatcher(matcher)
-        self._focal_px, self._focal_sigma = focal_px, focal_sigma
-        self.scale = FocalBaseline()
-
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match, with the scale learnt so far; NaN for all before the
-        first sample.
-        """
-        return self.measure_with(tracks, frame, {})
-
-    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for
-        other boxes.
-        """
-        disparity_px, sigma_px = self._matcher.match(tracks, frame)
-        if "mono" in others:
-            self.scale.learn(disparity_px, others["mono"])
-        focal_baseline, relative_sigma = self.scale.estimate()
-        with np.errstate(invalid="ignore"):
-            disparity_px = np.where(disparity_px > 0, disparity_px, np.nan)
-        distance_m = focal_baseline / disparity_px
-        relative = np.hypot(relative_sigma, np.hypot(sigma_px, _UNALIGNED_SIGMA_PX) / disparity_px)
-        return Ranges(tracks.track_id, distance_m, distance_m * relative)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The baseline implied by object sizes, with its uncertainty; empty before the first
-        matched track.
-        """
-        learnt = self.summary().get("learnt_scale")
-        if learnt is None:
-            return ()
-        return (
-            f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the sizes of "
-            f"{learnt['n_tracks']} tracks imply a baseline of {learnt['baseline_m']:.2f} m; all "
-            f"distances share a scale uncertainty of about {100 * learnt['relative_sigma']:.0f} %.",
-        )
-
-    def summary(self) -> dict[str, Any]:
-        """The learnt scale: focal length, baseline, relative sigma of all distances, number of
-        tracks.
-        """
-        if not self.scale.n_tracks:
-            return {}
-        focal_baseline, sigma = self.scale.estimate()
-        learnt = {
-            "focal_px": self._focal_px,
-            "baseline_m": focal_baseline / self._focal_px,
-            "relative_sigma": float(np.hypot(sigma, self._focal_sigma)),
-            "n_tracks": self.scale.n_tracks,
-        }
-        return {"learnt_scale": learnt}
-
-
 def _create(context: MethodContext) -> Ranger | None:
-    rig = context.rig or context.assumed_rig
-    if rig is None:
-        return None
-    if context.rig is None:
-        matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
-        return SizeScaledRanger(
-            matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma
-        )
-    return StereoRanger(rig)
+    return None if context.rig is None else StereoRanger(context.rig)
 
 
 STEREO = RangingMethod(

@@ -20,6 +20,7 @@ A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`Dri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 # of a and c_k: together 0.07, as drives of unknown region and detector have
@@ -68,6 +70,15 @@ class ScaleEvidence:
     reference_sigma: float = 0.0
     corrects_tracks: bool = False  # whether the tracks are corrected by their own references, too
 
+    def of_rig(self, rig: RigScale) -> ScaleEvidence:
+        """The evidence with references that a pair measured, corrected by its scale."""
+        if self.reference is None:
+            return self
+        reference_sigma = math.hypot(self.reference_sigma, rig.sigma)
+        return replace(
+            self, reference=rig.corrected(self.reference), reference_sigma=reference_sigma
+        )
+
 
 class _Tracks(NamedTuple):
     """Averages of the tracks with evidence, (K,) each."""
@@ -105,9 +116,11 @@ _NO_IDS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class DriveScale:
-    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has
-    none.
+    """Scale of one drive, from the evidence so far: of the pair, and the bias of the distances by
+    size; `DriveScale()` has no evidence.
     """
+
+    rig: RigScale = CALIBRATED  # of all that the pair measures
 
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))

@@ -74,15 +74,15 @@ NOT_MEASURED = Alignment()
 
 class DriveAlignment:
     """Estimates the alignment of a rig from the frames of one or several drives, which `prior` has
-    corrected.
+    corrected; None = they are as the rig has them.
 
     `name` is what the source of the alignment calls the drives.
     """
 
     def __init__(
-        self, rig: StereoRig, prior: Alignment = NOT_MEASURED, name: str = "this drive"
+        self, rig: StereoRig, prior: Alignment | None = None, name: str = "this drive"
     ) -> None:
-        self._rig, self._prior = rig, prior  # of the rectified frames
+        self._rig, self._prior = rig, prior or rig.unaligned  # of the rectified frames
         self._name = name
         self._segments: list[tuple[int, tuple[float, float], Segment]] = []
         self._reasons: list[str] = []

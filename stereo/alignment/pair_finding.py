@@ -309,8 +309,11 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
     is_yaw = motion is not None and motion is figures.turned_motion and motion is not figures.motion
     prior = NOT_MEASURED
     if view.rows_px(rig.left) > _MIN_ROWS_PX:
-        prior = Alignment(
-            row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio
+        prior = replace(
+            rig.unaligned,
+            row_offset_px=view.row_offset_px,
+            roll_deg=view.roll_deg,
+            focal_ratio=view.focal_ratio,
         )
     is_offset = (
         motion is not None

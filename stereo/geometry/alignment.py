@@ -22,6 +22,9 @@ from track_range.stereo.geometry.camera import PinholeCamera
 # matchers agree that the disparities of KITTI's carefully calibrated pairs are about half a pixel
 # too small.
 UNCORRECTED_SIGMA_PX = 0.5
+# The same of two cameras without a calibration: those of a user are parallel by eye, and the files
+# of a recording that was rectified may have lost their rig.
+UNCALIBRATED_SIGMA_PX = 3.0
 MIN_SIGMAS = 2.0  # minimum ratio of an estimate to its standard deviation at which it is applied
 MAX_ROW_OFFSET_PX = 0.3  # largest vertical offset without a warning and a correction
 # Largest offset that is only added to disparities. For larger ones the right image is also shifted

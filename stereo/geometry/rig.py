@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
-from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.alignment import UNCALIBRATED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 
@@ -60,6 +60,8 @@ class StereoRig:
     alignment: Alignment | None = None
     # of a calibration with a board, which every sigma contains; None = unknown
     accuracy: RigAccuracy | None = None
+    # standard deviation of the logarithm of a baseline that is only assumed; 0 = it is calibrated
+    baseline_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         check_shape("right_from_left", self.right_from_left, (4, 4))
@@ -78,6 +80,11 @@ class StereoRig:
         return float(np.copysign(np.linalg.norm(translation), -translation[0]))
 
     @property
+    def is_assumed(self) -> bool:
+        """Whether the baseline is only assumed, so that a drive has to show the scale."""
+        return self.baseline_sigma > 0.0
+
+    @property
     def is_rectified(self) -> bool:
         """Whether corresponding points already have equal rows in both images."""
         translation = rigid_motion(np.eye(3), [self.right_from_left[0, 3], 0.0, 0.0])
@@ -89,11 +96,18 @@ class StereoRig:
             and np.allclose(self.right_from_left, translation, atol=1e-9)
         )
 
+    @property
+    def unaligned(self) -> Alignment:
+        """What is known of the disparities before an alignment is measured."""
+        if not self.is_assumed:
+            return Alignment()
+        return Alignment(residual_px=UNCALIBRATED_SIGMA_PX, offset_sigma_px=UNCALIBRATED_SIGMA_PX)
+
     def alignment_of(self, frame: Frame) -> Alignment:
         """The correction of the disparities of a frame of this pair; without any, their sigma is that
         of a pair that was not aligned.
         """
-        return frame.alignment or self.alignment or Alignment()
+        return frame.alignment or self.alignment or self.unaligned
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
         """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <=

@@ -58,7 +58,8 @@ class Ego:
     motion: EgoMotion  # speed and yaw rate that are used
     road: RoadView | None = None  # the road in the frame, lengths in metres
     step: CameraStep | None = None  # motion of the camera since the previous frame
-    by_pair: EgoMotion | None = None  # by stereo odometry, also where `motion` was given
+    # by stereo odometry, also where `motion` was given, with the scale of the rig
+    by_pair: EgoMotion | None = None
     by_road: EgoMotion | None = None  # by the motion of the road, with the assumed camera height
     given: EgoMotion | None = None  # as given, also where it is not trusted
     trusts_given: bool = True  # whether a given speed is used

@@ -41,6 +41,7 @@ def check_of(
     is_steady=True,
     height_m=None,
     lane=None,
+    baseline_sigma=0.0,
 ):
     """The check after a drive with `n` cars; baseline, speed and focal length are wrong by `rig`,
     `speed` and `focal`.
@@ -48,7 +49,12 @@ def check_of(
     All distances by size are `sizes` times as long as they should be; None = drawn.
     """
     rng = np.random.default_rng(seed)
-    priors = camera_priors(CAMERA.fx_px, baseline_m=None if rig is None else 0.5, height_m=height_m)
+    priors = camera_priors(
+        CAMERA.fx_px,
+        baseline_m=None if rig is None else 0.5,
+        baseline_sigma=baseline_sigma,
+        height_m=height_m,
+    )
     check = ScaleCheck(CAMERA, priors, lane=lane, road_height_m=ROAD_HEIGHT_M)
     true_m, own = rng.uniform(10, 40, n), np.exp(rng.normal(0, 0.08, n))
     common = math.exp(rng.normal(0, 0.05)) if sizes is None else sizes
@@ -248,3 +254,37 @@ def test_sigma_covers_both_scales(factor):
     sigma_m = doubt.sigma_of(causes_of(["baseline", "own"], has_rig=True)) * distance_m
     assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
     assert doubt.sigma_of(causes_of(["size"], has_rig=True)) == 0.0
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_assumed_baseline_is_estimated_from_sizes_and_not_doubted(factor):
+    """The sigma contains those of the sizes, 8.5 %, of the focal length, 2 %, and of the objects."""
+    for seed in range(5):
+        check = check_of(factor, seed=seed, baseline_sigma=1.0)
+        scale = check.rig_scale
+        assert check.doubt is None
+        assert abs(scale.log_factor - math.log(factor)) < 2.5 * scale.sigma
+        assert math.hypot(0.07, 0.02) < scale.sigma < 0.12
+        learnt = check.summary()["learnt_scale"]
+        assert learnt["baseline_m"] == pytest.approx(0.5 * math.exp(-scale.log_factor))
+        assert learnt["n_tracks"] == 4
+
+
+def test_given_speed_shows_the_scale_whatever_the_sizes_and_the_focal_length():
+    check = check_of(
+        2.0, focal=1.03, sizes=1.05, true_mps=15.0, speed=1.0, baseline_sigma=1.0, seconds=10.0
+    )
+    assert check.rig_scale.log_factor == pytest.approx(math.log(2.0 * 1.03), abs=0.012)
+    assert check.rig_scale.sigma < 0.03
+
+
+def test_speed_in_kmh_does_not_become_the_baseline():
+    check = check_of(2.0, true_mps=15.0, speed=3.6, baseline_sigma=1.0, seconds=10.0)
+    assert check.doubt is not None
+    assert causes(check.doubt)[0] == "speed"
+    assert abs(check.rig_scale.log_factor - math.log(2.0)) < 2 * check.rig_scale.sigma
+
+
+def test_scale_is_not_known_without_evidence():
+    assert not check_of(2.0, n=1, baseline_sigma=1.0, has_road=False).rig_scale.is_known
+    assert check_of(2.0, n=1).rig_scale.is_known

@@ -144,16 +144,16 @@ def open_pair(
     recording = open_recording(
         left, right, rig=rig, align=align, has_checks=has_checks, stereo_layout=stereo_layout
     )
-    if recording.rig is None:
-        finding = recording.finding
-        recording.close()
-        if finding is not None:
-            raise RigError(f"{left}: {finding.explanation}.")
-        raise RigError(
-            f"{left}: no rig.yaml or calib.txt next to it; give the calibration file "
-            "with --rig FILE."
-        )
-    return recording, recording.rig
+    is_calibrated = recording.calibration.kind == "rig"
+    if is_calibrated and recording.rig is not None:
+        return recording, recording.rig
+    finding = recording.finding
+    recording.close()
+    if is_calibrated and finding is not None:
+        raise RigError(f"{left}: {finding.explanation}.")
+    raise RigError(
+        f"{left}: no rig.yaml or calib.txt next to it; give the calibration file with --rig FILE."
+    )
 
 
 def reference_pairs(

@@ -1,6 +1,6 @@
 """DoubtStage: whether the drive contradicts the given values, and its scale for the next frame."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from track_range.detection.lanes.lines import LaneLines
@@ -8,6 +8,7 @@ from track_range.pipeline.ranging import FrameRanges
 from track_range.ranging.cameras.doubt import Doubt, SharedErrors
 from track_range.ranging.cameras.evidence import SeenFrame
 from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.measurement.rig_scale import CALIBRATED
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
@@ -32,6 +33,11 @@ class DoubtStage:
         """The doubt before the first frame: none."""
         return self._shared.doubt(None)
 
+    @property
+    def initial_scale(self) -> DriveScale:
+        """The scale of the drive before the first frame."""
+        return DriveScale(rig=CALIBRATED if self.check is None else self.check.rig_scale)
+
     def update(
         self,
         tracks: Tracks,
@@ -50,9 +56,9 @@ class DoubtStage:
         if self.check is not None and by_size is not None:
             seen = SeenFrame(tracks, by_size, measured.by_rig, ego, time_s, lanes or LaneLines())
             contradiction = self.check.update(seen)
-        if contradiction is not None:
-            return self._shared.doubt(contradiction), DriveScale()
-        return self.initial, scale.after(measured.evidence, time_s)
+        rig = CALIBRATED if self.check is None else self.check.rig_scale
+        after = DriveScale() if contradiction else scale.after(measured.evidence, time_s)
+        return self._shared.doubt(contradiction, rig), replace(after, rig=rig)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""

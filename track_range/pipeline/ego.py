@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from track_range.foundation.arrays import FloatArray
+from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import (
@@ -53,16 +54,18 @@ class EgoStage:
         known: EgoMotion | None = None,
         *,
         trusts_given: bool = True,
+        rig_scale: RigScale = CALIBRATED,
     ) -> Ego:
         """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are
         not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage
-        measures it. A given speed is used if it is trusted.
+        measures it. A given speed is used if it is trusted. `rig_scale` corrects what the pair
+        measures.
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
-        motion = by_pair
+        motion = None if by_pair is None else rig_scale.corrected_motion(by_pair)
         if motion is None and self.has_road_scale:
             motion = by_road
         if motion is None:

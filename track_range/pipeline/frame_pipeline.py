@@ -53,12 +53,12 @@ class FramePipeline:
     setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     # from the frames so far; used with the next one
-    scale: DriveScale = field(default_factory=DriveScale, init=False)
+    scale: DriveScale = field(init=False)
     doubt: Doubt = field(init=False)
     tracks: Tracks = field(default_factory=Tracks.empty, init=False)
 
     def __post_init__(self) -> None:
-        self.doubt = self.doubting.initial
+        self.doubt, self.scale = self.doubting.initial, self.doubting.initial_scale
 
     def detected(self, frame: Frame) -> Detected:
         """The frame with its boxes and lane lines, in the calling thread."""
@@ -120,7 +120,11 @@ class FramePipeline:
             self.tracks = tracks = tracked(self.tracker, detections, frame)
         with self.clock.stage("ego"):
             ego = self.ego.update(
-                frame, detections.xyxy_px, known_ego, trusts_given=self.doubt.trusts_speed
+                frame,
+                detections.xyxy_px,
+                known_ego,
+                trusts_given=self.doubt.trusts_speed,
+                rig_scale=self.scale.rig,
             )
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
         return _Seen(tracks, ego, measured)

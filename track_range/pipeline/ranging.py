@@ -31,6 +31,8 @@ class FrameRanges:
 
     ranges: Mapping[str, Ranges]  # by name of the method, in the order of execution
     evidence: tuple[ScaleEvidence, ...] = ()  # of the scale of the drive
+    # distances with the scale of the rig, before its correction; None = no method has it
+    by_rig: Ranges | None = None
     disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
 
     @property
@@ -39,12 +41,6 @@ class FrameRanges:
         them.
         """
         return next((item.by_size for item in self.evidence if item.by_size is not None), None)
-
-    @property
-    def by_rig(self) -> Ranges | None:
-        """Distances with the scale of the rig; None = no method has it."""
-        names = [method.name for method in methods() if method.has_rig_scale]
-        return next((self.ranges[name] for name in names if name in self.ranges), None)
 
     @property
     def growth(self) -> Growth | None:
@@ -61,6 +57,10 @@ class RangingStage:
     rangers: Mapping[str, Ranger]
     _reads: Mapping[str, tuple[str, ...]] = field(
         default_factory=lambda: {method.name: method.reads for method in methods()}
+    )
+    # with the scale of the rig, in the order of the registry
+    _of_rig: tuple[str, ...] = field(
+        default_factory=lambda: tuple(method.name for method in methods() if method.has_rig_scale)
     )
     _lanes: LaneLines | None = None
     # values by method and invalid column
@@ -88,7 +88,7 @@ class RangingStage:
         Raises MethodError if a ranger of another package failed, or did not return ranges of these
         tracks.
         """
-        ranges: dict[str, Ranges] = {}
+        ranges, of_rig = dict[str, Ranges](), dict[str, Ranges]()
         evidence: list[ScaleEvidence] = []
         for name, ranger in self.rangers.items():
             others = {
@@ -103,10 +103,16 @@ class RangingStage:
                     ranger.update_lanes(lanes)
                 measured = ranger.measure_at_scale(tracks, frame, others, scale)
                 ranges[name] = checked_ranges(name, measured.ranges, tracks, self._n_invalid)
-            if measured.evidence is not None:
-                evidence.append(measured.evidence)
+            shown = measured.evidence
+            if name in self._of_rig:
+                of_rig[name] = ranges[name]
+                ranges[name] = scale.rig.corrected(ranges[name])
+                shown = None if shown is None else shown.of_rig(scale.rig)
+            if shown is not None:
+                evidence.append(shown)
         self._lanes = lanes
-        return FrameRanges(ranges, tuple(evidence), self._disparity())
+        by_rig = next((of_rig[name] for name in self._of_rig if name in of_rig), None)
+        return FrameRanges(ranges, tuple(evidence), by_rig, self._disparity())
 
     def skip(self, tracks: Tracks, frame: Frame) -> FrameRanges:
         """No distances of the tracks: the image of the frame, which was started, shows nothing of

@@ -89,10 +89,15 @@ class Recording:
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair with the alignment of its first frame; None = one camera, or a pair
-        without a rig that fits its images.
+        """The rectified pair with the alignment of its first frame, of which a pair without a
+        calibration has an assumed baseline; None = one camera, or images that do not match.
         """
         return self.opened.rig
+
+    @property
+    def calibrated_rig(self) -> StereoRig | None:
+        """The rig, if its baseline is calibrated."""
+        return None if self.rig is None or self.rig.is_assumed else self.rig
 
     @property
     def alignment(self) -> Alignment | None:
@@ -334,7 +339,7 @@ def _aligner(
     policy = replace(LIVE if pair.is_live else RECORDED, has_checks=options.has_checks)
     rig = calibration.rig
     given = None if rig is None else given_alignment(options.align, rig)
-    return PairAligner(calibration, policy, given, is_packed=is_packed and rig is not None)
+    return PairAligner(calibration, policy, given, is_packed=is_packed)
 
 
 def _look_ahead(aligner: PairAligner, pair: PairedVideos, progress: StepProgress) -> None:

@@ -118,7 +118,6 @@ def _method_context(
     return MethodContext(
         camera=calibration.camera,
         rig=calibration.rig,
-        assumed_rig=calibration.assumed_rig,
         focal_sigma=calibration.focal_sigma,
         size_model=load_curves(settings.curves, region),
         box_errors=boxes.box_errors,
@@ -168,12 +167,14 @@ def _ego_stage(
 
 
 def _scale_check(context: MethodContext, lane_width_m: float | None) -> ScaleCheck:
+    rig = context.rig
     return ScaleCheck(
         context.camera,
         camera_priors(
             context.camera.fx_px,
             focal_sigma=context.focal_sigma,
-            baseline_m=None if context.rig is None else context.rig.baseline_m,
+            baseline_m=None if rig is None else rig.baseline_m,
+            baseline_sigma=0.0 if rig is None else rig.baseline_sigma,
             height_m=context.camera_height_m,
             region=context.region,
         ),

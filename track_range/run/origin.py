@@ -74,7 +74,7 @@ class Origin(Reports):
             "focal_px": camera.fx_px,
             "focal_y_px": camera.fy_px,
             "principal_point_px": [camera.cx_px, camera.cy_px],
-            "baseline_m": recording.rig.baseline_m if recording.rig else None,
+            "baseline_m": recording.calibrated_rig.baseline_m if recording.calibrated_rig else None,
             "image_size_px": list(recording.size_px),
             "fps": recording.fps,
             "utc": None if recording.utc is None else recording.utc.summary(),
@@ -86,7 +86,7 @@ class Origin(Reports):
         recording = self.opened.recording
         return RunInfo(
             camera=recording.camera,
-            rig=recording.rig,
+            rig=recording.calibrated_rig,
             fps=recording.fps,
             settings=absolute_settings(self.opened.settings),
             start_utc_s=None if recording.utc is None else recording.utc.start_s,

@@ -17,7 +17,7 @@ def pictures(
     `Overlay`.
     """
     drawn: dict[str, tuple[Draw, tuple[int, int]]] = {}
-    rig, size_px = recording.rig, recording.size_px
+    rig, size_px = recording.calibrated_rig, recording.size_px
     if settings.overlay:
         recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
         width_px, height_px = size_px if recorded is None else recorded.recorded_size_px
@@ -35,6 +35,6 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
     warning = "uncalibrated" if recording.calibration.kind == "estimated" else ""
     recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
     overlay = Overlay(camera=recording.camera, status=status, warning=warning, recorded=recorded)
-    if settings.overlay_disparity and recording.rig is not None:
-        return StackedPicture(overlay, recording.rig).draw
+    if settings.overlay_disparity and recording.calibrated_rig is not None:
+        return StackedPicture(overlay, recording.calibrated_rig).draw
     return overlay.draw

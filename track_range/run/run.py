@@ -344,7 +344,7 @@ class Run:
     @property
     def rig(self) -> StereoRig | None:
         """Rectified stereo rig; None for one camera, or without calibration."""
-        return self.session.recording.rig
+        return self.session.recording.calibrated_rig
 
     @property
     def alignment(self) -> PairAlignment | None:

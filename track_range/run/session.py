@@ -46,7 +46,7 @@ class RunSession:
         )
         boxes = opened.box_source
         self.findings = findings.Findings(
-            None if boxes.prepare is None else boxes.detect, reader.rig
+            None if boxes.prepare is None else boxes.detect, reader.calibrated_rig
         )
         self._frames = recording.ProcessedFrames(self.rows, reader, settings.every or 1)
         self._cameras = recording.RecordedCameras(reader, settings, opened.region)

@@ -7,10 +7,11 @@ import pytest
 
 from tests.support.results.frame_results import frame_result
 from track_range.pipeline.alarming import AlarmStage
+from track_range.pipeline.clock import StageClock
 from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.filtering import Approach, Filtered, FilterStage, reported
-from track_range.pipeline.ranging import FrameRanges
+from track_range.pipeline.ranging import FrameRanges, RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.doubt import Doubt, SharedErrors
@@ -18,6 +19,8 @@ from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.measurement.rig_scale import RigScale
+from track_range.ranging.methods.method import Ranger
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -82,10 +85,29 @@ def test_source_of_the_speed_is_named_unless_it_is_given():
 # -- Ranges
 
 
-def test_distances_with_the_scale_of_the_rig_are_declared_by_their_method():
+class FixedRanger(Ranger):
+    """A method that always measures the same."""
+
+    def __init__(self, fixed: Ranges) -> None:
+        self.fixed = fixed
+
+    def measure(self, tracks, frame):
+        return self.fixed
+
+
+def test_distances_with_the_scale_of_the_rig_are_corrected_and_kept_for_the_evidence():
     by_rig, by_size = ranges(20.0, 30.0), ranges(21.0, 31.0)
-    assert FrameRanges({"mono": by_size, "stereo": by_rig}).by_rig is by_rig
-    assert FrameRanges({"mono": by_size}).by_rig is None
+    stage = RangingStage({"mono": FixedRanger(by_size), "stereo": FixedRanger(by_rig)})
+    scale = DriveScale(rig=RigScale(math.log(2.0), 0.1))
+    of_frame = stage.measure(CARS, frame(), None, Ego(motion=EgoMotion()), scale, StageClock())
+    assert of_frame.by_rig is by_rig
+    assert of_frame.ranges["mono"] is by_size
+    np.testing.assert_allclose(of_frame.ranges["stereo"].distance_m, [10.0, 15.0])
+    one_camera = RangingStage({"mono": FixedRanger(by_size)})
+    alone = one_camera.measure(
+        CARS, frame(), None, Ego(motion=EgoMotion()), DriveScale(), StageClock()
+    )
+    assert alone.by_rig is None
 
 
 def test_widened_by_an_independent_error():
@@ -106,7 +128,7 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
     by_size = Ranges(ids, true_m, 0.1 * true_m)
     by_rig = Ranges(ids, 2.0 * true_m, 0.04 * true_m)  # the baseline is twice the true one
     evidence = ScaleEvidence(tracks.class_id, by_size=by_size, reference=by_rig)
-    frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,))
+    frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,), by_rig)
     stage, scale = (
         DoubtStage(ScaleCheck(CAMERA, camera_priors(CAMERA.fx_px, baseline_m=0.5)), 0.03),
         DriveScale(),

@@ -20,7 +20,7 @@ from track_range.recording.pairs.aligner import (
 )
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS
 from track_range.recording.video.frame import RecordedFrame
-from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.alignment import UNCALIBRATED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 GIVEN = PairAlignment(measured=Alignment(offset_px=6.3, residual_px=0.1), is_applied=True, rig=RIG)
@@ -133,14 +133,43 @@ def test_rows_of_a_standing_pair_are_corrected_before_the_estimate() -> None:
     assert aligner.notes == ()  # the note on rows is that of the calibration
 
 
-def test_an_uncalibrated_pair_gets_equal_rows_and_no_alignment() -> None:
+def without_rig(rig: StereoRig) -> RecordingCalibration:
+    calibration = calibrated(rig)
+    assert calibration.rig is not None
+    return replace(calibration, rig=replace(calibration.rig, baseline_sigma=1.0))
+
+
+def test_a_standing_pair_without_a_rig_gets_equal_rows_and_a_wide_error() -> None:
     images = (road(-1), road(1, 5))
     recorded = [RecordedFrame(number, number / 10, images) for number in range(12)]
-    calibration = replace(calibrated(), rig=None, raw_rig=None)
-    aligner = PairAligner(calibration, RECORDED)
-    assert looked(aligner, recorded) == 1
-    assert aligner.calibration.row_offset_px == pytest.approx(5.0, abs=0.3)
-    assert (aligner.finding, next(aligner.frames(recorded)).alignment) == (None, None)
+    aligner = PairAligner(without_rig(RIG), RECORDED)
+    assert looked(aligner, recorded) == 2
+    alignment = next(aligner.frames(recorded)).alignment
+    assert alignment is not None
+    assert alignment.row_offset_px == pytest.approx(5.0, abs=0.3)
+    assert alignment.residual_px == UNCALIBRATED_SIGMA_PX
+
+
+@pytest.mark.slow
+def test_a_pair_without_a_rig_is_aligned_by_its_motion() -> None:
+    recorded = drive_after_a_stop(4.0)[60:]
+    aligner = PairAligner(without_rig(SLOW_RIG), RECORDED)
+    looked(aligner, recorded)
+    alignment = next(aligner.frames(recorded)).alignment
+    assert alignment is not None
+    assert alignment.offset_px + alignment.shift_px == pytest.approx(-4.0, abs=0.3)
+    assert alignment.residual_px < 0.5
+
+
+def test_images_of_other_scenes_without_a_rig_are_not_matched() -> None:
+    rng = np.random.default_rng(3)
+    size = (RIG.left.height_px, RIG.left.width_px, 3)
+    noise = rng.integers(0, 255, (2, *size), np.uint8)
+    recorded = [RecordedFrame(number, number / 10, (noise[0], noise[1])) for number in range(12)]
+    aligner = PairAligner(without_rig(RIG), RECORDED)
+    looked(aligner, recorded)
+    assert aligner.calibration.rig is None
+    assert aligner.notes == ()  # the calibration has the note
 
 
 def drive_after_a_stop(offset_px: float) -> list[RecordedFrame]:

@@ -40,7 +40,7 @@ def pair(drive):
 
 
 @pytest.mark.slow
-def test_pair_without_a_rig_is_scaled_by_sizes(small_drive, run, tmp_path):
+def test_pair_without_a_rig_is_aligned_and_scaled_by_sizes(small_drive, run, tmp_path):
     for video in (small_drive.left, small_drive.right):
         shutil.copy(video, tmp_path / video.name)
     bare = (
@@ -54,7 +54,7 @@ def test_pair_without_a_rig_is_scaled_by_sizes(small_drive, run, tmp_path):
         *bare, "--truth", small_drive.truth, "--disparity", "--no-overlay"
     )
     assert summary["calibration"] == "estimated"
-    assert "alignment" not in summary
+    assert summary["alignment"]["offset_sigma_px"] < 0.3
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
     assert scale["n_tracks"] >= 5
     assert 0.1 < scale["relative_sigma"] < 0.35

@@ -75,10 +75,13 @@ class PairAlignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user on the alignment and the fit of the rig."""
-        health = self.health
+        health, m = self.health, self.measured
         if health is None:
-            return (self.applied.sentence(),)
-        m = self.measured
+            rows = (
+                f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px, which is "
+                "corrected.",
+            )
+            return (self.applied.sentence(), *(rows if m.row_correction_px else ()))
         rows = (
             f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll "
             f"{m.roll_deg:+.2f} degrees, focal length of the right camera "
@@ -91,11 +94,13 @@ class PairAlignment:
 
     @property
     def health(self) -> RigHealth | None:
-        """The meaning of the alignment for distances; None = the rig is unknown."""
+        """The meaning of the alignment for distances; None = the rig is unknown, or only
+        assumed.
+        """
+        if self.rig is None or self.rig.is_assumed:
+            return None
         windows = () if self.drifting is None else self.drifting.windows
-        return (
-            None if self.rig is None else RigHealth(self.rig, self.measured, self.applied, windows)
-        )
+        return RigHealth(self.rig, self.measured, self.applied, windows)
 
     def summary(self) -> dict[str, Any]:
         """The section `alignment` of summary.json."""
@@ -128,9 +133,8 @@ def given_alignment(
     if isinstance(align, Alignment):
         return PairAlignment(measured=align, is_applied=True, rig=rig)
     if align == "off":
-        return PairAlignment(
-            measured=Alignment(source="off, as requested"), is_applied=False, rig=rig
-        )
+        unmeasured = replace(rig.unaligned, source="off, as requested")
+        return PairAlignment(measured=unmeasured, is_applied=False, rig=rig)
     return (
         None
         if align == "auto"

@@ -22,7 +22,6 @@ from track_range.recording.video.utc import UtcStart
 from track_range.recording.video.video import Video
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry import image_size, size_notes
-from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.stereo.geometry.camera import (
     PinholeCamera,
     pixel_aspect_of,
@@ -41,8 +40,9 @@ from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_r
 
 # relative standard deviation of a focal length given by the user; assumed
 _GIVEN_FOCAL_SIGMA = 0.02
-# baseline of an uncalibrated pair; it only sets the range of disparities that is searched
-_ASSUMED_BASELINE_M = 0.5
+# baseline of a pair without a rig, and the standard deviation of its logarithm: from 0.06 m, of a
+# stereo camera in one housing, to both ends of a roof
+_ASSUMED_BASELINE_M, _BASELINE_SIGMA = 0.5, 1.0
 # relative standard deviation of a fitted camera height up to which it is used as known
 _MAX_HEIGHT_SIGMA = 0.05
 # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
@@ -78,9 +78,10 @@ class RecordingCalibration:
     # (width, height) of the left or only recorded images, and of the right ones; larger ones are
     # cropped
     sizes_px: Sizes
-    # the rectified pair with its alignment; None = one camera, or a pair without calibration
+    # the rectified pair with its alignment, without a calibration an assumed one; None = one camera,
+    # or a pair whose images do not match
     rig: StereoRig | None = None
-    raw_rig: StereoRig | None = None  # the pair as loaded
+    raw_rig: StereoRig | None = None  # the pair as loaded, or as assumed
     # the left or only camera as loaded; None = as recorded images are
     raw_camera: PinholeCamera | None = None
     view: LensView = WHOLE_VIEW
@@ -90,10 +91,7 @@ class RecordingCalibration:
     file_notes: tuple[str, ...] = ()  # messages for the user about the file
     # the sentence that names the file if it was not given but found
     search_notes: tuple[str, ...] = ()
-    alignment: PairAlignment | None = None  # disparity correction of a calibrated pair
-    # y_right - y_left of matching points of a pair without calibration, which is corrected; None =
-    # the rows do not match, so that the pair cannot be matched, or the recording is another one
-    row_offset_px: float | None = None
+    alignment: PairAlignment | None = None  # disparity correction of a pair
     # guesses of a focal length that is not known; empty = it is
     guesses: tuple[FocalGuess, ...] = ()
     # estimate of a focal length that is not known exactly; None = it is
@@ -191,29 +189,16 @@ class RecordingCalibration:
             "calibrate --stereo LEFT RIGHT --board 9x6 --square-mm MM --out rig.yaml`, and give "
             "--rig rig.yaml"
         )
-        if self.row_offset_px is None:
+        if self.rig is None:
             return (
                 f"No rig, so distances are uncalibrated: {length}; {how}.",
                 "Matching points of left and right are not in equal rows, so stereo matching needs "
                 "a rig: distances come from the left video alone.",
             )
-        row_px = self.row_offset_px
-        rows = (
-            f" Left and right have a vertical offset of {row_px:+.1f} px, which is corrected."
-            if row_px
-            else ""
-        )
         return (
             f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from "
-            f"the sizes of road users; {how}.{rows}",
+            f"the drive; {how}.",
         )
-
-    @property
-    def assumed_rig(self) -> StereoRig | None:
-        """An uncalibrated pair that can be matched, with an assumed baseline; None = any other
-        recording.
-        """
-        return None if self.row_offset_px is None else assumed_rig(self.camera)
 
     @property
     def has_wide_lens(self) -> bool:
@@ -293,17 +278,13 @@ class RecordingCalibration:
         )
         return replace(self, rectifier=rectifier)
 
-    def with_row_offset(self, row_px: float) -> RecordingCalibration:
-        """A copy of an uncalibrated pair with the row offset of its first frames."""
-        row_px = row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0
-        rig = assumed_rig(self.raw_camera or self.camera)
-        return replace(self, rectifier=Rectifier(rig, row_offset_px=row_px), row_offset_px=row_px)
-
     def with_estimate(self, estimate: CameraEstimate) -> RecordingCalibration:
         """An uncalibrated recording with an estimated camera; one camera is undistorted."""
+        camera = self.camera.with_focal_length(estimate.focal_px)
         calibration = replace(
             self,
-            camera=self.camera.with_focal_length(estimate.focal_px),
+            camera=camera,
+            rig=None if self.rig is None else replace(self.rig, left=camera, right=camera),
             focal=estimate.guess,
             estimate=estimate,
         )
@@ -437,11 +418,15 @@ def _without_file(
         f"{', '.join(other.cause for other in others)}. Pixels are taken as square, and sigma "
         "covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
     )
+    rig = replace(StereoRig.rectified(stored, _ASSUMED_BASELINE_M), baseline_sigma=_BASELINE_SIGMA)
+    pair = Rectifier(rig) if is_pair else None
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
         camera=camera,
-        rectifier=Rectifier(assumed_rig(stored)) if is_pair else Undistorter(stored),
+        rectifier=pair or Undistorter(stored),
         sizes_px=sizes_px,
+        rig=None if pair is None else replace(pair.rig, baseline_sigma=rig.baseline_sigma),
+        raw_rig=None if pair is None else rig,
         raw_camera=stored,
         guesses=guesses,
         focal=None if is_exact else guess,
@@ -596,8 +581,3 @@ def _of_cameras(
         path=path,
         file_notes=notes,
     )
-
-
-def assumed_rig(camera: PinholeCamera) -> StereoRig:
-    """Two cameras of this model at an assumed baseline, which does not affect the rectification."""
-    return StereoRig.rectified(camera, _ASSUMED_BASELINE_M)

@@ -17,7 +17,9 @@ their alignment.
     fixed        corrected by what is given, or   verged, refused            -> refused
                  not corrected                    turned                     -> fixed, corrected
     refused      without right images; or, if it  -
-                 was looking, without a rig
+                 was looking, without a rig; so
+                 are pairs of which neither rig
+                 nor images show equal rows
 
 Events are explanations of `PairMonitor` (`stereo.alignment.pair_finding`) or
 estimates. Frames of files and cameras are read ahead, so they start with looking (`look`, `start`);
@@ -32,14 +34,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from track_range.recording.cameras.auto_alignment import PairAlignment
-from track_range.recording.cameras.calibration import RecordingCalibration, assumed_rig
+from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.pairs.estimates import AlignmentEstimates, PairEstimate
 from track_range.recording.pairs.pair_monitor import MAX_FRAMES, PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.video.frame import RecordedFrame
 from track_range.recording.video.threads import FRAMES_AHEAD
 from track_range.stereo.alignment.drift import DriftMonitor
-from track_range.stereo.alignment.from_drive import MIN_STEP_S, NOT_MEASURED, DriveAlignment
+from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
 from track_range.stereo.alignment.pair_finding import LATER, PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
@@ -91,7 +93,7 @@ class _Look:
     """First frames, which are read again: the drive of the estimate, and how many are needed."""
 
     def __init__(self, drive: DriveAlignment | None, sync: SyncMonitor | None) -> None:
-        self.drive = drive  # None = the alignment is given, or the pair has no rig
+        self.drive = drive  # None = the alignment is given
         self.sync = sync  # None = without checks
         self.began_s = time.perf_counter()
         self.first_s, self.last_s = math.nan, -math.inf
@@ -149,13 +151,14 @@ class PairAligner:
             is_packed: whether left and right are parts of the same images.
         """
         self._policy, self._given = policy, given
-        rig = calibration.rig
-        self._rig = rig or assumed_rig(calibration.camera)
+        if calibration.rig is None:
+            raise ValueError("calibration: expected that of a pair")
+        self._rig = rig = calibration.rig
         self._plain = calibration  # without the alignment
         self._calibration = calibration if given is None else calibration.with_alignment(given)
         # frames for estimates: without an alignment, or corrected by the prior of the estimates
         self._unaligned = calibration
-        has_checks = policy.has_checks or rig is None
+        has_checks = policy.has_checks or rig.is_assumed
         self._check = PairMonitor(self._rig, is_packed=is_packed) if has_checks else None
         self._sync: SyncMonitor | None = None
         self._finding: PairFinding | None = None
@@ -254,12 +257,12 @@ class PairAligner:
         if look.sync is not None and not self._has_enough(look):
             self._look_at(look, look.sync.flush())
         self._finding = None if self._check is None else self._check.finish()
-        if self._plain.rig is None:
-            self._begin_without_rig()
-            return
         if self._finding is not None and self._given is not None:
             self._finding = self._finding.uncorrected()
         finding = self._finding or PairFinding("unknown")
+        if self._rig.is_assumed and (self._check is None or not self._check.has_equal_rows):
+            self._check = None  # the calibration has the note
+            finding = PairFinding("refused")
         if not finding.has_stereo:
             # the images are returned, but without a rig nothing is measured by them
             self._calibration, self._state = replace(self._plain, rig=None), None
@@ -270,7 +273,7 @@ class PairAligner:
         if self._given is not None:
             self._begin(self._given)
         elif finding.fault == "unsteady":
-            unsteady = Alignment(source=_UNSTEADY)
+            unsteady = replace(self._rig.unaligned, source=_UNSTEADY)
             self._begin(PairAlignment(measured=unsteady, is_applied=False, rig=self._rig))
         elif finding.needs_correction and not is_corrected:
             self._correct(finding.prior)
@@ -289,18 +292,9 @@ class PairAligner:
         self._state = self._drift_of(alignment)
         self._sync = SyncMonitor(self._policy.n_ahead) if self._policy.has_checks else None
 
-    def _begin_without_rig(self) -> None:
-        """Return the frames of an uncalibrated pair, with equal rows if their offset is known."""
-        row_px = None if self._check is None else self._check.row_offset_px
-        self._check = self._finding = self._state = None
-        if row_px is not None:
-            self._calibration = self._plain.with_row_offset(row_px)
-            self._sync = SyncMonitor(self._policy.n_ahead)
-
-    def _look(self, prior: Alignment = NOT_MEASURED) -> _Look:
+    def _look(self, prior: Alignment | None = None) -> _Look:
         """The state in which the first frames are read, corrected by `prior`."""
-        is_estimated = self._given is None and self._plain.rig is not None
-        drive = DriveAlignment(self._rig, prior) if is_estimated else None
+        drive = DriveAlignment(self._rig, prior) if self._given is None else None
         sync = None
         if self._check is not None:
             sync = SyncMonitor(self._policy.n_ahead, _FIRST_PERIOD)
@@ -385,7 +379,7 @@ class PairAligner:
         corrected = PairAlignment(measured=prior, is_applied=True, rig=self._rig)
         self._unaligned = self._calibration = self._plain.with_alignment(corrected)
 
-    def _estimates(self, prior: Alignment = NOT_MEASURED) -> AlignmentEstimates:
+    def _estimates(self, prior: Alignment | None = None) -> AlignmentEstimates:
         return AlignmentEstimates(self._rig, self._policy.estimates_s, prior)
 
     def _drift_of(self, alignment: PairAlignment) -> DriftMonitor | None:
@@ -418,7 +412,7 @@ class PairAligner:
     def _apply(self, estimate: PairEstimate, time_s: float) -> None:
         """Use an estimate; one that measured nothing only if it shows that less is known."""
         measured, before = estimate.alignment.measured, self._calibration.alignment
-        now = Alignment() if before is None else before.at(time_s)
+        now = self._rig.unaligned if before is None else before.at(time_s)
         if not measured.is_measured and measured.residual_px <= now.residual_px:
             return
         self._calibration = self._plain.with_alignment(estimate.alignment)

@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from track_range.recording.cameras.auto_alignment import PairAlignment
-from track_range.stereo.alignment.from_drive import MIN_FRAMES, NOT_MEASURED, DriveAlignment
+from track_range.stereo.alignment.from_drive import MIN_FRAMES, DriveAlignment
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -30,7 +30,7 @@ class AlignmentEstimates:
     """
 
     def __init__(
-        self, rig: StereoRig, after_s: tuple[float, ...], prior: Alignment = NOT_MEASURED
+        self, rig: StereoRig, after_s: tuple[float, ...], prior: Alignment | None = None
     ) -> None:
         self._rig, self._after_s, self._prior = rig, after_s, prior
         self._start()

@@ -1,7 +1,6 @@
 """PairMonitor: explains the first pairs of a run; see `stereo.alignment.pair_finding`."""
 
 import math
-from dataclasses import replace
 
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.pair_evidence import PairEvidence
@@ -123,17 +122,13 @@ class PairMonitor:
         return find_fault(self._evidence.figures(), self._rig).has_stereo
 
     @property
-    def row_offset_px(self) -> float | None:
-        """The vertical offset that makes rows of an uncalibrated pair equal; None if there is no
-        such offset.
-        """
-        if self._finding is None or self._finding.fault not in ("fits", "verged", "unsteady"):
-            return None
+    def has_equal_rows(self) -> bool:
+        """Whether the images show that matching points of the pair have, or can get, equal rows."""
+        if self._finding is None:
+            return False
         if self._finding.fault == "unsteady":
-            return 0.0 if self._row_fraction >= _MIN_ROW_FRACTION else None
-        without_shift = replace(self._view, row_offset_px=0.0)
-        is_shift = without_shift.rows_px(self._rig.left) <= _MAX_ROW_OFFSET_PX
-        return self._view.row_offset_px if is_shift else None
+            return self._row_fraction >= _MIN_ROW_FRACTION
+        return self._finding.fault in ("fits", "verged", "turned")
 
     def notes(self, finding: PairFinding | None, corrected_px: float) -> tuple[str, ...]:
         """Messages for the user on the finding of a run, None = not known yet, which corrects a

@@ -41,9 +41,9 @@ class OptionsWithoutEffect(Reports):
                 "--overlay-recorded: the calibration has no wide lens, so the overlay shows "
                 "the rectified images."
             )
-        if settings.disparity and recording.rig is None:
+        if settings.disparity and recording.calibrated_rig is None:
             notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
-        if settings.overlay_disparity and recording.rig is None:
+        if settings.overlay_disparity and recording.calibrated_rig is None:
             notes.append(
                 "There are no disparities below the overlay: dense stereo requires a calibrated "
                 "pair."

@@ -59,7 +59,7 @@ class RecordedCameras(Reports):
 
     def summary(self) -> Mapping[str, Any]:
         """The camera models with which the run measured."""
-        calibration, rig = self.recording.calibration, self.recording.rig
+        calibration, rig = self.recording.calibration, self.recording.calibrated_rig
         estimate = calibration.estimate
         return {
             "calibration": calibration.kind,

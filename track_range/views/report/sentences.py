@@ -176,13 +176,13 @@ def geometry_sentences(summary: Summary) -> list[str]:
     calibrations = {
         "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
         "focal length": "The focal length was given by the user; lens distortion is not corrected.",
-        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances "
-        "are approximate.",
+        "estimated": "Uncalibrated: the scale is estimated from the drive; distances are "
+        "approximate.",
     }
     sentences = [calibrations.get(str(summary.get("calibration")), "")]
     if scale := summary.get("learnt_scale"):
         sentences.append(
-            f"The baseline was estimated from the sizes of {counted(scale['n_tracks'], 'track')}: "
+            f"The baseline was estimated from the drive, with {counted(scale['n_tracks'], 'track')}: "
             f"{scale['baseline_m']:.2f} m at a focal length of {scale['focal_px']:.0f} px; all "
             f"distances share a relative error of {100 * scale['relative_sigma']:.0f} % (1 "
             f"{tables.SIGMA})."
