@@ -1,20 +1,22 @@
-"""What runs say about wrong inputs: every fault of scale, image size, synchronisation and pairing
-at several strengths.
+"""What runs say about wrong inputs: every fault of scale, image size, synchronisation, pairing,
+cameras, clocks and speeds at several strengths.
 
 Each case is a whole run, with the packaged detector by default. A fault is a change of the images
-or of the calibration of a drive; it is noticed from the first frame after which a note of the run
-names it, the right cause is named if that note contains it, and errors of fused distances count
-from the moment of the fault on.
+or of the inputs of a drive (`inputs/faulty_drives.py`); it is noticed from the first frame after
+which a note of the run names it, and the right cause is named if that note contains it. Rows count
+from the moment of the fault on, in the sections that list what a run may miss (values, rig, clock,
+speed, image) from 2 s after it; rows without a value are counted apart.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,208 +26,28 @@ import numpy as np
 import track_range as tr
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, decoded
-from track_range.foundation.arrays import Image
+from benchmarks.inputs.faulty_drives import FAULTS, FPS, Drive, Fault, clean
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.ranging.truth.errors import match_truth
+from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.simulation.drive import write_drive
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import load_rig
 
-FPS = 10.0
 SEEDS = (610, 611)  # no test and no choice uses them
 SCENARIOS = ("city", "town", "highway", "following")
 SECONDS = 12.0
 FAULT_S = 4.0  # moment of a fault during a drive
-
-Images = list[Image]
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A pair of recordings; `known` are options of runs that make its scale known."""
-
-    name: str
-    left: Images
-    right: Images
-    rig: dict[str, list[float]]  # KITTI's P2 and P3 (12,)
-    truth: str  # labels, one line per box, which starts with the frame
-    known: dict[str, Any]
-    boxes: Path | None = None  # recorded ones; None = those of the packaged detector
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A wrong input."""
-
-    section: str  # of the list of faults: scale, size, time or pair
-    name: str
-    change: Callable[[Drive, int], Drive]  # the second argument is the frame from which it holds
-    said: str  # pattern of the notes that notice it
-    cause: str  # pattern of the notes that name the right cause
-    is_mono: bool = False
-    is_known: bool = False  # whether runs have `Drive.known`
-
-
-def _baseline(factor: float) -> Callable[[Drive, int], Drive]:
-    def change(drive: Drive, _: int) -> Drive:
-        left, right = drive.rig["P2"], list(drive.rig["P3"])
-        right[3] = left[3] - factor * (left[3] - right[3])
-        return replace(drive, rig={"P2": left, "P3": right})
-
-    return change
-
-
-def _focal(factor: float) -> Callable[[Drive, int], Drive]:
-    def change(drive: Drive, _: int) -> Drive:
-        scaled = {
-            name: [factor * v if i in (0, 3, 5) else v for i, v in enumerate(p)]
-            for name, p in drive.rig.items()
-        }
-        return replace(drive, rig=scaled)
-
-    return change
-
-
-def _each(
-    left: Callable[[Image], Image] | None, right: Callable[[Image], Image] | None
-) -> Callable[..., Drive]:
-    def change(drive: Drive, _: int) -> Drive:
-        return replace(
-            drive,
-            left=[left(image) for image in drive.left] if left else drive.left,
-            right=[right(image) for image in drive.right] if right else drive.right,
-        )
-
-    return change
-
-
-def _shifted(x_px: float, y_px: float) -> Callable[[Image], Image]:
-    matrix = np.array([[1, 0, x_px], [0, 1, y_px]], np.float64)
-    return lambda image: np.asarray(cv2.warpAffine(image, matrix, image.shape[1::-1]), np.uint8)
-
-
-def _yaw(degrees: float) -> Callable[[Drive, int], Drive]:
-    def change(drive: Drive, _: int) -> Drive:
-        K = np.reshape(drive.rig["P3"], (3, 4))[:, :3]
-        H = K @ cv2.Rodrigues(np.radians([0.0, degrees, 0.0]))[0] @ np.linalg.inv(K)
-        warped = [
-            np.asarray(cv2.warpPerspective(image, H, image.shape[1::-1]), np.uint8)
-            for image in drive.right
-        ]
-        return replace(drive, right=warped)
-
-    return change
-
-
-def _resized(x: float, y: float) -> Callable[[Drive, int], Drive]:
-    return _each(*[lambda image: np.asarray(cv2.resize(image, None, fx=x, fy=y), np.uint8)] * 2)
-
-
-def _order(of_right: Callable[[int, int], list[int]]) -> Callable[[Drive, int], Drive]:
-    """The right images in another order: a function of their number and the frame of the fault."""
-
-    def change(drive: Drive, frame: int) -> Drive:
-        right = [drive.right[k] for k in of_right(len(drive.right), frame)]
-        n = min(len(drive.left), len(right))
-        return replace(drive, left=drive.left[:n], right=right[:n])
-
-    return change
-
-
-def _skipped(k: int) -> Callable[[Drive, int], Drive]:
-    """`k` right images dropped; -k: an image repeated k times."""
-    return _order(lambda n, at: [*range(at), *[at] * max(-k, 0), *range(at + max(k, 0), n)])
-
-
-def _flipped(code: int) -> Callable[[Image], Image]:
-    return lambda image: np.asarray(cv2.flip(image, code), np.uint8)
-
-
-def _unrelated(drive: Drive, _: int) -> Drive:
-    """The right images are those of another drive."""
-    other = decoded(
-        REAL_DATA / "kitti_stereo" / ("0005" if drive.name == "0003" else "0003") / "right.mp4"
-    )
-    size_px = drive.left[0].shape[1::-1]
-    images = [np.asarray(cv2.resize(image, size_px), np.uint8) for image in other]
-    return replace(drive, right=[images[k % len(images)] for k in range(len(drive.left))])
-
-
-SCALE, SIZE = "Scale in doubt", "focal length is in doubt|principal point in the middle third"
-TIME = "not synchronised|repeats its last image|do not show the same moment"
-PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
-
-FAULTS = (
-    *(
-        Fault(
-            "scale", f"baseline {f:g}", _baseline(f), SCALE, "baseline", is_known=f in (0.83, 1.2)
-        )
-        for f in (0.39, 0.5, 0.67, 0.83, 1.2, 1.5, 2.54, 4.3, 9.0)
-    ),
-    *(
-        Fault(
-            "scale",
-            f"focal length {f:g}, one camera",
-            _focal(f),
-            SCALE,
-            "focal length",
-            is_mono=True,
-            is_known=True,
-        )
-        for f in (0.5, 2.0)
-    ),
-    *(
-        Fault("size", f"images {x:g} x {y:g}", _resized(x, y), SIZE, "principal point")
-        for x, y in ((0.75, 0.75), (0.5, 0.5), (1024 / 1242, 320 / 375))
-    ),
-    *(Fault("time", f"{k} dropped", _skipped(k), TIME, "left video lags") for k in (1, 3)),
-    *(
-        Fault("time", f"{k} repeated", _skipped(-k), TIME, "right video (repeats|lags)")
-        for k in (1, 5)
-    ),
-    Fault(
-        "time",
-        "frozen",
-        _order(lambda n, at: [*range(at), *[at] * (n - at)]),
-        TIME,
-        "right video repeats",
-    ),
-    Fault(
-        "time",
-        "lag 2 from the start",
-        _order(lambda n, at: [0, 0, *range(n - 2)]),
-        TIME,
-        "right video lags",
-    ),
-    Fault("pair", "swapped", lambda d, _: replace(d, left=d.right, right=d.left), PAIR, "swapped"),
-    *(
-        Fault(
-            "pair",
-            f"offset {x:+d} px",
-            _each(None, _shifted(-x, 0)),
-            f"{PAIR}|px too",
-            "disparities|camera is turned",
-        )
-        for x in (-60, -15, 15, 60)
-    ),
-    *(
-        Fault("pair", f"yaw {a:+d} degrees", _yaw(a), f"{PAIR}|px too", "disparities|turned")
-        for a in (-3, -1, 1, 3)
-    ),
-    Fault("pair", "rows 20 px", _each(None, _shifted(0, 20)), PAIR, "ertical|rows"),
-    Fault("pair", "both upside down", _each(_flipped(-1), _flipped(-1)), PAIR, "upside down"),
-    Fault("pair", "right upside down", _each(None, _flipped(-1)), PAIR, "upside down"),
-    Fault("pair", "right mirrored", _each(None, _flipped(1)), PAIR, "mirrored"),
-    Fault("pair", "same video twice", lambda d, _: replace(d, right=d.left), PAIR, "one camera"),
-    Fault("pair", "unrelated videos", _unrelated, PAIR, "different scenes"),
-)
-CLEAN = Fault("", "none", lambda drive, _: drive, f"{SCALE}|{SIZE}|{PAIR}", "")
+QUANTITIES = ("fused", "stereo", "closing", "ego")
+SECTIONS = ("scale", "size", "time", "pair", "values", "rig", "clock", "speed", "image")
 
 
 @workload(
+    option("--sections", default=SECTIONS, metavar="NAME", help="kinds of faults"),
     option(
-        "--sections",
-        default=("scale", "size", "time", "pair"),
-        metavar="NAME",
-        help="kinds of faults",
+        "--faults", default=(), nargs="*", type=str, metavar="NAME", help="parts of their names"
     ),
+    option("--without-clean", default=False, help="no runs without a fault"),
     option(
         "--scenarios",
         default=SCENARIOS,
@@ -233,6 +55,7 @@ CLEAN = Fault("", "none", lambda drive, _: drive, f"{SCALE}|{SIZE}|{PAIR}", "")
         help="scenarios of simulated drives, or none",
     ),
     option("--seeds", default=SEEDS, metavar="N", help="random seeds of simulated drives"),
+    option("--seconds", default=SECONDS, metavar="S", help="length of simulated drives"),
     option(
         "--real",
         default=("0003", "0005", "gray51"),
@@ -242,8 +65,8 @@ CLEAN = Fault("", "none", lambda drive, _: drive, f"{SCALE}|{SIZE}|{PAIR}", "")
     option(
         "--simulated-boxes",
         action="store_true",
-        help="boxes of a simulated detector and no alignment: three times as fast, for --sections "
-        "scale time",
+        help="boxes of a simulated detector, and no alignment in --sections scale time: three "
+        "times as fast",
     ),
     CACHE_OPTION,
 )
@@ -251,96 +74,320 @@ def doubt(options: Namespace) -> Figures:
     """Notes and errors of runs with wrong inputs, by fault; without a fault, notes are false
     alarms.
     """
+    faults = [
+        fault
+        for fault in FAULTS
+        if fault.section in options.sections
+        and (not options.faults or any(name in fault.name for name in options.faults))
+    ]
     cases: dict[str, list[dict[str, Any]]] = {}
     for drive in _drives(options):
-        frame = round(min(FAULT_S * FPS, len(drive.left) / 3))
-        for fault in (CLEAN, *FAULTS):
-            if fault.section not in ("", *options.sections):
+        run = _Runs(drive, round(min(FAULT_S * FPS, len(drive.left) / 3)))
+        for fault in faults:
+            if not fault.applies_to(drive):
                 continue
-            case = _case(drive, fault, frame)
-            cases.setdefault(f"{fault.section} {fault.name}".strip(), []).append(case)
-            print(drive.name, fault.section, fault.name, json.dumps(case), flush=True)
+            chosen = [fault] if options.without_clean else [clean(fault), fault]
+            for each in chosen:
+                case = run.case(each)
+                if case is not None:
+                    cases.setdefault(f"{each.section} {each.name}".strip(), []).append(case)
     return {name: _summed(rows) for name, rows in cases.items()}
 
 
-def _case(drive: Drive, fault: Fault, frame: int) -> dict[str, Any]:
-    """Figures of a run with a fault."""
+class _Runs:
+    """The runs of one drive with all faults; `said` are the notes of those without a fault."""
+
+    def __init__(self, drive: Drive, frame: int) -> None:
+        self._drive, self._frame = drive, frame
+        self._said: dict[tuple[bool, bool], set[str]] = {}
+        self._files = _ImageFiles(drive)
+
+    def case(self, fault: Fault) -> dict[str, Any] | None:
+        """Figures of a run with a fault; None for a run without one that has been made already."""
+        options = (fault.is_mono, fault.is_known)
+        if not fault.section and options in self._said:
+            return None
+        case, sentences = _case(
+            self._drive, fault, self._frame, self._files, self._said.get(options, set())
+        )
+        if not fault.section:
+            self._said[options] = {_worded(sentence) for sentence in sentences}
+        print(self._drive.name, fault.section, fault.name, json.dumps(case), flush=True)
+        return case
+
+
+def _case(
+    drive: Drive, fault: Fault, frame: int, files: _ImageFiles, usual: set[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """Figures of a run with a fault, and the sentences of its notes; `usual` are those of runs
+    without a fault.
+    """
     changed = fault.change(drive, frame)
-    from_frame = frame if fault.section == "time" and "start" not in fault.name else 0
+    from_s = (frame if fault.is_sudden else 0) / changed.fps
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        (root / "calib.txt").write_text(
-            "".join(f"{k}: {' '.join(map(str, v))}\n" for k, v in changed.rig.items())
-        )
-        lines = [
-            line for line in drive.truth.splitlines() if int(line.split(" ", 1)[0]) >= from_frame
-        ]
-        (root / "truth.txt").write_text("\n".join(lines) + "\n")
-        for side, images in (("left", changed.left), ("right", changed.right)):
-            (root / side).mkdir()
-            for number, image in enumerate(images):
-                cv2.imwrite(
-                    str(root / side / f"{number:06d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]
-                )
-        options: dict[str, Any] = {
-            "rig": root / "calib.txt",
-            "sgbm": False,
-            "duration": len(changed.left) / FPS,
-        }
-        is_same_size = changed.left[0].shape == drive.left[0].shape
-        options |= {"truth": root / "truth.txt"} if lines and is_same_size else {}
-        options |= drive.known if fault.is_known else {}
-        options |= {"detections": drive.boxes, "align": "off"} if drive.boxes is not None else {}
+        truth = _truth(root, drive, changed)
+        options = _written(root, changed, fault, files)
         make = tr.Run.mono if fault.is_mono else tr.Run.stereo
         sides = [str(root / "left"), *([] if fault.is_mono else [str(root / "right")])]
-        noticed_s, notes, methods = float("nan"), "", {}
+        noticed_s, sentences, rows = float("nan"), [], _Scores(changed, truth)
         try:
             with make(*sides, **options) as run:
                 for result in run:
-                    if np.isnan(noticed_s) and re.search(fault.said, " ".join(run.notes)):
-                        noticed_s = max(result.time_s - from_frame / FPS, 0.0)
-                notes, methods = " ".join(run.notes), run.summary["methods"]
-        except tr.errors.RigError as error:
-            notes, noticed_s = (
-                str(error),
-                0.0 if re.search(fault.said, str(error)) else float("nan"),
-            )
-        if np.isnan(noticed_s) and re.search(fault.said, notes):
-            noticed_s = len(changed.left) / FPS
-        fused, stereo = methods.get("fused", {}), methods.get("stereo", {})
-        found = " ".join(
-            sentence for sentence in re.split(r"(?<=\.) ", notes) if re.search(fault.said, sentence)
-        )
+                    rows.add(result)
+                    if np.isnan(noticed_s) and _found(run.notes, fault, usual):
+                        noticed_s = max(result.time_s - from_s, 0.0)
+                sentences = _sentences(run.notes)
+        except (tr.errors.RigError, tr.errors.UserError) as error:
+            sentences = [str(error)]
+            noticed_s = 0.0 if re.search(fault.said, str(error)) else float("nan")
+        found = _found(sentences, fault, usual)
+        if np.isnan(noticed_s) and found:
+            noticed_s = changed.n_frames / changed.fps
+        scored_s = (from_s + fault.after_s, from_s + fault.after_s + fault.for_s)
         return {
             "noticed_s": noticed_s,
             "named": bool(fault.cause and re.search(fault.cause, found)),
-            "fused_median_pct": fused.get("median_relative_error_pct"),
-            "fused_within_2_sigma": fused.get("within_2_sigma"),
-            "stereo_median_pct": stereo.get("median_relative_error_pct"),
-            "stereo_within_2_sigma": stereo.get("within_2_sigma"),
+            **rows.scores(*scored_s),
             "said": found[:300],
+        }, sentences
+
+
+def _sentences(notes: Sequence[str]) -> list[str]:
+    return re.split(r"(?<=\.) ", " ".join(notes))
+
+
+def _worded(sentence: str) -> str:
+    """A sentence without its numbers."""
+    return re.sub(r"[\d.,]+", "#", sentence)
+
+
+def _found(notes: Sequence[str], fault: Fault, usual: set[str]) -> str:
+    """The sentences that notice a fault."""
+    return " ".join(
+        sentence
+        for sentence in _sentences(notes)
+        if re.search(fault.said, sentence) and _worded(sentence) not in usual
+    )
+
+
+class _ImageFiles:
+    """PNG images, whose unchanged ones are encoded once for all runs of a drive."""
+
+    def __init__(self, drive: Drive) -> None:
+        self._encoded: dict[int, bytes] = {}
+        self._known = {id(image) for image in (*drive.left, *drive.right)}
+
+    def write(self, path: Path, image: Image) -> None:
+        """Write an image."""
+        encoded = self._encoded.get(id(image))
+        if encoded is None:
+            _, buffer = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            encoded = buffer.tobytes()
+            if id(image) in self._known:
+                self._encoded[id(image)] = encoded
+        path.write_bytes(encoded)
+
+
+def _written(root: Path, drive: Drive, fault: Fault, files: _ImageFiles) -> dict[str, Any]:
+    """Options of a run on the files of a changed drive, which are written."""
+    (root / "calib.txt").write_text(
+        "".join(f"{k}: {' '.join(map(str, v))}\n" for k, v in drive.rig.items())
+    )
+    for side, images in (("left", drive.left), ("right", drive.right)):
+        (root / side).mkdir()
+        for number, image in enumerate(images):
+            files.write(root / side / f"{number:06d}.png", image)
+    options: dict[str, Any] = {
+        "rig": root / "calib.txt",
+        "sgbm": False,
+        "folder_fps": drive.fps,
+        "duration": drive.n_frames / drive.fps,
+    }
+    if fault.is_known:
+        options |= drive.known
+        if drive.speed is not None:
+            options["ego_speed"] = root / "speed.csv"
+            lines = [f"{time_s:.3f},{mps:.4f}\n" for time_s, mps in drive.speed.tolist()]
+            options["ego_speed"].write_text("time_s,speed_mps\n" + "".join(lines))
+    if drive.boxes is not None:
+        options["detections"] = root / "boxes.txt"
+        options["detections"].write_text(_boxes_text(drive))
+        if fault.section in ("scale", "time"):
+            options["align"] = "off"
+    return options
+
+
+def _boxes_text(drive: Drive) -> str:
+    """Recorded boxes of the images, which have other frames and places than those of the drive."""
+    by_frame: dict[int, list[list[str]]] = {}
+    for line in (drive.boxes or "").splitlines():
+        words = line.split(" ")
+        by_frame.setdefault(int(words[0]), []).append(words)
+    lines = []
+    for number in range(drive.n_frames):
+        for words in by_frame.get(drive.source(number)[0], []):
+            box = _mapped(np.array(words[6:10], np.float64)[None], drive, number)[0]
+            middle, half = (box[:2] + box[2:]) / 2, drive.box_scale * (box[2:] - box[:2]) / 2
+            edges = [f"{edge:.3f}" for edge in (*(middle - half), *(middle + half))]
+            lines.append(" ".join([str(number), *words[1:6], *edges, *words[10:]]))
+    return "\n".join(lines) + "\n"
+
+
+def _mapped(xyxy_px: FloatArray, drive: Drive, frame: int) -> FloatArray:
+    """(N, 4) boxes of the drive in the pixels of an image."""
+    if drive.left_map is None:
+        return xyxy_px
+    A, moved = drive.left_map[frame][:, :2], drive.left_map[frame][:, 2]
+    return np.concatenate([xyxy_px[:, :2] @ A.T + moved, xyxy_px[:, 2:] @ A.T + moved], axis=1)
+
+
+def _truth(root: Path, drive: Drive, changed: Drive) -> Truth | None:
+    """The labels of the images of a changed drive, with the distances of their times; None without
+    labels, or for images of another size.
+    """
+    if not drive.truth or changed.left[0].shape != drive.left[0].shape:
+        return None
+    P = drive.rig["P2"]
+    height_px, width_px = drive.left[0].shape[:2]
+    camera = PinholeCamera(P[0], P[5], P[2], P[6], width_px, height_px)
+    path = root / ("truth.csv" if drive.truth.startswith("frame,") else "truth.txt")
+    path.write_text(drive.truth)
+    with contextlib.suppress(tr.errors.UserError):
+        truth = read_truth(path, camera, np.zeros(3))
+        return _truth_of_images(truth, changed)
+    return None
+
+
+def _truth_of_images(truth: Truth, drive: Drive) -> Truth:
+    parts: list[IntArray] = []
+    values: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
+    for number in range(drive.n_frames):
+        shown, moment = drive.source(number)
+        rows = np.flatnonzero(truth.frame == shown)
+        then = {
+            int(identity): row
+            for row, identity in zip(
+                np.flatnonzero(truth.frame == moment).tolist(),
+                truth.track_id[truth.frame == moment].tolist(),
+                strict=True,
+            )
         }
+        at = np.array([then.get(int(identity), -1) for identity in truth.track_id[rows]], np.int64)
+        parts.append(rows)
+        values.append(
+            (
+                np.full(len(rows), number),
+                _mapped(truth.xyxy_px[rows], drive, number),
+                np.where(at >= 0, truth.distance_m[at], np.nan),
+                np.where(at >= 0, truth.closing_mps[at], np.nan),
+            )
+        )
+    frame, boxes_px, distance_m, closing_mps = (
+        np.concatenate(column) for column in zip(*values, strict=True)
+    )
+    return replace(
+        truth.select(np.concatenate(parts)),
+        frame=frame,
+        xyxy_px=boxes_px,
+        distance_m=distance_m,
+        closing_mps=closing_mps,
+    )
+
+
+class _Scores:
+    """Errors of the rows of a run."""
+
+    def __init__(self, drive: Drive, truth: Truth | None) -> None:
+        self._drive, self._truth = drive, truth
+        self._rows: list[FloatArray] = []  # frame, time, box, and value and sigma of each quantity
+        self._ego: list[tuple[float, ...]] = []  # time, true speed, speed, sigma
+
+    def add(self, result: tr.FrameResult) -> None:
+        """Add the rows of a frame with a detection, and the speed of the camera."""
+        if self._drive.true_mps is not None:
+            true_mps = float(self._drive.true_mps[self._drive.source(result.index)[1]])
+            self._ego.append((result.time_s, true_mps, result.ego_mps, result.ego_sigma_mps))
+        n = len(result.tracks)
+        unknown = np.full(n, np.nan)
+        columns = [np.full(n, result.index), np.full(n, result.time_s), *result.tracks.xyxy_px.T]
+        for name in ("fused", "stereo"):
+            ranges = result.ranges.get(name)
+            columns += [unknown, unknown] if ranges is None else [ranges.distance_m, ranges.sigma_m]
+        columns += [result.closing_mps, result.closing_sigma_mps]
+        self._rows.append(np.stack(columns, axis=1)[result.tracks.observed])
+
+    def scores(self, from_s: float, until_s: float) -> dict[str, Any]:
+        """Numbers of rows, of those without a value, and of those within 1 and 2 sigma, the median
+        error and sigma, by quantity: distances in per cent, speeds in m/s.
+        """
+        figures: dict[str, Any] = {}
+        values = dict.fromkeys(QUANTITIES, np.zeros((0, 4)))
+        if self._truth is not None and self._rows:
+            rows = np.concatenate(self._rows)
+            match = match_truth(rows[:, 0].astype(np.int64), rows[:, 2:6], self._truth)
+            rows, match = rows[match >= 0], match[match >= 0]
+            true_m, true_mps = self._truth.distance_m[match], self._truth.closing_mps[match]
+            is_true = np.isfinite(true_m) & (true_m >= 5) & (true_m <= 100)
+            for k, name in enumerate(("fused", "stereo", "closing")):
+                true = np.where(is_true, true_m if k < 2 else true_mps, np.nan)
+                values[name] = np.column_stack([rows[:, 1], true, rows[:, 6 + 2 * k : 8 + 2 * k]])
+        if self._ego:
+            values["ego"] = np.array(self._ego)
+        for name in QUANTITIES:
+            rows = values[name]
+            is_scored = np.isfinite(rows[:, 1])
+            is_scored &= (rows[:, 0] >= from_s - 1e-6) & (rows[:, 0] < until_s - 1e-6)
+            figures |= _quantity(name, *rows[is_scored, 1:].T)
+        return figures
+
+
+def _quantity(
+    name: str, true: FloatArray, value: FloatArray, sigma: FloatArray
+) -> dict[str, float | int]:
+    is_known = np.isfinite(value)
+    error = np.abs(value - true)[is_known]
+    unit, factor = ("mps", 1.0) if name in ("closing", "ego") else ("pct", 100 / true[is_known])
+    spread = sigma[is_known]
+    return {
+        f"{name}_rows": len(true),
+        f"{name}_known": len(error),
+        f"{name}_1_sigma": int((error < spread).sum()),
+        f"{name}_2_sigma": int((error < 2 * spread).sum()),
+        f"{name}_median_{unit}": _median(error * factor),
+        f"{name}_sigma_{unit}": _median(spread * factor),
+    }
+
+
+def _median(values: Any) -> float:
+    values = np.asarray(values, np.float64)
+    values = values[np.isfinite(values)]
+    return round(float(np.median(values)), 3) if len(values) else float("nan")
 
 
 def _summed(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     noticed_s = np.array([row["noticed_s"] for row in rows])
-
-    def median(name: str) -> float:
-        values = [row[name] for row in rows if row[name] is not None]
-        return round(float(np.median(values)), 2) if values else float("nan")
-
-    return {
+    figures: dict[str, Any] = {
         "drives": len(rows),
         "noticed": round(float(np.isfinite(noticed_s).mean()), 2),
         "within_2_s": round(float((noticed_s <= 2.0).mean()), 2),
         "within_10_s": round(float((noticed_s <= 10.0).mean()), 2),
         "named": round(float(np.mean([row["named"] for row in rows])), 2),
-        **{
-            f"{method}_{name}": median(f"{method}_{name}")
-            for method in ("fused", "stereo")
-            for name in ("median_pct", "within_2_sigma")
-        },
     }
+    for name in QUANTITIES:
+        n_rows, n_known, n_1, n_2 = (
+            sum(row[f"{name}_{part}"] for row in rows)
+            for part in ("rows", "known", "1_sigma", "2_sigma")
+        )
+        unit = "mps" if name in ("closing", "ego") else "pct"
+        figures |= {
+            f"{name}_median_{unit}": _median([row[f"{name}_median_{unit}"] for row in rows]),
+            f"{name}_sigma_{unit}": _median([row[f"{name}_sigma_{unit}"] for row in rows]),
+            f"{name}_within_1_sigma": round(n_1 / n_known, 2) if n_known else float("nan"),
+            f"{name}_within_2_sigma": round(n_2 / n_known, 2) if n_known else float("nan"),
+            f"{name}_blank": round(1 - n_known / n_rows, 2) if n_rows else float("nan"),
+        }
+    return figures
 
 
 def _drives(options: Namespace) -> Iterator[Drive]:
@@ -369,41 +416,29 @@ def _drives(options: Namespace) -> Iterator[Drive]:
         )
     for scenario in options.scenarios if "none" not in options.scenarios else ():
         for seed in options.seeds:
-            folder = options.cache / f"doubt_{scenario}_{seed}"
-            if not (folder / "rig.yaml").exists():
-                write_drive(folder, scenario=scenario, seed=seed, seconds=SECONDS, fps=FPS)
+            length = "" if options.seconds == SECONDS else f"_{options.seconds:g}s"
+            folder = options.cache / f"doubt_{scenario}_{seed}{length}"
+            if not (folder / "detections.txt").exists():  # written last
+                write_drive(folder, scenario=scenario, seed=seed, seconds=options.seconds, fps=FPS)
             drive = _simulated(f"{scenario} {seed}", folder)
-            yield (
-                replace(drive, boxes=folder / "detections.txt")
-                if options.simulated_boxes
-                else drive
-            )
+            boxes = (folder / "detections.txt").read_text()
+            yield replace(drive, boxes=boxes) if options.simulated_boxes else drive
 
 
 def _simulated(name: str, folder: Path) -> Drive:
     left, right = decoded(folder / "left.mp4"), decoded(folder / "right.mp4")
     rig, _ = load_rig(folder / "rig.yaml", size_px=(left[0].shape[1], left[0].shape[0]))
-    camera = rig.left
-    P2 = [
-        camera.fx_px,
-        0.0,
-        camera.cx_px,
-        0.0,
-        0.0,
-        camera.fy_px,
-        camera.cy_px,
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-        0.0,
-    ]
-    P3 = [*P2[:3], -camera.fx_px * rig.baseline_m, *P2[4:]]
+    c = rig.left
+    P2 = [c.fx_px, 0.0, c.cx_px, 0.0, 0.0, c.fy_px, c.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0]
+    P3 = [*P2[:3], -c.fx_px * rig.baseline_m, *P2[4:]]
+    speed = np.loadtxt(folder / "ego_speed.csv", delimiter=",", skiprows=1)
     return Drive(
         name,
         left,
         right,
         {"P2": P2, "P3": P3},
-        (folder / "truth.txt").read_text(),
-        {"ego_speed": folder / "ego_speed.csv"},
+        (folder / "truth.csv").read_text(),
+        {},
+        speed=speed,
+        true_mps=speed[:, 1],
     )
