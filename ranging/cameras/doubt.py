@@ -1,81 +1,102 @@
-"""Doubt: which given values the drive contradicts, and the errors of distances and speeds that
-follow.
+"""Doubt: how wrong distances and speeds may be by the cameras, and which given values the drive
+contradicts.
 """
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from track_range.ranging.cameras.causes import ScaleDoubt, causes_of
-from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.cameras.causes import ScaleDoubt
+from track_range.ranging.cameras.posterior import CameraPosterior
+from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.registry import methods
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
-_OF_ODOMETRY: frozenset[Unknown] = frozenset({Unknown.BASELINE, Unknown.FOCAL, Unknown.HEIGHT})
+_OF_RIG: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
+_OF_SPEED: Sum = {Unknown.SPEED: 1.0}
+_OF_ROAD: Sum = {Unknown.HEIGHT: -1.0, Unknown.FOCAL: 1.0}
+_OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
+
+Errors = Mapping[str, tuple[Sum, ...]]
+"""By the name of a distance, the sums of unknowns of which one is what it is too large by."""
 
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """What is in doubt after a frame; `Doubt()` is none."""
+    """What is in doubt after a frame; `Doubt()` is nothing."""
 
     scale: ScaleDoubt | None = None  # the contradiction; None = none was found
-    # relative standard deviations that cover both scales, by cause
-    sigma: Mapping[Unknown, float] = field(default_factory=dict)
     # relative standard deviations of errors that neither fusion nor filters reduce, by the name of
-    # the distance: of the calibration, and of the doubt
+    # the distance
     shared_sigma: Mapping[str, float] = field(default_factory=dict)
-    trusts_speed: bool = True  # False = only the given speed is in doubt, and it is not used
+    # the same of speeds of the camera: measured from the images, and as given
+    odometry_sigma: float = 0.0
+    given_sigma: float = 0.0
+
+    @property
+    def trusts_speed(self) -> bool:
+        """Whether a given speed is used: False = only the given speed is in doubt."""
+        return self.scale is None or self.scale.cause_names != [Unknown.SPEED]
 
     @classmethod
-    def of(cls, scale: ScaleDoubt) -> Self:
-        """The doubt by a contradiction, without the errors of distances."""
-        return cls(scale, scale.sigma_by_cause, trusts_speed=scale.cause_names != [Unknown.SPEED])
+    def of(
+        cls,
+        cameras: CameraPosterior,
+        errors: Errors,
+        scale: ScaleDoubt | None = None,
+        rig: RigScale = CALIBRATED,
+    ) -> Self:
+        """The doubt by what the drive shows of the cameras, for lengths that are corrected by the
+        scale of a pair.
+        """
+        unused = set[Unknown]()
+        if scale is not None and scale.cause_names == [Unknown.SPEED]:
+            unused = {Unknown.SPEED}
 
-    def sigma_of(self, causes: Set[Unknown]) -> float:
-        """Relative standard deviation of what any of these causes changes."""
-        return max((sigma for cause, sigma in self.sigma.items() if cause in causes), default=0.0)
+        def sigma_of(of: Sum) -> float:
+            if of is _OF_RIG and not rig.is_known:
+                return 0.0  # nothing is measured
+            corrected = rig.log_factor if of is _OF_RIG else 0.0
+            return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
+
+        of_odometry = _OF_RIG if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
+        return cls(
+            scale,
+            {name: max(map(sigma_of, sums)) for name, sums in errors.items()},
+            # what is corrected has the error of its correction
+            sigma_of(of_odometry) if rig == CALIBRATED else 0.0,
+            cameras.sigma_of(_OF_SPEED),
+        )
 
     def widened(self, ego: Ego) -> EgoMotion:
-        """The motion of the camera with the doubt: odometry has the scale of the cameras."""
+        """The motion of the camera with the errors of its scale."""
         motion = ego.motion
-        if self.scale is None or ego.given is not None:
-            return motion
-        in_doubt_mps = self.sigma_of(_OF_ODOMETRY) * motion.speed_mps
-        return replace(motion, speed_sigma_mps=math.hypot(motion.speed_sigma_mps, in_doubt_mps))
+        is_given = ego.given is not None and ego.trusts_given
+        sigma = self.given_sigma if is_given else self.odometry_sigma
+        speed_sigma_mps = math.hypot(motion.speed_sigma_mps, sigma * motion.speed_mps)
+        return replace(motion, speed_sigma_mps=speed_sigma_mps)
 
 
-class SharedErrors:
-    """Errors that the frames of a drive share, by the error sources that the methods declare."""
+def errors_of(priors: CameraPriors) -> Errors:
+    """The unknowns that the distances of every method, and the fused ones, are too large by."""
+    has_rig = Unknown.BASELINE in priors
+    sources = {
+        method.name: [source.name for source in method.error_sources] for method in methods()
+    }
+    sources["fused"] = ["baseline" if has_rig else "horizon"]
+    # of a camera that has no given height: of the speed, or of the sizes that show it
+    of_height = (_OF_RIG,) if has_rig else (_OF_FOCAL, _OF_SPEED)
+    height = priors.get(Unknown.HEIGHT)
+    if height is not None and height.kind == "given":
+        of_height = (_OF_ROAD,)
+    return {name: _errors_of(names, of_height) for name, names in sources.items()}
 
-    def __init__(self, calibration_sigma: float, *, has_rig: bool) -> None:
-        """`calibration_sigma` is the relative error of all distances; `has_rig`: of a pair."""
-        self._calibration_sigma = calibration_sigma
-        self._causes = {
-            method.name: causes_of(
-                [source.name for source in method.error_sources], has_rig=has_rig
-            )
-            for method in methods()
-        }
-        scale_source = "baseline" if has_rig else "horizon"
-        self._causes["fused"] = causes_of([scale_source], has_rig=has_rig)
 
-    def doubt(self, scale: ScaleDoubt | None, rig: RigScale = CALIBRATED) -> Doubt:
-        """The doubt by a contradiction, None = none was found, with the scale of a pair."""
-        of_rig = self._calibration_sigma
-        if rig != CALIBRATED and rig.is_known:
-            of_rig = rig.sigma  # with the focal length
-        known = {
-            name: of_rig if Unknown.BASELINE in causes else self._calibration_sigma
-            for name, causes in self._causes.items()
-        }
-        if scale is None:
-            return Doubt(shared_sigma=known)
-        doubt = Doubt.of(scale)
-        unused = frozenset[Unknown]() if doubt.trusts_speed else frozenset[Unknown]({Unknown.SPEED})
-        shared_sigma = {
-            name: math.hypot(known[name], doubt.sigma_of(causes - unused))
-            for name, causes in self._causes.items()
-        }
-        return replace(doubt, shared_sigma=shared_sigma)
+def _errors_of(error_sources: Sequence[str], of_height: tuple[Sum, ...]) -> tuple[Sum, ...]:
+    if "baseline" in error_sources:
+        return (_OF_RIG,)
+    if {"horizon", "lane_width"} & {*error_sources}:
+        return of_height
+    return (_OF_FOCAL,)

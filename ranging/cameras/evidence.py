@@ -1,12 +1,12 @@
 """Evidence about the cameras, and where it comes from."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from track_range.detection.lanes.lines import LaneLines
-from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.cameras.unknowns import Sum
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
@@ -19,7 +19,7 @@ class Evidence:
     """
 
     name: str  # where it comes from, for messages
-    of: Mapping[Unknown, float]  # coefficients; absent = 0
+    of: Sum  # coefficients; absent = 0
     value: float
     sigma: float
     max_chi2: float = math.inf  # largest cost of a contradiction: evidence that may be wrong alone

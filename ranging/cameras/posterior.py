@@ -15,100 +15,203 @@ speed.
 
 Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height;
 for g, f and u, the precision of calibrations and receivers. Because all unknowns are estimated
-together, a scale learnt from one of them cannot correct another in circles. A usual height and a
-usual lane have heavy tails, and alone exclude nothing: there are lorries and robots.
+together, a scale learnt from one of them cannot correct another in circles.
+
+Bayesian model averaging: one hypothesis is that all given values are right; in each other one, a
+given value is a mistake, with a wide prior or at a known factor (`unknowns.mistakes`). A usual
+height has heavy tails, and so have the widths of lanes: there are lorries and robots. Each
+hypothesis is a linear model with normal errors, whose probability is its marginal likelihood
+
+    log p(H | data) = log p(H) - chi2 / 2 + (log det P - log det P0) / 2 + const.
+
+with the covariances P0 before and P after the evidence. Sigmas are those of the mixture: a mistake
+widens them in proportion to how probable it is, and there is no threshold.
 """
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.cameras.evidence import Evidence
-from track_range.ranging.cameras.unknowns import CameraPriors, Unknown
+from track_range.ranging.cameras.unknowns import (
+    CameraPriors,
+    PriorPart,
+    Sum,
+    Unknown,
+    mistakes,
+    unusual,
+)
 
-FREE_SIGMA = 3.0  # of a mistake
-_TAILS = 4.0  # largest chi-squared of a usual value
+_WITHIN = 2 * ndtr([2.0, 1.0]) - 1  # probabilities of errors within 2 and 1 sigma
+_N_BISECTIONS = 30
+_MAX_ERROR = 20.0  # largest relative error that sigma can have
+
+
+class _Hypothesis(NamedTuple):
+    """Normal distributions instead of the usual prior of some unknowns."""
+
+    cause: Unknown | None  # the given value that is a mistake; None = all are right
+    parts: Mapping[Unknown, PriorPart]
+    left_out: frozenset[int] = frozenset()  # indices of evidence that is wrong
+    log_weight: float = 0.0
+
+
+class LogEstimate(NamedTuple):
+    """Mean and standard deviation of an unknown or of a sum of unknowns."""
+
+    mean: float
+    sigma: float
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPosterior:
-    """The unknowns (U,) that fit the evidence best, their covariance, and chi-squared."""
+    """The unknowns (U,) by C hypotheses."""
 
     unknowns: tuple[Unknown, ...]
-    mean: FloatArray  # (U,)
-    covariance: FloatArray  # (U, U)
-    chi2: float
+    cause: tuple[Unknown | None, ...]  # (C,) the given value that is a mistake; None = none is
+    weight: FloatArray  # (C,) probability
+    mean: FloatArray  # (C, U)
+    covariance: FloatArray  # (C, U, U)
 
-    def estimate(self, unknown: Unknown) -> tuple[float, float]:
-        """Mean and standard deviation of an unknown."""
-        k = self.unknowns.index(unknown)
-        return float(self.mean[k]), math.sqrt(self.covariance[k, k])
+    def probability(self, cause: Unknown | None) -> float:
+        """Probability that this given value is a mistake; None = that all are right."""
+        return float(self.weight[self._rows(cause)].sum())
 
-    def correction(self, coefficients: Mapping[Unknown, float]) -> float:
-        """Mean of a sum of unknowns."""
-        return float(self._row(coefficients) @ self.mean)
+    def estimate(self, of: Sum, cause: Unknown | None = None) -> LogEstimate:
+        """A sum of unknowns with these coefficients, if this given value is a mistake; None = if
+        all are right.
+        """
+        rows = self._rows(cause)
+        mean, variance = (value[rows] for value in self._sum(of))
+        weight = self.weight[rows] / self.weight[rows].sum()
+        total = float(weight @ mean)
+        return LogEstimate(total, math.sqrt(weight @ (variance + (mean - total) ** 2)))
 
-    def sigma_of(self, coefficients: Mapping[Unknown, float]) -> float:
-        """Standard deviation of a sum of unknowns."""
-        row = self._row(coefficients)
-        return math.sqrt(row @ self.covariance @ row)
+    def correction(self, of: Sum) -> float:
+        """Mean of a sum of unknowns over all hypotheses."""
+        return float(self.weight @ self._sum(of)[0])
 
-    def _row(self, coefficients: Mapping[Unknown, float]) -> FloatArray:
-        return np.array([coefficients.get(unknown, 0.0) for unknown in self.unknowns])
+    def sigma_of(self, of: Sum, corrected: float = 0.0) -> float:
+        """Relative standard deviation of what is too large by a sum of unknowns, and was corrected
+        for this logarithm.
+
+        It is such that errors are within 1 and 2 sigma as often as those of a normal distribution:
+        rare hypotheses of large errors do not widen it, and probable ones are covered.
+        """
+        log_factor, variance = self._sum(of)
+        if not variance.any():
+            return 0.0
+        factor = np.exp(corrected - log_factor)  # true over reported
+        error, sigma = 1.0 - factor, factor * np.sqrt(variance)
+        low, high = np.zeros(2), np.full(2, _MAX_ERROR)
+        for _ in range(_N_BISECTIONS):
+            middle = (low + high) / 2
+            within = ndtr((middle[:, None] - error) / sigma) - ndtr(
+                (-middle[:, None] - error) / sigma
+            )
+            is_below = within @ self.weight < _WITHIN
+            low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+        return max(float(high[0]) / 2, float(high[1]))
+
+    def _rows(self, cause: Unknown | None) -> list[int]:
+        return [k for k, other in enumerate(self.cause) if other is cause]
+
+    def _row(self, of: Sum) -> FloatArray:
+        return np.array([of.get(unknown, 0.0) for unknown in self.unknowns])
+
+    def _sum(self, of: Sum) -> tuple[FloatArray, FloatArray]:
+        """(C,) mean and variance of a sum of unknowns."""
+        row = self._row(of)
+        return self.mean @ row, np.einsum("u,cuv,v->c", row, self.covariance, row)
 
 
 def posterior(
     priors: CameraPriors, evidence: Sequence[Evidence], *, bounds: Sequence[Evidence] = ()
 ) -> CameraPosterior:
-    """The posterior of the unknowns; a usual value or evidence that may be wrong adds a cost.
-
-    A bound is evidence that counts only if the unknowns would be below its value.
+    """The posterior of the unknowns; a bound is evidence that counts only where the unknowns would
+    be below its value.
     """
-    fits = []
-    for (of_priors, price), (items, other_price) in itertools.product(
-        _priors(priors), _kept(evidence)
-    ):
-        solution = _solved(of_priors, items)
-        broken = [item for item in bounds if item.value > solution.correction(item.of)]
-        if broken:
-            solution = _solved(of_priors, [*items, *broken])
-        fits.append(replace(solution, chi2=solution.chi2 + price + other_price))
-    return min(fits, key=lambda solution: solution.chi2)
+    unknowns, items = tuple(priors), [*evidence, *bounds]
+    named = {unknown for item in items for unknown in item.of}
+    hypotheses = _hypotheses(priors, evidence, named)
+    usual = [PriorPart(0.0, 0.0, prior.sigma) for prior in priors.values()]
+    parts = [
+        [one.parts.get(unknown, part) for unknown, part in zip(unknowns, usual, strict=True)]
+        for one in hypotheses
+    ]
+    of_priors = np.reshape(parts, (len(hypotheses), len(unknowns), 3))
+    mean0, sigma0 = of_priors[:, :, 1], of_priors[:, :, 2]  # (C, U)
+    A = np.array([[item.of.get(unknown, 0.0) for unknown in unknowns] for item in items])
+    A = A.reshape(len(items), len(unknowns))
+    value, sigma = (
+        np.array([getattr(item, name) for item in items]) for name in ("value", "sigma")
+    )
+    used = np.array(
+        [[k not in one.left_out for k in range(len(items))] for one in hypotheses], np.bool_
+    )
+    free = used.copy()
+    free[:, len(evidence) :] = False
+    x, *_ = _solved(mean0, sigma0, A, value, sigma, free)
+    used[:, len(evidence) :] &= (x @ A.T < value)[:, len(evidence) :]
+    x, P, log_p = _solved(mean0, sigma0, A, value, sigma, used)
+    log_p = log_p + [one.log_weight for one in hypotheses]
+    weight = np.exp(log_p - log_p.max())
+    causes = tuple(one.cause for one in hypotheses)
+    return CameraPosterior(unknowns, causes, weight / weight.sum(), x, P)
 
 
-def _priors(priors: CameraPriors) -> list[tuple[CameraPriors, float]]:
-    """The priors with usual and with unusual values, and the cost of each choice."""
-    choices: list[tuple[CameraPriors, float]] = [(priors, 0.0)]
+def _solved(
+    mean0: FloatArray,
+    sigma0: FloatArray,
+    A: FloatArray,
+    value: FloatArray,
+    sigma: FloatArray,
+    used: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (C, U), covariance (C, U, U) and log of the marginal likelihood (C,)."""
+    information = used / sigma**2  # (C, M)
+    precision = np.einsum("cm,mu,mv->cuv", information, A, A)
+    k = np.arange(sigma0.shape[1])
+    precision[:, k, k] += sigma0**-2
+    P = np.linalg.inv(precision)
+    x = np.einsum("cuv,cv->cu", P, mean0 / sigma0**2 + (information * value) @ A)
+    chi2 = (((x - mean0) / sigma0) ** 2).sum(axis=1)
+    chi2 += (information * (x @ A.T - value) ** 2).sum(axis=1)
+    log_volume = -0.5 * np.linalg.slogdet(precision)[1] - np.log(sigma0).sum(axis=1)
+    return x, P, log_volume - 0.5 * chi2
+
+
+def _hypotheses(
+    priors: CameraPriors, evidence: Sequence[Evidence], named: set[Unknown]
+) -> list[_Hypothesis]:
+    """All hypotheses; what no evidence names cannot be told from the others."""
+    hypotheses = [_Hypothesis(None, {})]
+    for unknown, prior in priors.items():
+        if prior.kind == "given" and unknown in named:
+            hypotheses += [
+                _Hypothesis(unknown, {unknown: part}, log_weight=part.log_weight)
+                for part in mistakes(unknown)
+            ]
     for unknown, prior in priors.items():
         if prior.kind == "usual":
-            unusual = {unknown: replace(prior, sigma=FREE_SIGMA)}
-            choices += [({**chosen, **unusual}, cost + _TAILS) for chosen, cost in choices]
-    return choices
-
-
-def _kept(evidence: Sequence[Evidence]) -> list[tuple[list[Evidence], float]]:
-    """The evidence with and without each part that may be wrong, and the cost of each choice."""
-    choices: list[tuple[list[Evidence], float]] = [(list(evidence), 0.0)]
-    for item in evidence:
-        if math.isfinite(item.max_chi2):
-            choices += [
-                ([kept for kept in chosen if kept is not item], cost + item.max_chi2)
-                for chosen, cost in choices
+            part = unusual()
+            hypotheses += [
+                one._replace(
+                    parts={**one.parts, unknown: part}, log_weight=one.log_weight + part.log_weight
+                )
+                for one in hypotheses
             ]
-    return choices
-
-
-def _solved(priors: CameraPriors, evidence: Sequence[Evidence]) -> CameraPosterior:
-    unknowns = tuple(priors)
-    sigma = np.array([prior.sigma for prior in priors.values()] + [item.sigma for item in evidence])
-    of = [[item.of.get(unknown, 0.0) for unknown in unknowns] for item in evidence]
-    A = np.array([*np.eye(len(unknowns)), *of]) / sigma[:, None]
-    b = np.array([*np.zeros(len(unknowns)), *(item.value for item in evidence)]) / sigma
-    P = np.linalg.inv(A.T @ A)
-    x = P @ (A.T @ b)
-    residual = A @ x - b
-    return CameraPosterior(unknowns, x, P, float(residual @ residual))
+    for k, item in enumerate(evidence):
+        if math.isfinite(item.max_chi2):
+            hypotheses += [
+                one._replace(
+                    left_out=one.left_out | {k}, log_weight=one.log_weight - item.max_chi2 / 2
+                )
+                for one in hypotheses
+            ]
+    return hypotheses

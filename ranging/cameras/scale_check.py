@@ -1,34 +1,40 @@
 """ScaleCheck: the posterior of the cameras over a drive, and whether it contradicts what was given.
 
-One hypothesis is that all priors hold; in each other hypothesis, one given value is a mistake and
-has no prior. The scale is in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of
-one free parameter; all hypotheses that fit nearly as well are named, weighed by how common such a
-mistake is (`prior_cost`).
+The scale is in doubt if it is more probable that a given value is a mistake than that all are
+right; all mistakes that are nearly as probable as the most likely one are named. Only sentences and
+alarms have this threshold: sigmas follow the probabilities (`CameraPosterior.sigma_of`).
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
-from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt, prior_cost
+from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
-from track_range.ranging.cameras.posterior import FREE_SIGMA, CameraPosterior, posterior
+from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
 from track_range.ranging.cameras.shape_evidence import ShapeEvidence
-from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M, CameraPriors, Unknown
+from track_range.ranging.cameras.unknowns import (
+    KNOWN_FOCAL,
+    USUAL_HEIGHT_M,
+    CameraPriors,
+    Sum,
+    Unknown,
+)
 from track_range.ranging.measurement.rig_scale import CALIBRATED, UNKNOWN_SCALE, RigScale
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estimated from shapes
-_DOUBTFUL, _RESOLVED = 9.0, 4.0  # differences of chi-squared at which a doubt starts and ends
-_NEARLY = 4.0  # largest difference between causes that both fit
+_DOUBTFUL, _RESOLVED = 2.0, 0.5  # odds of a mistake at which a doubt starts and ends
+_NEARLY = 0.135  # smallest probability of a cause, over that of the most likely one
+_FREE_SIGMA = 3.0  # of a baseline that is not known at all
 # what lengths by a pair and its baseline depend on
-_RIG_LENGTHS, _RIG = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}, {Unknown.BASELINE: 1.0}
+_RIG_LENGTHS: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
+_RIG: Sum = {Unknown.BASELINE: 1.0}
 _MAX_RIG_SIGMA = 0.2  # of one of them, at which distances by size are better
 _INTERVAL_S = 0.5  # between two evaluations
 _MAX_SPANS = 600  # largest number of former doubts that are kept
@@ -36,21 +42,6 @@ _EFFECT = (
     "Until the doubt is resolved, the sigmas of affected distances cover both scales, and no alarm "
     "is given."
 )
-
-
-class _Mistake(NamedTuple):
-    """The hypothesis that one given value is a mistake."""
-
-    unknown: Unknown
-    factor: float  # by which the value is too large
-    sigma: float
-    posterior: CameraPosterior
-    cost: float  # chi-squared and the prior of the mistake
-
-    @property
-    def chi2(self) -> float:
-        """Chi-squared of the evidence."""
-        return self.posterior.chi2
 
 
 class ScaleCheck:
@@ -79,15 +70,15 @@ class ScaleCheck:
         sources: list[EvidenceSource] = [self._sizes, self._speeds]
         if lane is not None:
             sources.append(LaneEvidence(camera, lane, height_m))
-        if isinstance(sizes, CuboidSizes) and priors[Unknown.FOCAL].sigma <= _KNOWN_FOCAL:
+        if isinstance(sizes, CuboidSizes) and priors[Unknown.FOCAL].sigma <= KNOWN_FOCAL:
             sources.append(ShapeEvidence(camera, sizes))
         self._sources = sources
         self._due_s = self._since_s = -math.inf
         # starts and ends of former doubts
         self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_SPANS)
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
-        self.agreement = Agreement(1.0, math.inf, "")
-        self._posterior: CameraPosterior | None = None  # the latest; None = without evidence
+        self.agreement = Agreement(1.0, math.inf, "", 0.0)
+        self.cameras: CameraPosterior = posterior(priors, [])
 
     @property
     def baseline_m(self) -> float | None:
@@ -106,22 +97,23 @@ class ScaleCheck:
         """The scale of a pair, as far as it has to be estimated from the drive."""
         if self._is_calibrated:
             return CALIBRATED
-        known = self._posterior
-        if known is None:
-            return UNKNOWN_SCALE
+        known = [
+            RigScale(mean, self.cameras.sigma_of(of, mean))
+            for of, mean in ((of, self.cameras.correction(of)) for of in (_RIG_LENGTHS, _RIG))
+        ]
         # the distances by size, with which others are fused, have the error of the focal length too
-        if min(known.sigma_of(_RIG_LENGTHS), known.sigma_of(_RIG)) > _MAX_RIG_SIGMA:
-            return UNKNOWN_SCALE
-        return RigScale(known.correction(_RIG_LENGTHS), known.sigma_of(_RIG_LENGTHS))
+        is_known = min(scale.sigma for scale in known) < _MAX_RIG_SIGMA
+        return known[0] if is_known else UNKNOWN_SCALE
 
-    def update(self, seen: SeenFrame) -> ScaleDoubt | None:
-        """The contradiction after a frame, None = none was found."""
+    def update(self, seen: SeenFrame) -> bool:
+        """Add a frame; True = the posterior and the doubt are new."""
         for source in self._sources:
             source.add(seen)
-        if seen.time_s >= self._due_s or not self.rig_scale.is_known:
-            self._due_s = seen.time_s + _INTERVAL_S
-            self._evaluate(seen.time_s)
-        return self.doubt
+        if seen.time_s < self._due_s and self.rig_scale.is_known:
+            return False
+        self._due_s = seen.time_s + _INTERVAL_S
+        self._evaluate(seen.time_s)
+        return True
 
     @property
     def sentence(self) -> str:
@@ -177,7 +169,7 @@ class ScaleCheck:
         if learnt := self._learnt:
             sections["learnt_scale"] = learnt
         elif self.baseline_m is not None and self._is_calibrated:
-            _, sigma, evidence = self.agreement
+            _, sigma, evidence, _ = self.agreement
             sections["baseline_check"] = {
                 "sigma": sigma if sigma <= SHOWN_SIGMA else None,
                 "evidence": evidence,
@@ -185,50 +177,43 @@ class ScaleCheck:
         return sections
 
     def _evaluate(self, time_s: float) -> None:
-        before, self.doubt = self.doubt, self._evaluated()
+        evidence = [item for source in self._sources for item in source.evidence]
+        self.cameras = posterior(self.priors, evidence, bounds=self._speeds.bounds)
+        self._evidence_names = names = self._names(evidence)
+        if Unknown.BASELINE in self.priors:
+            self.agreement = self._agreement(evidence, names)
+        before, self.doubt = self.doubt, self._contradiction(names)
         if before is None and self.doubt is not None:
             self._since_s = time_s
         elif before is not None and self.doubt is None:
             self._past_s.append((self._since_s, time_s))
 
-    def _evaluated(self) -> ScaleDoubt | None:
-        evidence = [item for source in self._sources for item in source.evidence]
-        bounds = self._speeds.bounds
-        if not evidence and not bounds:
-            return None
-        self._evidence_names = names = self._names(evidence)
-        self._posterior = right = posterior(self.priors, evidence, bounds=bounds)
-        mistakes = [
-            self._mistake(unknown, evidence, bounds)
-            for unknown, prior in self.priors.items()
-            if prior.kind == "given"
-            and unknown is not Unknown.SIZES
-            and any(unknown in item.of for item in (*evidence, *bounds))
-        ]
-        for mistake in mistakes:
-            if mistake.unknown is Unknown.BASELINE:
-                self.agreement = Agreement(mistake.factor, mistake.sigma, names)
-        limit = _DOUBTFUL if self.doubt is None else _RESOLVED
-        if right.chi2 - min((mistake.chi2 for mistake in mistakes), default=math.inf) < limit:
-            return None
-        best = min(mistakes, key=lambda mistake: mistake.cost)
-        self._posterior = best.posterior
-        near = [mistake for mistake in mistakes if mistake.cost < best.cost + _NEARLY]
-        near.sort(key=lambda mistake: mistake.cost)
-        causes = tuple((mistake.unknown, mistake.factor) for mistake in near)
-        return ScaleDoubt(best.factor, best.sigma, self._sizes.n_objects, causes, names)
+    def _agreement(self, evidence: Sequence[Evidence], names: str) -> Agreement:
+        """The baseline that the drive shows by itself."""
+        of: Sum = {Unknown.BASELINE: 1.0}
+        unknown = replace(self.priors[Unknown.BASELINE], sigma=_FREE_SIGMA, kind="unknown")
+        shown = posterior({**self.priors, Unknown.BASELINE: unknown}, evidence).estimate(of)
+        return Agreement(math.exp(shown.mean), shown.sigma, names, self.cameras.sigma_of(of))
 
-    def _mistake(
-        self, unknown: Unknown, evidence: Sequence[Evidence], bounds: Sequence[Evidence]
-    ) -> _Mistake:
-        """The hypothesis that a given value is a mistake."""
-        mistaken = {**self.priors, unknown: replace(self.priors[unknown], sigma=FREE_SIGMA)}
-        wrong = posterior(mistaken, evidence, bounds=bounds)
-        log_factor, sigma = wrong.estimate(unknown)
-        # a height that is too large makes the camera seem lower
-        factor = math.exp(-log_factor if unknown is Unknown.HEIGHT else log_factor)
-        cost = wrong.chi2 + prior_cost(unknown, factor, sigma)
-        return _Mistake(unknown, factor, sigma, wrong, cost)
+    def _contradiction(self, names: str) -> ScaleDoubt | None:
+        """What is probably a mistake, if this is more probable than that all is right."""
+        odds = {
+            cause: self.cameras.probability(cause) / max(self.cameras.probability(None), 1e-12)
+            for cause in dict.fromkeys(self.cameras.cause)
+            if cause is not None
+        }
+        if sum(odds.values()) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
+            return None
+        likely = max(odds.values())
+        near = [cause for cause in odds if odds[cause] > _NEARLY * likely]
+        near.sort(key=lambda cause: -odds[cause])
+        shown = [(cause, self.cameras.estimate({cause: 1.0}, cause)) for cause in near]
+        causes = tuple(
+            # a height that is too large makes the camera seem lower
+            (cause, math.exp(-of.mean if cause is Unknown.HEIGHT else of.mean))
+            for cause, of in shown
+        )
+        return ScaleDoubt(causes[0][1], shown[0][1].sigma, self._sizes.n_objects, causes, names)
 
     def _names(self, evidence: Sequence[Evidence]) -> str:
         is_given = self.priors[Unknown.HEIGHT].kind == "given"

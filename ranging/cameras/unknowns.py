@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from track_range.ranging.size_models.region import Region
 
@@ -27,6 +27,18 @@ class Unknown(StrEnum):
     SPEED = "speed"  # the given one
 
 
+class PriorPart(NamedTuple):
+    """A normal distribution of an unknown, as a part of its prior."""
+
+    log_weight: float
+    mean: float
+    sigma: float
+
+
+Sum = Mapping[Unknown, float]
+"""A sum of unknowns: the coefficient of each; absent = 0."""
+
+
 @dataclass(frozen=True, slots=True)
 class Prior:
     """What is known of a value before the drive."""
@@ -40,9 +52,42 @@ CameraPriors = Mapping[Unknown, Prior]
 """Priors by unknown; what the cameras do not have is absent."""
 
 USUAL_HEIGHT_M, _HEIGHT_SIGMA = 1.45, 0.22  # of cameras behind a windscreen
-# of calibrations, of a given height, and of the scale of receivers
-_RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.025, 0.02, 0.03, 0.015
+KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estimated from shapes
+# of a value that is unusual in its kind, and the probability of that
+_UNUSUAL_SIGMA, _P_UNUSUAL = 0.7, 0.12
+# of boards' calibrations, of a given focal length, of a given height, and of the scale of receivers
+_RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
 _SIZES_SIGMA = 0.07, 0.085  # if the region is known, and if it is not
+
+# standard deviations of wrong given values and the probability of each: measured badly, and wrong
+# by any factor; boards have squares of all sizes
+_WRONG = (0.25, 0.015), (1.5, 0.005)
+_WRONG_BASELINE = (0.25, 0.03), (1.5, 0.02)
+_P_KNOWN, _KNOWN_SIGMA = 0.004, 0.02  # of one mistake of `MISTAKES`
+
+MISTAKES: Mapping[Unknown, tuple[tuple[float, str], ...]] = {
+    Unknown.BASELINE: (
+        (2.54, "centimetres read as inches"),
+        (1 / 2.54, "inches read as centimetres"),
+        (3.281, "feet read as metres"),
+        (0.3048, "metres read as feet"),
+        (10.0, "millimetres read as centimetres"),
+        (0.1, "centimetres read as millimetres"),
+    ),
+    Unknown.FOCAL: (
+        (0.5, "the matrix of images of half the size"),
+        (2.0, "the matrix of images of twice the size"),
+    ),
+    Unknown.SPEED: (
+        (3.6, "km/h read as m/s"),
+        (1 / 3.6, "m/s read as km/h"),
+        (1.609, "km/h read as miles per hour"),
+        (1 / 1.609, "miles per hour read as km/h"),
+        (1.944, "knots read as m/s"),
+        (1 / 1.852, "knots read as km/h"),
+    ),
+}
+"""Known mistakes, and the factor that each makes a value too large by."""
 
 
 def camera_priors(
@@ -51,25 +96,42 @@ def camera_priors(
     focal_sigma: float = 0.0,
     baseline_m: float | None = None,
     baseline_sigma: float = 0.0,
+    scale_sigma: float = 0.0,
     height_m: float | None = None,
     region: Region = "unknown",
 ) -> CameraPriors:
     """The priors of one camera, or of the pair with the baseline.
 
-    `focal_sigma` and `baseline_sigma` are relative, 0 = calibrated; `height_m` is a given height
-    above the road, None = a usual one.
+    `focal_sigma` is relative, 0 = calibrated; `baseline_sigma` is that of an assumed baseline, 0 =
+    calibrated, with the error `scale_sigma` of lengths. `height_m` is a given height above the
+    road, None = a usual one.
     """
     height = Prior(_HEIGHT_SIGMA, "usual", USUAL_HEIGHT_M)
     if height_m is not None:
         height = Prior(_GIVEN_SIGMA, "given", height_m)
+    focal_kind: Kind = "given" if focal_sigma <= KNOWN_FOCAL else "unknown"
     priors = {
-        Unknown.SIZES: Prior(_SIZES_SIGMA[region == "unknown"]),
+        Unknown.SIZES: Prior(_SIZES_SIGMA[region == "unknown"], "unknown"),
         Unknown.HEIGHT: height,
-        Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), "given", focal_px),
+        Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), focal_kind, focal_px),
         Unknown.SPEED: Prior(_SPEED_SIGMA),
     }
     if baseline_m is not None and baseline_sigma:
         priors[Unknown.BASELINE] = Prior(baseline_sigma, "unknown", baseline_m)
     elif baseline_m is not None:
-        priors[Unknown.BASELINE] = Prior(_RIG_SIGMA, "given", baseline_m)
+        sigma = math.hypot(_RIG_SIGMA, scale_sigma)
+        priors[Unknown.BASELINE] = Prior(sigma, "given", baseline_m)
     return priors
+
+
+def mistakes(unknown: Unknown) -> list[PriorPart]:
+    """The prior of a given value that is wrong."""
+    wrong = _WRONG_BASELINE if unknown is Unknown.BASELINE else _WRONG
+    parts = [PriorPart(math.log(p), 0.0, sigma) for sigma, p in wrong]
+    known = [math.log(factor) for factor, _ in MISTAKES.get(unknown, ())]
+    return [*parts, *(PriorPart(math.log(_P_KNOWN), mean, _KNOWN_SIGMA) for mean in known)]
+
+
+def unusual() -> PriorPart:
+    """The prior of a value that is not known, and not a usual one."""
+    return PriorPart(math.log(_P_UNUSUAL), 0.0, _UNUSUAL_SIGMA)

@@ -8,8 +8,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.cameras.causes import ScaleDoubt, causes_of
-from track_range.ranging.cameras.doubt import Doubt
+from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.evidence import SeenFrame
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
@@ -245,15 +244,6 @@ def test_a_sentence_names_the_causes_that_fit():
     assert "read as" not in ScaleDoubt(0.5, 0.06, 4, ((Unknown.BASELINE, 0.5),), "sizes").sentence(
         0.2
     )
-
-
-@pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_sigma_covers_both_scales(factor):
-    distance_m = 20.0
-    doubt = Doubt.of(ScaleDoubt(factor, 0.1, 3, ((Unknown.BASELINE, factor),), "sizes"))
-    sigma_m = doubt.sigma_of(causes_of(["baseline", "own"], has_rig=True)) * distance_m
-    assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
-    assert doubt.sigma_of(causes_of(["size"], has_rig=True)) == 0.0
 
 
 @pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])

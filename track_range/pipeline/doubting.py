@@ -5,10 +5,12 @@ from typing import Any
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.ranging import FrameRanges
-from track_range.ranging.cameras.doubt import Doubt, SharedErrors
+from track_range.ranging.cameras.doubt import Doubt, Errors, errors_of
 from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_check import ScaleCheck
-from track_range.ranging.measurement.rig_scale import CALIBRATED
+from track_range.ranging.cameras.unknowns import CameraPriors
+from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
@@ -16,27 +18,30 @@ from track_range.tracking.tracks import Tracks
 
 @dataclass(slots=True)
 class DoubtStage:
-    """Checks what was given; `calibration_sigma` is the relative error of all distances by the
-    calibration.
-    """
+    """Checks what was given of the cameras, and estimates what was not."""
 
+    priors: CameraPriors = field(default_factory=dict)  # nothing is unknown
     check: ScaleCheck | None = None  # None = nothing is checked
-    calibration_sigma: float = 0.0
-    _shared: SharedErrors = field(init=False)
+    _errors: Errors = field(init=False)
+    _doubt: Doubt = field(init=False)
 
     def __post_init__(self) -> None:
-        has_rig = self.check is not None and self.check.baseline_m is not None
-        self._shared = SharedErrors(self.calibration_sigma, has_rig=has_rig)
+        self._errors = errors_of(self.priors)
+        self._doubt = Doubt.of(posterior(self.priors, []), self._errors, rig=self._rig)
 
     @property
     def initial(self) -> Doubt:
-        """The doubt before the first frame: none."""
-        return self._shared.doubt(None)
+        """The doubt before the first frame: that of the priors."""
+        return self._doubt
 
     @property
     def initial_scale(self) -> DriveScale:
         """The scale of the drive before the first frame."""
-        return DriveScale(rig=CALIBRATED if self.check is None else self.check.rig_scale)
+        return DriveScale(rig=self._rig)
+
+    @property
+    def _rig(self) -> RigScale:
+        return CALIBRATED if self.check is None else self.check.rig_scale
 
     def update(
         self,
@@ -51,14 +56,14 @@ class DoubtStage:
 
         While there is doubt, the scale has no evidence: neither corrects the other in circles.
         """
-        contradiction = None if self.check is None else self.check.doubt
-        by_size = measured.by_size
-        if self.check is not None and by_size is not None:
+        check, by_size = self.check, measured.by_size
+        if check is not None and by_size is not None:
             seen = SeenFrame(tracks, by_size, measured.by_rig, ego, time_s, lanes or LaneLines())
-            contradiction = self.check.update(seen)
-        rig = CALIBRATED if self.check is None else self.check.rig_scale
-        after = DriveScale() if contradiction else scale.after(measured.evidence, time_s)
-        return self._shared.doubt(contradiction, rig), replace(after, rig=rig)
+            if check.update(seen):
+                self._doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
+        is_in_doubt = self._doubt.scale is not None
+        after = DriveScale() if is_in_doubt else scale.after(measured.evidence, time_s)
+        return self._doubt, replace(after, rig=self._rig)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""

@@ -17,7 +17,7 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.scale_check import ScaleCheck
-from track_range.ranging.cameras.unknowns import camera_priors
+from track_range.ranging.cameras.unknowns import CameraPriors, camera_priors
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
@@ -86,7 +86,8 @@ def open_pipeline(
     ego = _ego_stage(
         context, flow, ego_speed, measures_speed=measures_speed, yaw_deg=calibration.view.yaw_deg
     )
-    check = _scale_check(context, settings.lane_width_m) if is_ahead else None
+    priors = _camera_priors(context, calibration)
+    check = _scale_check(context, priors, settings.lane_width_m) if is_ahead else None
     warning = CollisionWarning(settings.warning_settings) if is_ahead else None
     camera = calibration.camera
     return FramePipeline(
@@ -99,7 +100,7 @@ def open_pipeline(
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=ego,
         ranging=RangingStage(create_rangers(context)),
-        doubting=DoubtStage(check, calibration.scale_sigma),
+        doubting=DoubtStage(priors, check),
         filtering=FilterStage(
             camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
         ),
@@ -166,18 +167,26 @@ def _ego_stage(
     )
 
 
-def _scale_check(context: MethodContext, lane_width_m: float | None) -> ScaleCheck:
+def _camera_priors(context: MethodContext, calibration: RecordingCalibration) -> CameraPriors:
+    """What is known of the cameras before the drive."""
     rig = context.rig
+    return camera_priors(
+        context.camera.fx_px,
+        focal_sigma=calibration.scale_sigma if rig is None else context.focal_sigma,
+        baseline_m=None if rig is None else rig.baseline_m,
+        baseline_sigma=0.0 if rig is None else rig.baseline_sigma,
+        scale_sigma=calibration.scale_sigma,
+        height_m=context.camera_height_m,
+        region=context.region,
+    )
+
+
+def _scale_check(
+    context: MethodContext, priors: CameraPriors, lane_width_m: float | None
+) -> ScaleCheck:
     return ScaleCheck(
         context.camera,
-        camera_priors(
-            context.camera.fx_px,
-            focal_sigma=context.focal_sigma,
-            baseline_m=None if rig is None else rig.baseline_m,
-            baseline_sigma=0.0 if rig is None else rig.baseline_sigma,
-            height_m=context.camera_height_m,
-            region=context.region,
-        ),
+        priors,
         lane=usual_width(context.region, lane_width_m),
         sizes=context.size_model,
         road_height_m=_road_height_m(context),

@@ -14,6 +14,7 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.world import World, WorldStage
 from track_range.ranging.cameras.doubt import Doubt
+from track_range.ranging.cameras.unknowns import CameraPriors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_path import EgoPose
@@ -57,19 +58,19 @@ def changed(result: FrameResult, **values: Any) -> FrameResult:
             speed = {name.replace("ego", "speed"): value}
             parts["ego"] = replace(parts.get("ego", result.ego), **speed)
         elif name == "scale_doubt":
-            parts["doubt"] = Doubt.of(value)
+            parts["doubt"] = Doubt(value)
         else:
             parts[name] = value
     return replace(result, **parts)
 
 
 def frame_pipeline(
-    camera: PinholeCamera, *, calibration_sigma: float = 0.0, **stages: Any
+    camera: PinholeCamera, *, priors: CameraPriors | None = None, **stages: Any
 ) -> FramePipeline:
     """A pipeline without ego motion and doubt, but with warnings."""
     return FramePipeline(
         ego=EgoStage(),
-        doubting=DoubtStage(None, calibration_sigma),
+        doubting=DoubtStage(priors or {}),
         filtering=FilterStage(camera),
         world=WorldStage(camera),
         alarming=AlarmStage(camera, CollisionWarning()),

@@ -15,6 +15,7 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
+from track_range.ranging.cameras.unknowns import Prior, Unknown
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.ground_plane import GroundRanger
 from track_range.ranging.methods.method import MethodError, Ranger
@@ -99,7 +100,7 @@ def test_clock_counts_the_stages_that_ran():
 
 
 def test_shared_error_increases_every_sigma():
-    plain, doubtful = pipeline(), pipeline(calibration_sigma=0.25)
+    plain, doubtful = pipeline(), pipeline(priors={Unknown.FOCAL: Prior(0.25)})
     for one, other in zip(
         run_in_threads(plain, frames(3)), run_in_threads(doubtful, frames(3)), strict=True
     ):

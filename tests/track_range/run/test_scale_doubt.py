@@ -61,7 +61,7 @@ def test_wrong_baselines_are_doubted(cli, shared_data, tmp_path, factor, cause):
     ]
     assert len(late) > 20
     assert all(
-        0.9 * abs(1 - 1 / factor) < sigma_m / distance_m < abs(1 - 1 / factor) + 0.5
+        0.5 * abs(1 - 1 / factor) < sigma_m / distance_m < abs(1 - 1 / factor) + 0.6
         for distance_m, sigma_m in late
     )
     with (tmp_path / "out/events.csv").open() as file:
