@@ -66,6 +66,31 @@ def _all(kind: Any, names: str) -> dict[str, Any]:
     return dict.fromkeys(names.split(), kind)
 
 
+class _Source(_Section):
+    kind: Annotated[str, Field(strict=True)]
+    source: Annotated[str, Field(strict=True)]
+    focal_px: Number
+    sigma: Number
+    weight: Number
+    density: list[Number]
+
+
+class _Remedy(_Section):
+    evidence: Annotated[str, Field(strict=True)]
+    focal_sigma: Number
+
+
+class _CameraEstimate(_Section):
+    focal_px: Number
+    focal_sigma: Number
+    curve_px: list[Number]
+    density: list[Number]
+    sources: list[_Source]
+    k1: Number | None = None
+    k1_sigma: Number | None = None
+    remedy: _Remedy | None = None
+
+
 _HEALTH = _section(
     **_all(Text, "state sentence move_sentence unseen"), distances=list[_RigDistance]
 )
@@ -98,6 +123,7 @@ _SUMMARY = _section(
         **_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text
     )
     | None,
+    camera_estimate=_CameraEstimate | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )
 

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.known_metres import KnownMeasurements, known_metres
 from track_range.calibration.drive.pre_pass import PrePass
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
@@ -85,7 +86,7 @@ def open_run(
             boxes = boxes_of(detector)
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
         if detector is None:  # an object may depend on the order of the frames
-            recording = _with_estimate(recording, box_source, shapes, progress)
+            recording = _with_estimate(recording, settings, box_source, shapes, progress)
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
@@ -115,14 +116,19 @@ def open_run(
 
 
 def _with_estimate(
-    recording: Recording, boxes: BoxSource, shapes: SizeModel, progress: StepProgress
+    recording: Recording,
+    settings: RunSettings,
+    boxes: BoxSource,
+    shapes: SizeModel,
+    progress: StepProgress,
 ) -> Recording:
     """The recording with its unknown focal length and distortion estimated from its images, unless
     it is live.
     """
     if not recording.calibration.guesses or recording.live is not None:
         return recording
-    pre_pass = PrePass(detect=boxes.detect, sizes=shapes, progress=progress)
+    known = KnownMeasurements(objects=known_metres(settings.known_distance, (), ()))
+    pre_pass = PrePass(detect=boxes.detect, sizes=shapes, known=known, progress=progress)
     camera = pre_pass.camera_of([DriveVideo.of_recording(recording)])
     return recording.with_camera(camera.estimate)
 

@@ -55,6 +55,7 @@ class RunKeywords(PipelineKeywords, total=False):
     topics: str | Sequence[str] | None
     rig: str | Path | StereoRig | None
     focal_px: float | None
+    known_distance: str | Sequence[str] | None
     fov_deg: float | None
     yaw_deg: float | None
     start: float | None

@@ -395,6 +395,14 @@ class Run:
         return self._overlay(result)
 
     @property
+    def camera_notes(self) -> list[str]:
+        """Messages on an estimated camera: how well it is known, from what, and what would help; none
+        with a calibration.
+        """
+        estimate = self.session.recording.calibration.estimate
+        return [] if estimate is None else list(estimate.notes)
+
+    @property
     def summary(self) -> dict[str, Any]:
         """Content of summary.json: errors and coverage of each method, tracks, speed, notes.
 

@@ -224,6 +224,30 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
     assert np.nanmin(fraction) >= summary["focal_sigma"] - 1e-3
 
 
+@pytest.mark.slow
+def test_known_distance_in_a_run(tmp_path, cli, small_drive):
+    rows = np.genfromtxt(small_drive.table, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    camera, _ = load_camera(small_drive.rig, size_px=None)
+    is_usable = (rows["frame"] == 0) & (rows["class"] == "car") & (rows["x1"] > 2)
+    is_usable &= (rows["x2"] < camera.width_px - 3) & (rows["y2"] < camera.height_px - 3)
+    row = rows[np.flatnonzero(is_usable)[np.argmin(rows["distance_m"][is_usable])]]
+    box = ",".join(str(row[name]) for name in ("x1", "y1", "x2", "y2"))
+    video = shutil.copy(small_drive.left, tmp_path / "drive.mp4")
+    out = tmp_path / "run"
+    arguments = ("run", "--mono", video, "--detections", small_drive.detections, "--out", out)
+    known = ("--known-distance", f"0,{box},car={row['distance_m']}")
+    status, printed, complaint = cli(*arguments, *known, "--no-overlay")
+    assert status == 0, complaint
+    assert printed.strip().splitlines()[-1].startswith("- ")  # the estimate comes last
+    summary = json.loads((out / "summary.json").read_text())
+    kinds = [source["kind"] for source in summary["camera_estimate"]["sources"]]
+    assert "known metres" in kinds
+    assert summary["focal_sigma"] < 0.12
+    assert abs(math.log(summary["focal_px"] / camera.fx_px)) < 3 * summary["focal_sigma"]
+    status, _, complaint = cli(*arguments, *known, "--focal-px", 700)
+    assert (status, "omit it" in complaint) == (2, True)
+
+
 @pytest.mark.real
 def test_real_drive(shared_data, tmp_path, cli):
     """KITTI 0005: the car ahead is 1.62 m high, and its rear 33.39 - 4.5 / 2 m away in frame 8; f =

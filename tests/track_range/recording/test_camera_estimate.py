@@ -38,9 +38,10 @@ def test_two_sources_that_agree_by_hand():
 
 @given(st.floats(600, 1500), st.floats(0.02, 0.2))
 def test_one_source_is_the_estimate(focal_px, sigma):
-    alone = estimate(source(focal_px, sigma, "usual"))
+    alone = estimate(source(focal_px, sigma, "motion"))
     assert alone.focal_px == pytest.approx(focal_px, rel=0.02)
-    assert alone.sigma == pytest.approx(sigma, rel=0.05, abs=1e-4)
+    # a little wider, since it may be a mistake
+    assert sigma - 1e-3 < alone.sigma < 1.3 * sigma
 
 
 def test_sigma_widens_with_a_contradiction():

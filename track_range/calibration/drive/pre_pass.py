@@ -40,6 +40,7 @@ from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 _MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
+_MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
 
 
@@ -125,7 +126,7 @@ class PrePass:
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
         cuboids = self.sizes if isinstance(self.sizes, CuboidSizes) else None
         flat = replace(default_guess(size_px[0]), sigma=_FLAT_SIGMA)
-        shapes = focal_posterior([flat], scene, size_px, cuboids)
+        shapes = focal_posterior([flat], thinned(scene), size_px, cuboids)
         if shapes.n_tracks:
             curve = np.log(shapes.density + 1e-300)
             by_shape = source_of_curve("shapes", shapes.shapes, shapes.focal_px, curve, size_px[0])
@@ -180,6 +181,19 @@ def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
     log_f = (log_fit * fit.focal_sigma**-2 - log_prior * prior.sigma**-2) / gained
     guess = FocalGuess(float(np.exp(log_f)), float(gained**-0.5), "the known metres")
     return source_of_guess(guess, "known metres", before.size_px[0])
+
+
+def thinned(boxes: SceneBoxes) -> SceneBoxes:
+    """Boxes with at most `_MOST_VIEWS` of each object, evenly spaced: further views add time, and
+    hardly any information, since they share the size of the object.
+    """
+    order = np.argsort(boxes.track_id, kind="stable")
+    _, first, count = np.unique(boxes.track_id[order], return_index=True, return_counts=True)
+    views = [
+        start + np.unique(np.linspace(0, n - 1, min(n, _MOST_VIEWS)).round().astype(np.int64))
+        for start, n in zip(first, count, strict=True)
+    ]
+    return boxes.select(np.sort(order[np.concatenate([np.zeros(0, np.int64), *views])]))
 
 
 def undistorted(boxes: SceneBoxes, camera: PinholeCamera) -> SceneBoxes:

@@ -136,7 +136,8 @@ def _process(
 ) -> None:
     from track_range.cli.shared.console import print_notes
 
-    opening_notes = run.notes
+    of_camera = run.camera_notes  # printed at the end
+    opening_notes = [note for note in run.notes if note not in of_camera]
     with _ignore_broken_pipe():
         print_notes(console, opening_notes)
     if view is not None:
@@ -149,9 +150,12 @@ def _process(
     finally:
         if run.is_finished:
             with _ignore_broken_pipe():
-                print_notes(console, [note for note in run.notes if note not in opening_notes])
+                printed = {*opening_notes, *of_camera}
+                print_notes(console, [note for note in run.notes if note not in printed])
             with _ignore_broken_pipe():
                 print_results(run, console)
+            with _ignore_broken_pipe():
+                print_notes(console, of_camera)
 
 
 def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:

@@ -5,9 +5,10 @@ Each source is a likelihood L_i of the log focal length on one grid. A source ma
 (a cropped video, a tracked lorry, a wrong tape measure), with a probability e_i that depends on its
 kind; it then says nothing. The posterior is the mean over both hypotheses of every source:
 
-    p(log f)  ~  prod_i [ (1 - e_i) L_i(log f) / integral(L_i) + e_i U(log f) ]
+    p(log f)  ~  prod_i [ (1 - e_i) L_i(log f) / integral(L_i) + e_i M_i(log f) ]
 
-with the usual field of view of road cameras U. The uncertainty widens with the contradiction of the
+with a constant M_i, or for what replaces the usual field of view of road cameras (metadata, a given
+calibration) that field. The uncertainty widens with the contradiction of the
 sources, without a threshold. Its sigma is that of the intervals of 68 and 95 %, the larger one:
 the second moment of such a mixture would state the size of its rare mistakes.
 """
@@ -29,17 +30,18 @@ FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the
 _N_GRID = 1201  # points of the grid, 0.25 % apart
 # probabilities below the bounds of the intervals of one and two standard deviations, and the median
 _QUANTILES = (0.0228, 0.1587, 0.5, 0.8413, 0.9772)
-# Probability that a source is a mistake. Assumed: metadata of cropped or stabilised video is wrong
-# most often; the usual field of view is so wide that it has no outliers.
+# Probability that a source is a mistake; assumed. Metadata of cropped or stabilised video is wrong
+# most often. Motion checks itself.
 _MISTAKE = {
     "given": 0.01,
-    "usual": 0.0,
+    "usual": 0.03,
     "metadata": 0.05,
-    "shapes": 0.02,
-    "motion": 0.02,
+    "shapes": 0.05,
+    "motion": 0.005,
     "speed": 0.05,
     "known metres": 0.02,
 }
+_REPLACE_USUAL = ("given", "metadata")  # sources beside which the usual field of view is no source
 _WORTHWHILE = 0.8  # largest ratio of the sigma with further evidence to that without worth a note
 # smallest ratio of |k1| to its sigma, and displacement of the image's corner in px, from which on a
 # distortion is corrected
@@ -85,10 +87,11 @@ class FocalSource:
 
     def robust_log_density(self, usual: FloatArray) -> FloatArray:
         """(G,) log probability of each point, if the source may be a mistake; `usual` is the density
-        that holds then.
+        of the usual field of view.
         """
-        mistake = _MISTAKE[self.kind]
-        return np.asarray(np.log((1 - mistake) * self.density + mistake * usual + 1e-300))
+        mistake, density = _MISTAKE[self.kind], self.density
+        otherwise = usual if self.kind in _REPLACE_USUAL else np.full_like(usual, 1 / len(usual))
+        return np.asarray(np.log((1 - mistake) * density + mistake * otherwise + 1e-300))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

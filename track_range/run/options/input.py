@@ -105,6 +105,19 @@ class InputOptions(Options):
             gt=0,
         ),
     ] = None
+    known_distance: Annotated[
+        tuple[str, ...],
+        option(
+            "Known distance of an object in the video of a camera without a calibration, which "
+            "corrects the estimated focal length: along the camera's axis to its nearest surface, "
+            "with its box in pixels T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4', or with a "
+            "class, 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat the option for further objects.",
+            metavar="BOX=M",
+            is_repeated=True,
+            instead="a known distance belongs to one recording; give --rig with the file that "
+            "`track-range calibrate drive VIDEO --known-distance ... --out rig.yaml` writes",
+        ),
+    ] = ()
     fov_deg: Annotated[
         float | None,
         option(

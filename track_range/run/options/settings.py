@@ -118,6 +118,11 @@ _CONTRADICTIONS = (
         "give --rig or --focal-px, not both",
     ),
     Contradiction(
+        ("known_distance", "rig", "focal_px"),
+        lambda run: bool(run.known_distance) and (run.rig or run.focal_px) is not None,
+        "--known-distance is for cameras without a calibration: omit it, or --rig and --focal-px",
+    ),
+    Contradiction(
         ("yaw_deg", "mono", "stereo"),
         lambda run: run.yaw_deg != 0 and run.mono is None,
         "--yaw-deg needs --mono: the cameras of a pair are side by side only when they look ahead",

@@ -52,10 +52,19 @@ class OptionsWithoutEffect(Reports):
 
     def _unused(self) -> Sequence[str]:
         """Notes on options of the input and the detector that are not used."""
-        settings = self.settings
+        settings, recording = self.settings, self.recording
         notes = []
         if settings.mono is not None and settings.align not in ("auto", "off"):
             notes.append("--align is not used with one camera.")
+        if settings.known_distance and recording.calibration.estimate is None:
+            notes.append(
+                "--known-distance is not used: "
+                + (
+                    "a live source has no pass before the run."
+                    if recording.live is not None
+                    else "the recording has a calibration."
+                )
+            )
         if settings.realtime and any(source_of(video).is_live for video in settings.videos):
             notes.append(
                 "--realtime has no effect on cameras and streams, which are read in real time "

@@ -31,6 +31,7 @@ from track_range.results.formats.poses_file import Poses
 from track_range.results.rows.rows import Rows
 from track_range.views import tables
 from track_range.views.report import comparison, sentences
+from track_range.views.report.content.camera import camera_picture
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import (
@@ -146,6 +147,7 @@ def report_page(
         mot_classes=tracks.get("classes") or [],
         sigma_sentences=sentences.sigma_sentences(summary),
         geometry=geometry,
+        camera=camera_picture(summary),
         rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
         n_tracks=len(np.unique(rows["track_id"])),
         settings=list(sentences.settings_groups(summary)),

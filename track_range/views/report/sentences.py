@@ -180,6 +180,13 @@ def geometry_sentences(summary: Summary) -> list[str]:
         "approximate.",
     }
     sentences = [calibrations.get(str(summary.get("calibration")), "")]
+    if estimate := summary.get("camera_estimate"):
+        sentences[0] = (
+            "Not calibrated: the focal length was estimated from the recording as "
+            f"{estimate['focal_px']:,.0f} px within {100 * estimate['focal_sigma']:.1f} %."
+        )
+        if estimate.get("is_distortion_corrected"):
+            sentences.append(f"A distortion of k1 = {estimate['k1']:+.3f} was corrected.")
     if scale := summary.get("learnt_scale"):
         sentences.append(
             f"The baseline was estimated from the drive, with {counted(scale['n_tracks'], 'track')}: "
