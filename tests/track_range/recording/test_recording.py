@@ -198,7 +198,7 @@ def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
         0.3,
         1,
     )
-    assert any("75 degrees" in note and "--known-distance" in note for note in recording.notes)
+    assert any("75 degrees" in note and "calibrate drive" in note for note in recording.notes)
     recording.close()
 
 

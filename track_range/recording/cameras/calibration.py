@@ -181,7 +181,10 @@ class RecordingCalibration:
             f"{100 * focal.sigma:.0f} %, from {focal.source} (give --focal-px if it is known)"
         )
         if len(self.sizes_px) == 1:
-            return (f"No calibration: {length}; all distances share its error.",)
+            return (
+                f"No calibration: {length}; all distances share its error, which a recording of a "
+                "drive reduces: track-range calibrate drive VIDEO --out rig.yaml.",
+            )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
         how = (
