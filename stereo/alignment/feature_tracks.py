@@ -8,34 +8,28 @@ coarse disparity map, over time from the last position.
 """
 
 import math
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.corner_flow import checked_flow, new_corners
 from track_range.stereo.geometry.frames import grey
 
 MIN_ROWS = 30  # minimum number of points for a row offset
 _N_POINTS = 1100  # number of points that are tracked
 _GRID = (3, 8)  # rows and columns of cells with equal numbers of new points
 _MIN_GAP_PX = 10  # minimum distance between two points, px
-_MIN_QUALITY = 0.01  # minimum quality of a corner, as a fraction of the best corner's in its cell
-_WINDOW_PX = (15, 15)  # size of the tracked window, px
 _LEVELS = 3  # pyramid levels above the full image for tracking over time
-_MAX_RETURN_PX = 0.5  # largest error of the forward-backward check, px
 # largest difference between the row offset of a right point and the common one, px
 _MAX_ROW_PX = 2.0
-_BORDER_PX = 8  # minimum distance of a point from the image border, px
 # number of disparities searched in the half-size images; twice as many in full pixels
 _COARSE_RANGE_PX = 80
 # smallest of them: a wrong vergence of 0.5 degrees makes disparities of far points negative
 _COARSE_MIN_PX = -8
 _UNKNOWN_PX = 5.0  # initial disparity where the coarse map has none, px
 _MAX_LOG_GAIN = 0.15  # largest difference of the contrasts of left and right that is left as it is
-# iterations of Lucas-Kanade, and step in px
-_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
 
 
 class PairPoints(NamedTuple):
@@ -90,7 +84,9 @@ class FeatureTracks:
         left, right = grey(left), _as_bright(grey(right), grey(left))
         flow_px, fraction_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
-            moved, is_tracked = _flow(self._before, left, self._left_px, self._left_px, _LEVELS)
+            moved, is_tracked = checked_flow(
+                self._before, left, self._left_px, self._left_px, _LEVELS
+            )
             step_px = np.linalg.norm(moved - self._left_px, axis=1)[is_tracked]
             flow_px = float(np.median(step_px)) if len(step_px) else float("inf")
             fraction_tracked = float(is_tracked.mean())
@@ -103,10 +99,8 @@ class FeatureTracks:
         n_missing = _N_POINTS - len(self._left_px)
         if n_missing <= 0:
             return
-        free = np.full(left.shape, 255, np.uint8)
-        for x, y in np.round(self._left_px).astype(int).tolist():
-            cv2.circle(free, (x, y), _MIN_GAP_PX, 0, -1)
-        points = np.concatenate([self._left_px, *_new_corners(left, free, n_missing)])
+        new = new_corners(left, self._left_px, n_missing, grid=_GRID, min_gap_px=_MIN_GAP_PX)
+        points = np.concatenate([self._left_px, new])
         n_new = len(points) - len(self._left_px)
         self._number = np.concatenate([self._number, self._next_number + np.arange(n_new)])
         self._next_number += n_new
@@ -124,7 +118,7 @@ class FeatureTracks:
         is_known = np.isfinite(coarse_px)
         start = self._left_px.copy()
         start[:, 0] -= np.where(is_known, coarse_px, _UNKNOWN_PX)
-        right_px, is_matched = _flow(left, right, self._left_px, start, 1)
+        right_px, is_matched = checked_flow(left, right, self._left_px, start, 1)
         row_px = right_px[:, 1] - self._left_px[:, 1]
         if (is_matched & is_known).any():
             is_matched &= is_known & (
@@ -163,50 +157,3 @@ def _as_bright(image: Image, other: Image) -> Image:
     if abs(math.log(max(factor, 1e-3))) < _MAX_LOG_GAIN:
         return image
     return np.asarray(cv2.convertScaleAbs(image, alpha=factor, beta=0.0), np.uint8)
-
-
-def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:
-    """About `n_corners` corners, equally many in each cell, where `free` is not 0."""
-    n_rows, n_columns = _GRID
-    rows = np.linspace(0, left.shape[0], n_rows + 1).astype(int).tolist()
-    columns = np.linspace(0, left.shape[1], n_columns + 1).astype(int).tolist()
-    n_per_cell = max(5, n_corners // (n_rows * n_columns))
-    new = []
-    for top, bottom in pairwise(rows):
-        for start, end in pairwise(columns):
-            cell = np.s_[top:bottom, start:end]
-            corners = cv2.goodFeaturesToTrack(
-                left[cell], n_per_cell, _MIN_QUALITY, _MIN_GAP_PX, mask=free[cell], blockSize=5
-            )
-            if corners is not None:
-                new.append(
-                    corners.reshape(-1, 2).astype(np.float32) + np.array([start, top], np.float32)
-                )
-    return new
-
-
-def _flow(
-    source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
-) -> tuple[FloatArray32, BoolArray]:
-    """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward
-    check.
-    """
-
-    def lucas_kanade(
-        first: Image, second: Image, xy: FloatArray32, start: FloatArray32
-    ) -> tuple[FloatArray32, BoolArray]:
-        settings: dict[str, Any] = {"winSize": _WINDOW_PX, "maxLevel": levels, "criteria": _STOP}
-        flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(
-            first, second, xy, start.copy(), flags=flags, **settings
-        )
-        return np.asarray(moved, np.float32), status.reshape(-1) > 0
-
-    moved, is_tracked = lucas_kanade(source, target, points, start)
-    returned, has_returned = lucas_kanade(target, source, moved, points)
-    height, width = target.shape
-    is_inside = (moved >= _BORDER_PX).all(axis=1) & (
-        moved < np.array([width, height]) - 1 - _BORDER_PX
-    ).all(axis=1)
-    is_consistent = np.abs(returned - points).max(axis=1) < _MAX_RETURN_PX
-    return moved, np.asarray(is_tracked & has_returned & is_inside & is_consistent)

@@ -20,7 +20,6 @@ from track_range.stereo.alignment.bundle_adjustment import (
     N_ERRORS,
     Bundle,
     BundleFit,
-    Equations,
     Observations,
     equations_by_group,
     fit_bundle,
@@ -32,6 +31,7 @@ from track_range.stereo.alignment.initial_poses import (
     initial_bundle,
     only_points,
 )
+from track_range.stereo.geometry.bundle_equations import Equations
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8  # number of vertical strips of the image
@@ -215,7 +215,7 @@ def _segment(observed: Observations, fit: BundleFit, rig: StereoRig) -> Segment:
         s[strip, part], b[strip, part] = of_cell.s, of_cell.b
 
     def information(s: FloatArray, b: FloatArray) -> Information:
-        matrix, step = Equations(s, b, n_poses).of_errors()
+        matrix, step = Equations(s, b, n_poses).of_shared()
         return Information(matrix, step + matrix[:, :N_ERRORS] @ fit.bundle.error_px)
 
     whole_s, whole_b = s.sum(axis=(0, 1)), b.sum(axis=(0, 1))

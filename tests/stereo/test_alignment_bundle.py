@@ -112,7 +112,7 @@ def test_derivatives_equal_finite_differences() -> None:
     for axis in range(3):
         error_px = bundle.error_px + small * np.eye(3)[axis]
         assert changed(replace(bundle, error_px=error_px)) == pytest.approx(
-            linear.by_error[:, :, axis], abs=1e-6
+            linear.by_shared[:, :, axis], abs=1e-6
         )
 
 
