@@ -215,7 +215,7 @@ def _segment(observed: Observations, fit: BundleFit, rig: StereoRig) -> Segment:
         s[strip, part], b[strip, part] = of_cell.s, of_cell.b
 
     def information(s: FloatArray, b: FloatArray) -> Information:
-        matrix, step = Equations(s, b, n_poses).of_shared()
+        matrix, step, *_ = Equations(s, b, n_poses).of_shared()
         return Information(matrix, step + matrix[:, :N_ERRORS] @ fit.bundle.error_px)
 
     whole_s, whole_b = s.sum(axis=(0, 1)), b.sum(axis=(0, 1))

@@ -50,23 +50,20 @@ class Equations(NamedTuple):
     b: FloatArray  # (C,) right side
     n_pose_unknowns: int  # number of pose unknowns, which come first
 
-    def of_shared(self) -> tuple[FloatArray, FloatArray]:
-        """(E, E) information on the shared parameters and (E,) right side, with the poses p
-        eliminated too.
+    def of_shared(self) -> SharedEquations:
+        """The equations of the shared parameters, with the poses p eliminated too.
 
         I = S_ee - S_ep S_pp^-1 S_pe,  i = b_e - S_ep S_pp^-1 b_p
         """
         n = self.n_pose_unknowns
-        s_ep, solved = self.s[n:, :n], self.solved_poses()
-        return self.s[n:, n:] - s_ep @ solved[:, :-1], self.b[n:] - s_ep @ solved[:, -1]
-
-    def solved_poses(self) -> FloatArray:
-        """(6 F - 6, E + 1) S_pp^-1 (S_pe, b_p): the poses are its last column minus the others times
-        the shared parameters.
-        """
-        n = self.n_pose_unknowns
-        s_pp = self.s[:n, :n] + POSE_RIDGE * np.eye(n)
-        return np.asarray(np.linalg.solve(s_pp, np.column_stack([self.s[:n, n:], self.b[:n]])))
+        s_ep, s_pp = self.s[n:, :n], self.s[:n, :n] + POSE_RIDGE * np.eye(n)
+        solved = np.asarray(
+            np.linalg.solve(s_pp, np.column_stack([s_ep.T, self.b[:n]])), np.float64
+        )
+        by_shared, poses = solved[:, :-1], solved[:, -1]
+        return SharedEquations(
+            self.s[n:, n:] - s_ep @ by_shared, self.b[n:] - s_ep @ poses, by_shared, poses
+        )
 
     def damped(self, damping: float) -> Equations:
         """The equations with each number of the diagonal larger by the fraction `damping`."""
@@ -79,6 +76,19 @@ class Equations(NamedTuple):
             whitened, right_side = whitened[is_member], right_side[is_member]
         rows = whitened.reshape(-1, whitened.shape[2])
         return self._replace(s=self.s - rows.T @ rows, b=self.b - rows.T @ right_side.reshape(-1))
+
+
+class SharedEquations(NamedTuple):
+    """Normal equations I e = i of the E shared parameters, and the poses p that follow from them."""
+
+    information: FloatArray  # (E, E) I
+    right_side: FloatArray  # (E,) i
+    by_shared: FloatArray  # (6 F - 6, E) S_pp^-1 S_pe
+    poses: FloatArray  # (6 F - 6,) S_pp^-1 b_p
+
+    def unknowns(self, shared: FloatArray) -> FloatArray:
+        """(C,) x = (p, e) at the shared parameters (E,)."""
+        return np.concatenate([self.poses - self.by_shared @ shared, shared])
 
 
 class PointBlocks(NamedTuple):

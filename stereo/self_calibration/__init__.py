@@ -1,0 +1,1 @@
+"""Self-calibration: lens and focal length of one camera from the motion of the static scene."""

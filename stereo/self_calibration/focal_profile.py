@@ -1,0 +1,144 @@
+"""The focal length of the scenes of a drive: selection of static points, and the profile likelihood.
+
+The cost of the scenes is minimised over everything but the focal length at some focal lengths:
+
+    l(f) = -1/2 min over poses, points, k1, k2, cx, cy of the cost at f
+
+At a wrong focal length static points look like moving ones: points are selected with a wide limit,
+then with a narrower one at the focal length found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.self_calibration.radial_lens import (
+    CX,
+    CY,
+    K1,
+    LOG_FOCAL,
+    N_PARAMETERS,
+    RadialLens,
+)
+from track_range.stereo.self_calibration.scene_bundle import (
+    Observed,
+    Prior,
+    Scene,
+    SceneFit,
+    fit_scenes,
+)
+
+MIN_OBSERVATIONS = 4  # minimum number of observations of a point
+MIN_POINTS = 60  # minimum number of points of a scene
+# Rounds of the selection: scale of the Cauchy loss in sigmas, and largest residual of a static point
+# in sigmas
+_ROUNDS = ((2.0, 6.0), (3.0, 4.5))
+_LAST_SIGMAS = 4.0
+# distances in log f from the best one at which the cost is computed, until it is so much higher
+_DISTANCES, _ENOUGH_COST = (0.03, 0.06, 0.12, 0.24, 0.48, 0.96), 150.0
+_START_NOISE_PX = (0.5, 0.25)  # of the first two fits of a scene
+_FIRST_LIMIT = 8.0  # largest residual of a point, in sigmas, after them
+_MIN_STATIC_FRACTION = 0.4  # of the points of a scene
+_MAX_NOISE_PX = 0.6  # of a usable scene
+_MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
+# prior sigma of k1, and of the principal point as a fraction of the image width
+_K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
+# of the logarithm of the focal length: wide, it only keeps the equations solvable
+_LOG_FOCAL_SIGMA = 10.0
+
+
+def observed_points(numbers: Sequence[np.ndarray], xy_px: Sequence[FloatArray]) -> Observed | None:
+    """The points of some keyframes that enough of them show; None with too few."""
+    number = np.concatenate(numbers)
+    frame = np.repeat(np.arange(len(numbers)), [len(one) for one in numbers])
+    _, point, count = np.unique(number, return_inverse=True, return_counts=True)
+    is_used = count >= MIN_OBSERVATIONS
+    if is_used.sum() < MIN_POINTS:
+        return None
+    observed = Observed(frame, point, np.concatenate(xy_px)).only_points(is_used)
+    has_all_frames = len(np.unique(observed.frame)) == len(numbers)
+    return observed if has_all_frames else None
+
+
+def started_scene(
+    observed: Observed, lens: RadialLens, span_s: tuple[float, float]
+) -> Scene | None:
+    """The scene of some observations at an assumed lens; None if its points do not fit it."""
+    fixed = Prior(lens.parameters, np.zeros(N_PARAMETERS))
+    scene = Scene.at_start(observed, lens, _START_NOISE_PX[0], span_s)
+    try:
+        for noise_px in _START_NOISE_PX:
+            fit = fit_scenes(
+                [replace(scene, noise_px=noise_px)], lens, fixed, cauchy_sigmas=2.0, max_steps=20
+            )
+            scene = fit.scenes[0]
+    except np.linalg.LinAlgError:
+        return None
+    return _selected(scene.with_noise(lens), lens, _FIRST_LIMIT)
+
+
+class FocalProfile(NamedTuple):
+    """The best fit, and -2 log likelihood at some logarithms of the focal length."""
+
+    fit: SceneFit
+    log_focal: FloatArray  # (G,) ascending
+    cost: FloatArray  # (G,) above that of the best one
+
+
+def focal_profile(scenes: Sequence[Scene], lens: RadialLens, width_px: int) -> FocalProfile | None:
+    """The profile of scenes that were started with `lens`; None if their points contradict one
+    another.
+    """
+    sigma = np.zeros(N_PARAMETERS)
+    sigma[LOG_FOCAL], sigma[K1] = _LOG_FOCAL_SIGMA, _K1_SIGMA
+    sigma[[CX, CY]] = _CENTRE_SIGMA * width_px
+    mean = np.zeros(N_PARAMETERS)
+    mean[LOG_FOCAL] = np.log(width_px)
+    prior = Prior(mean, sigma)
+    for cauchy_sigmas, limit in _ROUNDS:
+        fit = fit_scenes(scenes, lens, prior, cauchy_sigmas=cauchy_sigmas)
+        lens = fit.lens
+        selected = [_selected(scene.with_noise(lens), lens, limit) for scene in fit.scenes]
+        scenes = [scene for scene in selected if scene is not None]
+        if not scenes:
+            return None
+    best = fit_scenes(scenes, lens, prior, cauchy_sigmas=_LAST_SIGMAS, min_gain=1e-3)
+    fits = [best]
+    for side in (-1, 1):
+        near = best
+        for distance in _DISTANCES:
+            near = _at_focal(near, best.lens.parameters[LOG_FOCAL] + side * distance, prior)
+            fits.append(near)
+            if near.cost > best.cost + _ENOUGH_COST:
+                break
+    fits.sort(key=lambda fit: float(fit.lens.parameters[LOG_FOCAL]))
+    log_focal = np.array([fit.lens.parameters[LOG_FOCAL] for fit in fits])
+    cost = np.array([fit.cost for fit in fits])
+    return FocalProfile(fits[int(cost.argmin())], log_focal, cost - cost.min())
+
+
+def _at_focal(near: SceneFit, log_focal: float, prior: Prior) -> SceneFit:
+    """The fit at a fixed focal length, from that at another one."""
+    step = np.zeros(N_PARAMETERS)
+    step[LOG_FOCAL] = log_focal - near.lens.parameters[LOG_FOCAL]
+    scenes = [scene.stretched(float(step[LOG_FOCAL])) for scene in near.scenes]
+    is_fixed = np.arange(N_PARAMETERS) == LOG_FOCAL
+    fixed = Prior(prior.mean, np.where(is_fixed, 0.0, prior.sigma))
+    return fit_scenes(
+        scenes, near.lens.moved(step), fixed, cauchy_sigmas=_LAST_SIGMAS, max_steps=15
+    )
+
+
+def _selected(scene: Scene, lens: RadialLens, limit: float) -> Scene | None:
+    """The scene with the points whose residuals are below the limit in sigmas; None with too few."""
+    is_static = scene.largest_error_px(lens) < limit * max(scene.noise_px, _MIN_LIMIT_NOISE_PX)
+    if (
+        is_static.sum() < MIN_POINTS
+        or is_static.mean() < _MIN_STATIC_FRACTION
+        or scene.noise_px > _MAX_NOISE_PX
+    ):
+        return None
+    return scene.only_points(is_static).with_noise(lens)

@@ -1,0 +1,322 @@
+"""Bundle adjustment of a part of a drive of one camera: poses and points of the static scene, and the
+lens that all parts share.
+
+    point: unit direction X from frame 0, inverse distance r:    q = R X + r t      R, t = frame f from frame 0
+    image: see `radial_lens`
+
+Unknowns of a point are two tangents of X, so that points in all directions are alike, and r, which is
+0 for the sky. The scale is free: the longest t has length 1. (Triggs et al. 2000, sections 2.2 and 9;
+equations: `stereo.geometry.bundle_equations`.)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.stereo.geometry.bundle_equations import (
+    Linear,
+    PointBlocks,
+    SharedEquations,
+    cauchy_cost,
+    cauchy_weights,
+    cross_matrices,
+    moved_poses,
+    noise_px_of,
+    point_blocks,
+    pose_equations,
+)
+from track_range.stereo.self_calibration.radial_lens import LOG_FOCAL, RadialLens
+
+# residual of a point that the lens does not image, px: it weighs nothing
+_NOT_IMAGED_PX = 50.0
+_START_DAMPING = 1e-5
+_MAX_DAMPING = 1e6  # largest damping, relative to the diagonal
+# prior information on the numbers of a point: only points at the focus of expansion need it
+_POINT_RIDGE = np.array([1e-6, 1e-6, 1e-2])
+_START_INVERSE_DISTANCE = 0.3  # of all points, in units of the path
+_MIN_COMMON = 10  # points of two frames for a start of their rotation
+_MAX_LOG_FOCAL_STEP = 0.3
+_ACROSS = np.array([1.0, 1.0, 0.0])  # axes that a focal length stretches
+
+
+class Observed(NamedTuple):
+    """Tracked points in the images of one camera, at most one row per point and frame."""
+
+    frame: IntArray  # (N,) frame numbers from 0
+    point: IntArray  # (N,) point numbers from 0
+    xy_px: FloatArray  # (N, 2)
+
+    def only_points(self, is_used: BoolArray) -> "Observed":
+        """The observations of the points in the mask (P,), with points renumbered."""
+        rows, number = is_used[self.point], np.cumsum(is_used) - 1
+        return Observed(self.frame[rows], number[self.point[rows]], self.xy_px[rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A part of a drive of F frames and P points."""
+
+    observed: Observed
+    rotation: FloatArray  # (F, 3, 3) R, frame from frame 0
+    translation: FloatArray  # (F, 3) t, the longest has length 1
+    ray: FloatArray  # (P, 3) X
+    inverse_distance: FloatArray  # (P,) r
+    noise_px: float  # standard deviation of the tracked points
+    span_s: tuple[float, float]  # times of the first and the last frame
+
+    @classmethod
+    def at_start(
+        cls,
+        observed: Observed,
+        lens: RadialLens,
+        noise_px: float,
+        span_s: tuple[float, float] = (0.0, 0.0),
+    ) -> Self:
+        """A drive straight ahead past equally distant points, turned as the median flow turns."""
+        n_frames, n_points = int(observed.frame.max()) + 1, int(observed.point.max()) + 1
+        rotation = np.tile(np.eye(3), (n_frames, 1, 1))
+        for frame in range(1, n_frames):
+            step = _median_turn(observed, frame, lens.focal_px)
+            rotation[frame] = cv2.Rodrigues(step)[0] @ rotation[frame - 1]
+        translation = np.zeros((n_frames, 3))
+        translation[:, 2] = -np.linspace(0.0, 1.0, n_frames)
+        order = np.lexsort((observed.frame, observed.point))
+        first = order[np.searchsorted(observed.point[order], np.arange(n_points))]
+        seen = lens.directions(observed.xy_px[first])
+        ray = np.einsum("nji,nj->ni", rotation[observed.frame[first]], seen)
+        inverse_distance = np.full(n_points, _START_INVERSE_DISTANCE)
+        return cls(observed, rotation, translation, ray, inverse_distance, noise_px, span_s)
+
+    @property
+    def turn_deg(self) -> float:
+        """Angle between the first and the last image about the vertical, positive to the right."""
+        forward = self.rotation[-1][2]  # axis of the last camera in the first one's frame
+        return float(np.degrees(np.arctan2(forward[0], forward[2])))
+
+    def only_points(self, is_used: BoolArray) -> Self:
+        """The scene with the points in the mask (P,)."""
+        return replace(
+            self,
+            observed=self.observed.only_points(is_used),
+            ray=self.ray[is_used],
+            inverse_distance=self.inverse_distance[is_used],
+        )
+
+    def linearize(self, lens: RadialLens) -> Linear:
+        """Residuals and derivatives by the poses, the points' tangents and inverse distances, and
+        the lens.
+
+        The scene moves with the focal length, see `stretched`.
+        """
+        frame, point, xy_px = self.observed
+        rotation, translation = self.rotation[frame], self.translation[frame]
+        r = self.inverse_distance[point, None]
+        turned = (rotation @ self.ray[point][:, :, None])[:, :, 0]
+        expected_px, by_q, by_lens = lens.project(turned + r * translation)
+        by_point = np.empty((len(frame), 2, 3))
+        by_point[:, :, :2] = by_q @ (rotation @ self.tangents()[point])
+        by_point[:, :, 2:] = by_q @ translation[:, :, None]
+        by_pose = np.concatenate([-by_q @ cross_matrices(turned), by_q * r[:, :, None]], axis=2)
+        residual = xy_px - expected_px
+        is_lost = ~np.isfinite(residual).all(axis=1)
+        residual[is_lost] = _NOT_IMAGED_PX
+        by_lens[:, :, LOG_FOCAL] += (by_q @ self._stretch(turned, r)[:, :, None])[:, :, 0]
+        for slope in (by_pose, by_point, by_lens):
+            slope[is_lost] = 0.0
+        return Linear(residual, by_pose, by_point, by_lens)
+
+    def _stretch(self, turned: FloatArray, r: FloatArray) -> FloatArray:
+        """(N, 3) derivatives of the observed q by log f, as `stretched` moves them."""
+        frame, point, _ = self.observed
+        turn = np.stack([cv2.Rodrigues(rotation)[0][:, 0] for rotation in self.rotation])
+        flat_ray = (self.rotation[frame] @ (self.ray[point] * _ACROSS)[:, :, None])[:, :, 0]
+        flat_shift = r * self.translation[frame] * _ACROSS
+        flat_turn = (cross_matrices((turn * _ACROSS)[frame]) @ turned[:, :, None])[:, :, 0]
+        return np.asarray(-flat_turn - flat_ray - flat_shift)
+
+    def stretched(self, log_ratio: float) -> Self:
+        """The scene that looks about the same with a focal length exp(`log_ratio`) times as large.
+
+        Everything is narrower across the first axis, and the camera turns less: exact for a drive
+        without turns, so that these bundles lie on the valley of the cost.
+        """
+        narrow = 1.0 - _ACROSS * (1.0 - np.exp(-log_ratio))
+        turns = [cv2.Rodrigues(rotation)[0][:, 0] for rotation in self.rotation]
+        rotation = np.stack([cv2.Rodrigues(narrow * turn)[0] for turn in turns])
+        ray = self.ray * narrow
+        length = np.linalg.norm(ray, axis=1)
+        return replace(
+            self,
+            rotation=rotation,
+            translation=self.translation * narrow,
+            ray=ray / length[:, None],
+            inverse_distance=self.inverse_distance / length,
+        )
+
+    def tangents(self) -> FloatArray:
+        """(P, 3, 2) two unit vectors across each ray."""
+        axis = np.where(np.abs(self.ray[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+        first = np.cross(self.ray, axis)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        return np.stack([first, np.cross(self.ray, first)], axis=2)
+
+    def moved(self, step: FloatArray, points: FloatArray) -> Self:
+        """The scene after steps of the poses (6 F - 6,) and of the points (P, 3)."""
+        rotation, translation = moved_poses(self.rotation, self.translation, step)
+        ray = self.ray + (self.tangents() @ points[:, :2, None])[:, :, 0]
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        inverse_distance = self.inverse_distance + points[:, 2]
+        path = max(float(np.linalg.norm(translation, axis=1).max()), 1e-9)
+        return replace(
+            self,
+            rotation=rotation,
+            translation=translation / path,
+            ray=ray,
+            inverse_distance=inverse_distance * path,
+        )
+
+    def largest_error_px(self, lens: RadialLens) -> FloatArray:
+        """(P,) largest residual of each point."""
+        error_px = np.linalg.norm(self.linearize(lens).residual, axis=1)
+        largest_px = np.zeros(len(self.ray))
+        np.maximum.at(largest_px, self.observed.point, error_px)
+        return largest_px
+
+    def with_noise(self, lens: RadialLens) -> Self:
+        """The scene with the noise of its residuals."""
+        return replace(self, noise_px=noise_px_of(self.linearize(lens).residual))
+
+
+class Prior(NamedTuple):
+    """Independent normal distributions of the parameters of a lens; a sigma of 0 keeps a parameter."""
+
+    mean: FloatArray  # (5,)
+    sigma: FloatArray  # (5,)
+
+    @property
+    def is_free(self) -> BoolArray:
+        """(5,) parameters that are estimated."""
+        return np.asarray(self.sigma > 0.0)
+
+    @property
+    def information(self) -> FloatArray:
+        """(5,) 1 / sigma^2; 0 for parameters that are kept."""
+        return np.asarray(
+            np.where(self.is_free, 1 / np.where(self.is_free, self.sigma, 1.0) ** 2, 0)
+        )
+
+    def cost(self, lens: RadialLens) -> float:
+        """Sum of the squared deviations in sigmas."""
+        return float((self.information * (lens.parameters - self.mean) ** 2).sum())
+
+
+class SceneFit(NamedTuple):
+    """The scenes and the lens with the smallest cost, which is -2 log likelihood + constant."""
+
+    scenes: tuple[Scene, ...]
+    lens: RadialLens
+    cost: float
+
+
+def fit_scenes(
+    scenes: Sequence[Scene],
+    lens: RadialLens,
+    prior: Prior,
+    *,
+    cauchy_sigmas: float,
+    max_steps: int = 40,
+    min_gain: float = 0.02,
+) -> SceneFit:
+    """The minimum robust cost over all poses, points and the free parameters of the lens.
+
+    Levenberg-Marquardt; `cauchy_sigmas` is the length of a residual, in standard deviations, that
+    has half the weight, and `min_gain` the decrease of the cost at which the iteration ends.
+    """
+    scenes, damping = tuple(scenes), _START_DAMPING
+    linear = [scene.linearize(lens) for scene in scenes]
+    cost = _cost(scenes, linear, cauchy_sigmas) + prior.cost(lens)
+    for _ in range(max_steps):
+        while damping < _MAX_DAMPING:
+            trial, trial_lens = _step(scenes, linear, lens, prior, cauchy_sigmas, damping)
+            trial_linear = [scene.linearize(trial_lens) for scene in trial]
+            trial_cost = _cost(trial, trial_linear, cauchy_sigmas) + prior.cost(trial_lens)
+            if trial_cost <= cost:  # False for NaN too
+                break
+            damping *= 6.0
+        else:
+            break
+        gain = cost - trial_cost
+        scenes, lens, linear, cost = trial, trial_lens, trial_linear, trial_cost
+        damping = max(damping / 6.0, 1e-8)
+        if gain < min_gain:
+            break
+    return SceneFit(scenes, lens, cost)
+
+
+def _cost(scenes: Sequence[Scene], linear: Sequence[Linear], cauchy_sigmas: float) -> float:
+    return sum(
+        cauchy_cost(part.residual, cauchy_sigmas * scene.noise_px, scene.noise_px)
+        for scene, part in zip(scenes, linear, strict=True)
+    )
+
+
+def _step(
+    scenes: Sequence[Scene],
+    linear: Sequence[Linear],
+    lens: RadialLens,
+    prior: Prior,
+    cauchy_sigmas: float,
+    damping: float,
+) -> tuple[tuple[Scene, ...], RadialLens]:
+    """Scenes and lens after a damped Gauss-Newton step."""
+    parts = [
+        _shared_equations(scene, part, cauchy_sigmas, damping)
+        for scene, part in zip(scenes, linear, strict=True)
+    ]
+    information = np.sum([shared.information for shared, _ in parts], axis=0)
+    right_side = np.sum([shared.right_side for shared, _ in parts], axis=0)
+    right_side = right_side - prior.information * (lens.parameters - prior.mean)
+    damped = information + np.diag(prior.information + damping * np.diag(information))
+    free = np.flatnonzero(prior.is_free)
+    step = np.zeros(len(lens.parameters))
+    step[free] = np.linalg.solve(damped[np.ix_(free, free)], right_side[free])
+    step[LOG_FOCAL] = np.clip(step[LOG_FOCAL], -_MAX_LOG_FOCAL_STEP, _MAX_LOG_FOCAL_STEP)
+    moved = []
+    for scene, (shared, blocks) in zip(scenes, parts, strict=True):
+        x = shared.unknowns(step)
+        stretched = scene.stretched(float(step[LOG_FOCAL]))
+        moved.append(stretched.moved(x[: len(shared.poses)], blocks.points(x)))
+    return tuple(moved), lens.moved(step)
+
+
+def _shared_equations(
+    scene: Scene, linear: Linear, cauchy_sigmas: float, damping: float
+) -> tuple[SharedEquations, PointBlocks]:
+    weight = cauchy_weights(linear.residual, cauchy_sigmas * scene.noise_px) / scene.noise_px**2
+    frame, point, _ = scene.observed
+    n_frames = len(scene.rotation)
+    blocks = point_blocks(
+        frame,
+        point,
+        linear,
+        weight,
+        n_frames=n_frames,
+        damping=damping,
+        ridge=_POINT_RIDGE,
+    )
+    poses = pose_equations(frame, linear, weight, n_frames=n_frames)
+    return poses.damped(damping).without(blocks).of_shared(), blocks
+
+
+def _median_turn(observed: Observed, frame: int, focal_px: float) -> FloatArray:
+    """(3,) rotation vector of a frame from the one before, whose flow is the median flow."""
+    before, now = observed.frame == frame - 1, observed.frame == frame
+    _, i, j = np.intersect1d(observed.point[before], observed.point[now], return_indices=True)
+    if len(i) < _MIN_COMMON:
+        return np.zeros(3)
+    dx, dy = np.median(observed.xy_px[now][j] - observed.xy_px[before][i], axis=0) / focal_px
+    return np.array([-dy, dx, 0.0])

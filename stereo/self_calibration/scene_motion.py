@@ -1,0 +1,155 @@
+"""SceneMotion: focal length, distortion and principal point of one camera from the images of a drive.
+
+Corners are tracked, keyframes are divided into scenes of two seconds, and all scenes together give
+the profile likelihood of the focal length (`focal_profile`). A turn moves far points by
+f tan(angle), and the images of near points tell the turn from a sideways motion; on a straight road
+the focal length and the depth of everything are interchangeable, and the likelihood is flat.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
+from track_range.stereo.self_calibration.focal_profile import (
+    FocalProfile,
+    focal_profile,
+    observed_points,
+    started_scene,
+)
+from track_range.stereo.self_calibration.radial_lens import RadialLens
+from track_range.stereo.self_calibration.scene_bundle import Scene
+
+N_KEYFRAMES = 12  # of a scene
+_MIN_KEYFRAMES = 6
+FOCAL_RANGE = (0.25, 4.0)  # of the likelihood, in image widths
+_N_GRID = 400  # focal lengths of the likelihood
+# Information of the tracked points that is left when their errors are correlated.
+_CORRELATED = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionEstimate:
+    """The lens of one camera from the motion of the static scene, in pixels of the given images.
+
+    The likelihood is the profile over everything but the focal length, widened to the errors that
+    tracks have in common.
+    """
+
+    log_focal: FloatArray  # (G,) ascending logarithms of the focal length in px
+    log_likelihood: FloatArray  # (G,) 0 at the best one
+    focal_px: float
+    sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
+    k1: float  # first radial coefficient, as OpenCV's
+    k1_sigma: float
+    centre_px: tuple[float, float]  # principal point from the centre of the image
+    centre_sigma_px: float
+    turn_deg: float  # largest change of the heading in a scene
+    span_s: tuple[float, float]  # first and last time of that scene
+    n_points: int  # tracked static points
+
+
+class SceneMotion:
+    """Accumulates the images of one camera.
+
+    Example:
+        >>> motion = SceneMotion((1280, 720), start_px=1100.0)
+        >>> motion.estimate() is None
+        True
+    """
+
+    def __init__(self, size_px: tuple[int, int], *, start_px: float) -> None:
+        """`size_px` is (width, height); `start_px` is a focal length from which the fit starts."""
+        self._size_px, self._start_px = size_px, start_px
+        self._tracks = CornerTracks(size_px)
+        self._scale = 2.0**self._tracks.n_halved
+        self._keyframes: list[KeyPoints] = []
+        self._scenes: list[Scene] = []
+
+    def add(self, image: Image, time_s: float, xyxy_px: FloatArray) -> None:
+        """Add the next image, (H, W) grey or (H, W, 3) BGR, with boxes (N, 4) of its road users."""
+        key_points = self._tracks.add(image, time_s, xyxy_px)
+        if key_points is not None:
+            self.add_points(key_points)
+
+    def add_points(self, key_points: KeyPoints) -> None:
+        """Add the points of the next keyframe, as `add` adds images."""
+        if self._keyframes and key_points.time_s - self._keyframes[-1].time_s > MAX_GAP_S:
+            self._close()
+            self._keyframes = []
+        self._keyframes.append(key_points)
+        if len(self._keyframes) == N_KEYFRAMES:
+            self._close()
+            self._keyframes = [key_points]
+
+    def estimate(self) -> MotionEstimate | None:
+        """The estimate from the images so far; None if nothing was tracked."""
+        scenes = [*self._scenes, *self._scene_of(self._keyframes)]
+        if not scenes:
+            return None
+        profile = focal_profile(scenes, self._start, self._width_px)
+        if profile is None:
+            return None
+        return self._estimate(profile)
+
+    @property
+    def _width_px(self) -> int:
+        return self._size_px[0] >> self._tracks.n_halved
+
+    @property
+    def _start(self) -> RadialLens:
+        width_px, height_px = (side >> self._tracks.n_halved for side in self._size_px)
+        return RadialLens.of_focal_length(self._start_px / self._scale, (width_px, height_px))
+
+    def _close(self) -> None:
+        self._scenes.extend(self._scene_of(self._keyframes))
+
+    def _scene_of(self, keyframes: Sequence[KeyPoints]) -> list[Scene]:
+        """The scene of some keyframes, or none."""
+        if len(keyframes) < _MIN_KEYFRAMES:
+            return []
+        numbers = [key_points.number for key_points in keyframes]
+        observed = observed_points(numbers, [key_points.xy_px for key_points in keyframes])
+        if observed is None:
+            return []
+        span_s = keyframes[0].time_s, keyframes[-1].time_s
+        scene = started_scene(observed, self._start, span_s)
+        return [] if scene is None else [scene]
+
+    def _estimate(self, profile: FocalProfile) -> MotionEstimate:
+        lowest, highest = np.log(np.array(FOCAL_RANGE) * self._width_px).tolist()
+        log_focal = np.linspace(lowest, highest, _N_GRID)
+        log_likelihood = -interpolated(profile, log_focal) / (2 * _CORRELATED)
+        weight = np.exp(log_likelihood - log_likelihood.max())
+        weight /= weight.sum()
+        mean = float(weight @ log_focal)
+        sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
+        lens = profile.fit.lens
+        _, k1, _, cx_px, cy_px = lens.parameters.tolist()
+        widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
+        return MotionEstimate(
+            log_focal=log_focal + math.log(self._scale),
+            log_likelihood=log_likelihood - log_likelihood.max(),
+            focal_px=lens.focal_px * self._scale,
+            sigma=sigma,
+            k1=k1,
+            k1_sigma=0.008,
+            centre_px=(cx_px * self._scale, cy_px * self._scale),
+            centre_sigma_px=0.004 * self._size_px[0],
+            turn_deg=abs(widest.turn_deg),
+            span_s=widest.span_s,
+            n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
+        )
+
+
+def interpolated(profile: FocalProfile, log_focal: FloatArray) -> FloatArray:
+    """(G,) costs at other focal lengths: monotone between those of the profile, straight beyond."""
+    x, cost = profile.log_focal, profile.cost
+    inside = PchipInterpolator(x, cost)(np.clip(log_focal, x[0], x[-1]))
+    low = (cost[0] - cost[1]) / (x[1] - x[0]) * np.maximum(x[0] - log_focal, 0.0)
+    high = (cost[-1] - cost[-2]) / (x[-1] - x[-2]) * np.maximum(log_focal - x[-1], 0.0)
+    return np.asarray(inside + np.maximum(low, 0.0) + np.maximum(high, 0.0))

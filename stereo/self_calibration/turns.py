@@ -1,0 +1,100 @@
+"""turning_spans: the parts of a long recording with the largest turns, from a few small images.
+
+Between two images the upper half, which shows little of the road, is shifted by about f times the
+yaw: phase correlation (Kuglin and Hines, 1975) measures shifts of up to half of the image. The
+expansion of the image while the camera drives straight ahead is symmetric and shifts nothing.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.geometry.frames import grey
+
+_WIDTH_PX = 160  # of the small images
+_UPPER = 0.6  # fraction of the rows, from the top
+_MAX_GAP_S = 1.1  # longest time between two images that are compared
+_MIN_RESPONSE = 0.03  # of the phase correlation; smaller ones are chance
+
+
+class TurningSpan(NamedTuple):
+    """A part of a recording, and its change of heading at the assumed focal length."""
+
+    start_s: float
+    end_s: float
+    turn_deg: float
+
+
+def turning_spans(
+    images: Iterable[tuple[float, Image]],
+    *,
+    focal_fraction: float = 0.8,
+    span_s: float = 10.0,
+    n_spans: int = 2,
+    min_turn_deg: float = 5.0,
+) -> tuple[TurningSpan, ...]:
+    """At most `n_spans` spans of at most `span_s` seconds that do not overlap, the largest turn
+    first.
+
+    `images` are times and images (H, W) or (H, W, 3), 2 to 5 per second, of any size;
+    `focal_fraction` is the assumed focal length in image widths.
+    """
+    times_s, heading_rad = _headings(images, focal_fraction)
+    spans = list[TurningSpan]()
+    is_free = np.ones(len(times_s), np.bool_)
+    while len(spans) < n_spans:
+        best = max(
+            (_turn(times_s, heading_rad, first, span_s, is_free) for first in range(len(times_s))),
+            key=lambda span: span.turn_deg,
+            default=None,
+        )
+        if best is None or best.turn_deg < min_turn_deg:
+            break
+        spans.append(best)
+        is_free &= (times_s < best.start_s) | (times_s > best.end_s)
+    return tuple(spans)
+
+
+def _headings(
+    images: Iterable[tuple[float, Image]], focal_fraction: float
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) times, and (N,) sums of the yaw since the first image, rad."""
+    times_s, heading_rad = list[float](), [0.0]
+    before, window = None, None
+    for time_s, image in images:
+        small = _small(image)
+        if before is not None and window is not None:
+            yaw_rad = 0.0
+            if before.shape == small.shape and time_s - times_s[-1] <= _MAX_GAP_S:
+                (shift_px, _), response = cv2.phaseCorrelate(before, small, window)
+                if response > _MIN_RESPONSE:
+                    yaw_rad = -math.atan(shift_px / (focal_fraction * _WIDTH_PX))
+            heading_rad.append(heading_rad[-1] + yaw_rad)
+        if window is None or window.shape != small.shape:
+            window = cv2.createHanningWindow(small.shape[::-1], cv2.CV_32F)
+        before = small
+        times_s.append(time_s)
+    return np.array(times_s), np.array(heading_rad[: len(times_s)])
+
+
+def _small(image: Image) -> FloatArray:
+    upper = grey(image[: round(_UPPER * image.shape[0])])
+    height_px = max(8, round(upper.shape[0] * _WIDTH_PX / upper.shape[1]))
+    small = cv2.resize(upper, (_WIDTH_PX, height_px), interpolation=cv2.INTER_AREA)
+    return small.astype(np.float32)
+
+
+def _turn(
+    times_s: FloatArray, heading_rad: FloatArray, first: int, span_s: float, is_free: np.ndarray
+) -> TurningSpan:
+    """The span that begins with an image, with its range of headings; as long as it is free."""
+    is_inside = (times_s >= times_s[first]) & (times_s <= times_s[first] + span_s)
+    rows = np.flatnonzero(is_inside)
+    if not is_free[rows].all():
+        return TurningSpan(times_s[first], times_s[first], 0.0)
+    turn_rad = float(np.ptp(heading_rad[rows]))
+    return TurningSpan(float(times_s[rows[0]]), float(times_s[rows[-1]]), math.degrees(turn_rad))

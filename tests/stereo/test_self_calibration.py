@@ -1,0 +1,152 @@
+"""Focal length and lens from the motion of synthetic points, whose scene and camera are known."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.self_calibration.corner_tracks import KeyPoints
+from track_range.stereo.self_calibration.radial_lens import K1, RadialLens
+from track_range.stereo.self_calibration.scene_bundle import Observed, Scene
+from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
+
+SIZE_PX = (1200, 400)
+FOCAL_PX = 800.0
+LENS = RadialLens.of_focal_length(FOCAL_PX, SIZE_PX)
+
+
+def keyframes(
+    lens: RadialLens = LENS,
+    *,
+    yaw_rate_deg_s: float = 8.0,
+    n_keyframes: int = 12,
+    n_points: int = 250,
+    noise_px: float = 0.0,
+    fraction_moving: float = 0.0,
+) -> list[KeyPoints]:
+    """A drive of 10 m/s through a street of random points; moving points drive ahead at 5 m/s."""
+    rng = np.random.default_rng(3)
+    seen = []
+    world_m = np.column_stack(
+        [
+            rng.uniform(3.0, 25.0, n_points) * rng.choice([-1.0, 1.0], n_points),
+            rng.uniform(-8.0, 1.5, n_points),
+            rng.uniform(5.0, 120.0, n_points),
+        ]
+    )
+    is_moving = rng.random(n_points) < fraction_moving
+    position_m, yaw_rad = np.zeros(3), 0.0
+    for number in range(n_keyframes):
+        rotation = cv2.Rodrigues(np.array([0.0, -yaw_rad, 0.0]))[0]
+        now_m = world_m + is_moving[:, None] * np.array([0.4, 0.0, 1.0]) * number
+        camera_m = (now_m - position_m) @ rotation.T
+        xy_px = lens.project(camera_m)[0] + rng.normal(0.0, noise_px, (n_points, 2))
+        with np.errstate(invalid="ignore"):
+            is_seen = ((xy_px > 0) & (xy_px < SIZE_PX)).all(axis=1) & (camera_m[:, 2] > 2.0)
+        rows = np.flatnonzero(is_seen)
+        seen.append(KeyPoints(0.2 * number, rows, xy_px[rows]))
+        yaw_rad += np.radians(yaw_rate_deg_s) * 0.2
+        position_m = position_m + 2.0 * np.array([np.sin(yaw_rad), 0.0, np.cos(yaw_rad)])
+    return seen
+
+
+def estimate(drive: list[KeyPoints], start_px: float = 1000.0) -> MotionEstimate:
+    motion = SceneMotion(SIZE_PX, start_px=start_px)
+    for key_points in drive:
+        motion.add_points(key_points)
+    found = motion.estimate()
+    assert found is not None
+    return found
+
+
+def changed(lens: RadialLens, parameter: int, value: float) -> RadialLens:
+    step = np.zeros(5)
+    step[parameter] = value
+    return lens.moved(step)
+
+
+@pytest.mark.parametrize("family", ["pinhole", "equidistant"])
+def test_derivatives_of_the_lens_equal_finite_differences(family: str) -> None:
+    lens = RadialLens(np.array([6.5, -0.1, 0.02, 3.0, -4.0]), np.array([600.0, 200.0]), family)
+    q = np.random.default_rng(1).uniform([-1.0, -0.5, 0.7], [1.0, 0.5, 1.5], (20, 3))
+    _, by_q, by_parameters = lens.project(q)
+    small = 1e-6
+
+    def slope(upper: FloatArray, lower: FloatArray) -> FloatArray:
+        return (upper - lower) / (2 * small)
+
+    for axis in range(3):
+        step = small * np.eye(3)[axis]
+        assert slope(lens.project(q + step)[0], lens.project(q - step)[0]) == pytest.approx(
+            by_q[:, :, axis], rel=1e-5, abs=1e-4
+        )
+    for number in range(5):
+        upper, lower = changed(lens, number, small), changed(lens, number, -small)
+        assert slope(upper.project(q)[0], lower.project(q)[0]) == pytest.approx(
+            by_parameters[:, :, number], rel=1e-5, abs=1e-4
+        )
+
+
+@pytest.mark.parametrize("family", ["pinhole", "equidistant"])
+def test_directions_invert_the_projection_without_distortion(family: str) -> None:
+    lens = RadialLens.of_focal_length(500.0, SIZE_PX, family)
+    q = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.48, 0.36, 0.8]])
+    assert lens.directions(lens.project(q)[0]) == pytest.approx(q, abs=1e-9)
+
+
+def test_derivatives_of_the_scene_equal_finite_differences() -> None:
+    rng = np.random.default_rng(2)
+    ray = rng.normal(size=(6, 3)) * [0.3, 0.2, 0.0] + [0.0, 0.0, 1.0]
+    scene = Scene(
+        Observed(np.ones(6, np.int64), np.arange(6), np.zeros((6, 2))),
+        np.stack([np.eye(3), cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]]),
+        np.array([[0.0, 0.0, 0.0], [0.1, -0.05, -0.99]]),
+        ray / np.linalg.norm(ray, axis=1, keepdims=True),
+        rng.uniform(0.0, 0.4, 6),
+        1.0,
+        (0.0, 0.2),
+    )
+    lens = changed(LENS, K1, -0.05)
+    linear, small = scene.linearize(lens), 1e-6
+    for axis in range(6):
+        pose = small * np.eye(6)[axis]
+        rotated = np.stack([np.eye(3), cv2.Rodrigues(pose[:3])[0] @ scene.rotation[1]])
+        shifted = scene.translation + np.stack([np.zeros(3), pose[3:]])
+        moved = replace(scene, rotation=rotated, translation=shifted).linearize(lens)
+        assert (linear.residual - moved.residual) / small == pytest.approx(
+            linear.by_pose[:, :, axis], rel=1e-3, abs=1e-2
+        )
+    for axis in range(3):
+        step = np.tile(small * np.eye(3)[axis], (6, 1))
+        ray = scene.ray + (scene.tangents() @ step[:, :2, None])[:, :, 0]
+        moved = replace(scene, ray=ray, inverse_distance=scene.inverse_distance + step[:, 2])
+        assert (linear.residual - moved.linearize(lens).residual) / small == pytest.approx(
+            linear.by_point[:, :, axis], rel=1e-3, abs=1e-2
+        )
+
+
+def test_exact_focal_length_from_a_turn() -> None:
+    found = estimate(keyframes())
+    assert found.focal_px == pytest.approx(FOCAL_PX, rel=1e-3)
+    assert found.turn_deg == pytest.approx(11 * 0.2 * 8.0, abs=0.1)
+    assert found.span_s == pytest.approx((0.0, 2.2))
+    assert found.sigma < 0.02
+
+
+def test_straight_drive_is_unknown() -> None:
+    found = estimate(keyframes(yaw_rate_deg_s=0.0, noise_px=0.15))
+    assert found.sigma > 0.2
+    assert found.turn_deg < 0.5
+
+
+@pytest.mark.slow
+def test_moving_points_are_rejected() -> None:
+    found = estimate(keyframes(fraction_moving=0.2, n_points=400))
+    assert found.focal_px == pytest.approx(FOCAL_PX, rel=5e-3)
+    assert found.n_points < 0.95 * estimate(keyframes(n_points=400)).n_points
+
+
+def test_nothing_without_images() -> None:
+    assert SceneMotion(SIZE_PX, start_px=900.0).estimate() is None
