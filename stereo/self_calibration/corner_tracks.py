@@ -58,7 +58,7 @@ class CornerTracks:
         if 0.0 <= step_s < MIN_STEP_S:
             return None
         if not 0.0 <= step_s <= MAX_GAP_S:
-            self._keep(np.zeros(len(self._number), np.bool_))
+            self._retain(np.zeros(len(self._number), np.bool_))
         self._last_s = time_s
         small = grey(image)
         for _ in range(self.n_halved):
@@ -67,11 +67,11 @@ class CornerTracks:
             self._xy_px, is_tracked = checked_flow(
                 self._before, small, self._xy_px, self._xy_px, _LEVELS
             )
-            self._keep(is_tracked)
+            self._retain(is_tracked)
         self._before = small
         is_free = _outside(small.shape, xyxy_px / 2**self.n_halved)
         column, row = np.rint(self._xy_px).astype(np.int64).T
-        self._keep(is_free[row, column])
+        self._retain(is_free[row, column])
         return self._key_points(small, time_s, is_free)
 
     def _key_points(self, small: Image, time_s: float, is_free: BoolArray) -> KeyPoints | None:
@@ -92,7 +92,7 @@ class CornerTracks:
         self._key_px = self._xy_px
         return KeyPoints(time_s, self._number, self._xy_px.astype(np.float64))
 
-    def _keep(self, is_kept: BoolArray) -> None:
+    def _retain(self, is_kept: BoolArray) -> None:
         self._xy_px, self._key_px = self._xy_px[is_kept], self._key_px[is_kept]
         self._number = self._number[is_kept]
 
