@@ -24,9 +24,9 @@ from track_range.stereo.self_calibration.radial_lens import (
     RadialLens,
 )
 from track_range.stereo.self_calibration.scene_bundle import (
+    LensPrior,
     Observed,
-    Prior,
-    Scene,
+    SceneBundle,
     SceneFit,
     fit_scenes,
 )
@@ -46,6 +46,7 @@ _MAX_NOISE_PX = 0.6  # of a usable scene
 _MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
 # prior sigma of k1, and of the principal point as a fraction of the image width
 _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
+FOCAL_RANGE = (0.3, 3.5)  # of the focal length, in image widths
 # of the logarithm of the focal length: wide, it only keeps the equations solvable
 _LOG_FOCAL_SIGMA = 10.0
 
@@ -65,10 +66,10 @@ def observed_points(numbers: Sequence[np.ndarray], xy_px: Sequence[FloatArray]) 
 
 def started_scene(
     observed: Observed, lens: RadialLens, span_s: tuple[float, float]
-) -> Scene | None:
+) -> SceneBundle | None:
     """The scene of some observations at an assumed lens; None if its points do not fit it."""
-    fixed = Prior(lens.parameters, np.zeros(N_PARAMETERS))
-    scene = Scene.at_start(observed, lens, _START_NOISE_PX[0], span_s)
+    fixed = LensPrior(lens.parameters, np.zeros(N_PARAMETERS))
+    scene = SceneBundle.at_start(observed, lens, _START_NOISE_PX[0], span_s)
     try:
         for noise_px in _START_NOISE_PX:
             fit = fit_scenes(
@@ -88,7 +89,9 @@ class FocalProfile(NamedTuple):
     cost: FloatArray  # (G,) above that of the best one
 
 
-def focal_profile(scenes: Sequence[Scene], lens: RadialLens, width_px: int) -> FocalProfile | None:
+def focal_profile(
+    scenes: Sequence[SceneBundle], lens: RadialLens, width_px: int
+) -> FocalProfile | None:
     """The profile of scenes that were started with `lens`; None if their points contradict one
     another.
     """
@@ -97,7 +100,8 @@ def focal_profile(scenes: Sequence[Scene], lens: RadialLens, width_px: int) -> F
     sigma[[CX, CY]] = _CENTRE_SIGMA * width_px
     mean = np.zeros(N_PARAMETERS)
     mean[LOG_FOCAL] = np.log(width_px)
-    prior = Prior(mean, sigma)
+    limits = np.log(np.array(FOCAL_RANGE) * width_px)
+    prior = LensPrior(mean, sigma, (float(limits[0]), float(limits[1])))
     for cauchy_sigmas, limit in _ROUNDS:
         fit = fit_scenes(scenes, lens, prior, cauchy_sigmas=cauchy_sigmas)
         lens = fit.lens
@@ -110,7 +114,10 @@ def focal_profile(scenes: Sequence[Scene], lens: RadialLens, width_px: int) -> F
     for side in (-1, 1):
         near = best
         for distance in _DISTANCES:
-            near = _at_focal(near, best.lens.parameters[LOG_FOCAL] + side * distance, prior)
+            log_focal = best.lens.parameters[LOG_FOCAL] + side * distance
+            if not limits[0] <= log_focal <= limits[1]:
+                break
+            near = _at_focal(near, log_focal, prior)
             fits.append(near)
             if near.cost > best.cost + _ENOUGH_COST:
                 break
@@ -120,19 +127,19 @@ def focal_profile(scenes: Sequence[Scene], lens: RadialLens, width_px: int) -> F
     return FocalProfile(fits[int(cost.argmin())], log_focal, cost - cost.min())
 
 
-def _at_focal(near: SceneFit, log_focal: float, prior: Prior) -> SceneFit:
+def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
     """The fit at a fixed focal length, from that at another one."""
     step = np.zeros(N_PARAMETERS)
     step[LOG_FOCAL] = log_focal - near.lens.parameters[LOG_FOCAL]
     scenes = [scene.stretched(float(step[LOG_FOCAL])) for scene in near.scenes]
     is_fixed = np.arange(N_PARAMETERS) == LOG_FOCAL
-    fixed = Prior(prior.mean, np.where(is_fixed, 0.0, prior.sigma))
+    fixed = LensPrior(prior.mean, np.where(is_fixed, 0.0, prior.sigma))
     return fit_scenes(
         scenes, near.lens.moved(step), fixed, cauchy_sigmas=_LAST_SIGMAS, max_steps=15
     )
 
 
-def _selected(scene: Scene, lens: RadialLens, limit: float) -> Scene | None:
+def _selected(scene: SceneBundle, lens: RadialLens, limit: float) -> SceneBundle | None:
     """The scene with the points whose residuals are below the limit in sigmas; None with too few."""
     is_static = scene.largest_error_px(lens) < limit * max(scene.noise_px, _MIN_LIMIT_NOISE_PX)
     if (

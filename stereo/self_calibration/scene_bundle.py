@@ -57,7 +57,7 @@ class Observed(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class SceneBundle:
     """A part of a drive of F frames and P points."""
 
     observed: Observed
@@ -191,11 +191,13 @@ class Scene:
         return replace(self, noise_px=noise_px_of(self.linearize(lens).residual))
 
 
-class Prior(NamedTuple):
+class LensPrior(NamedTuple):
     """Independent normal distributions of the parameters of a lens; a sigma of 0 keeps a parameter."""
 
     mean: FloatArray  # (5,)
     sigma: FloatArray  # (5,)
+    # limits of the logarithm of the focal length
+    log_focal_range: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def is_free(self) -> BoolArray:
@@ -217,15 +219,15 @@ class Prior(NamedTuple):
 class SceneFit(NamedTuple):
     """The scenes and the lens with the smallest cost, which is -2 log likelihood + constant."""
 
-    scenes: tuple[Scene, ...]
+    scenes: tuple[SceneBundle, ...]
     lens: RadialLens
     cost: float
 
 
 def fit_scenes(
-    scenes: Sequence[Scene],
+    scenes: Sequence[SceneBundle],
     lens: RadialLens,
-    prior: Prior,
+    prior: LensPrior,
     *,
     cauchy_sigmas: float,
     max_steps: int = 40,
@@ -257,7 +259,7 @@ def fit_scenes(
     return SceneFit(scenes, lens, cost)
 
 
-def _cost(scenes: Sequence[Scene], linear: Sequence[Linear], cauchy_sigmas: float) -> float:
+def _cost(scenes: Sequence[SceneBundle], linear: Sequence[Linear], cauchy_sigmas: float) -> float:
     return sum(
         cauchy_cost(part.residual, cauchy_sigmas * scene.noise_px, scene.noise_px)
         for scene, part in zip(scenes, linear, strict=True)
@@ -265,13 +267,13 @@ def _cost(scenes: Sequence[Scene], linear: Sequence[Linear], cauchy_sigmas: floa
 
 
 def _step(
-    scenes: Sequence[Scene],
+    scenes: Sequence[SceneBundle],
     linear: Sequence[Linear],
     lens: RadialLens,
-    prior: Prior,
+    prior: LensPrior,
     cauchy_sigmas: float,
     damping: float,
-) -> tuple[tuple[Scene, ...], RadialLens]:
+) -> tuple[tuple[SceneBundle, ...], RadialLens]:
     """Scenes and lens after a damped Gauss-Newton step."""
     parts = [
         _shared_equations(scene, part, cauchy_sigmas, damping)
@@ -281,10 +283,7 @@ def _step(
     right_side = np.sum([shared.right_side for shared, _ in parts], axis=0)
     right_side = right_side - prior.information * (lens.parameters - prior.mean)
     damped = information + np.diag(prior.information + damping * np.diag(information))
-    free = np.flatnonzero(prior.is_free)
-    step = np.zeros(len(lens.parameters))
-    step[free] = np.linalg.solve(damped[np.ix_(free, free)], right_side[free])
-    step[LOG_FOCAL] = np.clip(step[LOG_FOCAL], -_MAX_LOG_FOCAL_STEP, _MAX_LOG_FOCAL_STEP)
+    step = _limited_step(damped, right_side, lens, prior)
     moved = []
     for scene, (shared, blocks) in zip(scenes, parts, strict=True):
         x = shared.unknowns(step)
@@ -293,8 +292,29 @@ def _step(
     return tuple(moved), lens.moved(step)
 
 
+def _limited_step(
+    information: FloatArray, right_side: FloatArray, lens: RadialLens, prior: LensPrior
+) -> FloatArray:
+    """(5,) step of the free parameters; of the focal length a limited one, then of the others with
+    it.
+    """
+    step, free = np.zeros(len(right_side)), np.flatnonzero(prior.is_free)
+    step[free] = np.linalg.solve(information[np.ix_(free, free)], right_side[free])
+    log_focal = float(lens.parameters[LOG_FOCAL])
+    low, high = np.array(prior.log_focal_range) - log_focal
+    wanted = float(step[LOG_FOCAL])
+    step[LOG_FOCAL] = np.clip(
+        wanted, max(low, -_MAX_LOG_FOCAL_STEP), min(high, _MAX_LOG_FOCAL_STEP)
+    )
+    if step[LOG_FOCAL] != wanted:
+        others = free[free != LOG_FOCAL]
+        rest = right_side[others] - information[others, LOG_FOCAL] * step[LOG_FOCAL]
+        step[others] = np.linalg.solve(information[np.ix_(others, others)], rest)
+    return step
+
+
 def _shared_equations(
-    scene: Scene, linear: Linear, cauchy_sigmas: float, damping: float
+    scene: SceneBundle, linear: Linear, cauchy_sigmas: float, damping: float
 ) -> tuple[SharedEquations, PointBlocks]:
     weight = cauchy_weights(linear.residual, cauchy_sigmas * scene.noise_px) / scene.noise_px**2
     frame, point, _ = scene.observed

@@ -16,17 +16,17 @@ from scipy.interpolate import PchipInterpolator
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
 from track_range.stereo.self_calibration.focal_profile import (
+    FOCAL_RANGE,
     FocalProfile,
     focal_profile,
     observed_points,
     started_scene,
 )
 from track_range.stereo.self_calibration.radial_lens import RadialLens
-from track_range.stereo.self_calibration.scene_bundle import Scene
+from track_range.stereo.self_calibration.scene_bundle import SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
 _MIN_KEYFRAMES = 6
-FOCAL_RANGE = (0.25, 4.0)  # of the likelihood, in image widths
 _N_GRID = 400  # focal lengths of the likelihood
 # Information of the tracked points that is left when their errors are correlated.
 _CORRELATED = 6.0
@@ -42,7 +42,7 @@ class MotionEstimate:
 
     log_focal: FloatArray  # (G,) ascending logarithms of the focal length in px
     log_likelihood: FloatArray  # (G,) 0 at the best one
-    focal_px: float
+    focal_px: float  # mean of the likelihood over the logarithm
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
     k1: float  # first radial coefficient, as OpenCV's
     k1_sigma: float
@@ -68,7 +68,7 @@ class SceneMotion:
         self._tracks = CornerTracks(size_px)
         self._scale = 2.0**self._tracks.n_halved
         self._keyframes: list[KeyPoints] = []
-        self._scenes: list[Scene] = []
+        self._scenes: list[SceneBundle] = []
 
     def add(self, image: Image, time_s: float, xyxy_px: FloatArray) -> None:
         """Add the next image, (H, W) grey or (H, W, 3) BGR, with boxes (N, 4) of its road users."""
@@ -108,7 +108,7 @@ class SceneMotion:
     def _close(self) -> None:
         self._scenes.extend(self._scene_of(self._keyframes))
 
-    def _scene_of(self, keyframes: Sequence[KeyPoints]) -> list[Scene]:
+    def _scene_of(self, keyframes: Sequence[KeyPoints]) -> list[SceneBundle]:
         """The scene of some keyframes, or none."""
         if len(keyframes) < _MIN_KEYFRAMES:
             return []
@@ -134,7 +134,7 @@ class SceneMotion:
         return MotionEstimate(
             log_focal=log_focal + math.log(self._scale),
             log_likelihood=log_likelihood - log_likelihood.max(),
-            focal_px=lens.focal_px * self._scale,
+            focal_px=math.exp(mean) * self._scale,
             sigma=sigma,
             k1=k1,
             k1_sigma=0.008,

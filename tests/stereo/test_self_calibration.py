@@ -8,8 +8,8 @@ import pytest
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.self_calibration.corner_tracks import KeyPoints
-from track_range.stereo.self_calibration.radial_lens import K1, RadialLens
-from track_range.stereo.self_calibration.scene_bundle import Observed, Scene
+from track_range.stereo.self_calibration.radial_lens import K1, Family, RadialLens
+from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
 
 SIZE_PX = (1200, 400)
@@ -68,7 +68,7 @@ def changed(lens: RadialLens, parameter: int, value: float) -> RadialLens:
 
 
 @pytest.mark.parametrize("family", ["pinhole", "equidistant"])
-def test_derivatives_of_the_lens_equal_finite_differences(family: str) -> None:
+def test_derivatives_of_the_lens_equal_finite_differences(family: Family) -> None:
     lens = RadialLens(np.array([6.5, -0.1, 0.02, 3.0, -4.0]), np.array([600.0, 200.0]), family)
     q = np.random.default_rng(1).uniform([-1.0, -0.5, 0.7], [1.0, 0.5, 1.5], (20, 3))
     _, by_q, by_parameters = lens.project(q)
@@ -90,7 +90,7 @@ def test_derivatives_of_the_lens_equal_finite_differences(family: str) -> None:
 
 
 @pytest.mark.parametrize("family", ["pinhole", "equidistant"])
-def test_directions_invert_the_projection_without_distortion(family: str) -> None:
+def test_directions_invert_the_projection_without_distortion(family: Family) -> None:
     lens = RadialLens.of_focal_length(500.0, SIZE_PX, family)
     q = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.48, 0.36, 0.8]])
     assert lens.directions(lens.project(q)[0]) == pytest.approx(q, abs=1e-9)
@@ -99,7 +99,7 @@ def test_directions_invert_the_projection_without_distortion(family: str) -> Non
 def test_derivatives_of_the_scene_equal_finite_differences() -> None:
     rng = np.random.default_rng(2)
     ray = rng.normal(size=(6, 3)) * [0.3, 0.2, 0.0] + [0.0, 0.0, 1.0]
-    scene = Scene(
+    scene = SceneBundle(
         Observed(np.ones(6, np.int64), np.arange(6), np.zeros((6, 2))),
         np.stack([np.eye(3), cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]]),
         np.array([[0.0, 0.0, 0.0], [0.1, -0.05, -0.99]]),
@@ -121,8 +121,8 @@ def test_derivatives_of_the_scene_equal_finite_differences() -> None:
     for axis in range(3):
         step = np.tile(small * np.eye(3)[axis], (6, 1))
         ray = scene.ray + (scene.tangents() @ step[:, :2, None])[:, :, 0]
-        moved = replace(scene, ray=ray, inverse_distance=scene.inverse_distance + step[:, 2])
-        assert (linear.residual - moved.linearize(lens).residual) / small == pytest.approx(
+        nearer = replace(scene, ray=ray, inverse_distance=scene.inverse_distance + step[:, 2])
+        assert (linear.residual - nearer.linearize(lens).residual) / small == pytest.approx(
             linear.by_point[:, :, axis], rel=1e-3, abs=1e-2
         )
 
