@@ -10,7 +10,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.triangulation import Triangulation
 from track_range.stereo.geometry.alignment import Alignment
-from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
 from track_range.tracking.tracks import Tracks
@@ -36,23 +36,26 @@ class DenseRanger(Ranger):
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
-        self._pending: dict[int, Future[FloatArray32]] = {}
+        # by frame: the right image, and its disparities
+        self._pending: dict[int, tuple[ImageView | None, Future[FloatArray32]]] = {}
 
     def start(self, frame: Frame) -> None:
         """Compute the disparity image of a frame in the background; `measure` waits for it."""
-        self._pending[frame.index] = self._thread.submit(self._disparity, frame)
+        self._pending[frame.index] = frame.right, self._thread.submit(self._disparity, frame)
 
     def skip(self, frame: Frame) -> None:
         """Drop the disparity image of a frame."""
         pending = self._pending.pop(frame.index, None)
         if pending is not None:
-            pending.cancel()
+            pending[1].cancel()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of observed boxes with enough valid disparities; NaN for other boxes."""
-        if frame.index not in self._pending:
+        pending = self._pending.get(frame.index)
+        if pending is None or pending[0] is not frame.right:
+            self.skip(frame)
             self.start(frame)
-        self.disparity = disparity = self._pending.pop(frame.index).result()
+        self.disparity = disparity = self._pending.pop(frame.index)[1].result()
         disparity_px, sigma_px = inner_half_median(
             disparity, tracks.xyxy_px, settings=self._settings
         )

@@ -9,6 +9,7 @@ from typing import Protocol
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.road_horizon import RoadView
 
 
@@ -62,6 +63,8 @@ class Ego:
     by_pair: EgoMotion | None = None
     by_road: EgoMotion | None = None  # by the motion of the road, with the assumed camera height
     given: EgoMotion | None = None  # as given, also where it is not trusted
+    # how the right camera moved against its rig; None = not measured
+    right_camera: RightCamera | None = None
     trusts_given: bool = True  # whether a given speed is used
 
 

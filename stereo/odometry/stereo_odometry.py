@@ -17,6 +17,8 @@ another.
 The static scene is assumed to have the most corners outside the boxes.
 """
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
@@ -33,15 +35,19 @@ from track_range.foundation.sparse_flow import (
     small_grey,
     tracked_corners,
 )
-from track_range.stereo.geometry.alignment import Alignment
-from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.alignment import Alignment, column_from_axis
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.right_camera import RightCamera
+from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _TUKEY = 4.685
 _N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
+# the same with a free offset of the inverse depths, while it changes by more than some sigmas
+_N_OFFSET_ROUNDS, _LARGE_OFFSET_SIGMAS = 5, 2.0
 # random triples of corners: of half static ones, one is all static with a probability of 99.5 %
 _N_TRIPLES = 40
 _CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
@@ -98,6 +104,10 @@ class RigidMotion(NamedTuple):
         """
         return np.asarray(rays @ self.rotation.T + inverse_depth[:, None] * self.translation_m)
 
+    def moved_by(self, step: FloatArray) -> RigidMotion:
+        """The motion after a small change (6,) of rotation and translation."""
+        return RigidMotion(_rotation(step[:3]) @ self.rotation, self.translation_m + step[3:])
+
 
 AT_REST = RigidMotion(np.eye(3), np.zeros(3))
 
@@ -109,8 +119,41 @@ class MotionFit(NamedTuple):
     covariance: FloatArray  # (6, 6) of rotation and translation
     # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
     by_offset: FloatArray
+    # common error of all inverse depths that fits best, in 1/m, and its standard deviation
+    offset: tuple[float, float]
     is_static: BoolArray  # (N,) which points agree with it
     noise_factor: float  # ratio of the residuals to those expected, at least 1
+
+
+class _Tracked(NamedTuple):
+    """Corners of the previous frame that were found in this one."""
+
+    fit: MotionFit
+    points: FloatArray32  # (N, 2) in this frame, small pixels
+    disparity_px: FloatArray  # (N,) disparities in this frame by the motion, small pixels
+
+    @property
+    def reliable(self) -> MotionFit | None:
+        """The motion, if enough corners are static and fit it."""
+        fit = self.fit
+        has_static = (
+            fit.is_static.sum() >= _MIN_FEATURES and fit.is_static.mean() >= _MIN_STATIC_FRACTION
+        )
+        return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
+
+    @property
+    def static(self) -> tuple[FloatArray32, FloatArray]:
+        """(M, 2) points and (M,) disparities of the static ones."""
+        return self.points[self.fit.is_static], self.disparity_px[self.fit.is_static]
+
+
+class _Matches(NamedTuple):
+    """N points of a frame in both images, in small pixels."""
+
+    left: FloatArray32  # (N, 2)
+    right: FloatArray32  # (N, 2) in the corrected right image
+    expected_px: FloatArray  # (N,) disparities there by the motion; NaN = unknown
+    is_corner: BoolArray  # (N,) whether a new corner, not a tracked point
 
 
 class StereoOdometry:
@@ -144,6 +187,7 @@ class StereoOdometry:
         self._coarse.setTextureThreshold(5)
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
+        self._right = RightCameraMonitor(rig)
         self._filter = SpeedFilter()
         self._motion = AT_REST
         self._rng = np.random.default_rng(0)
@@ -164,47 +208,125 @@ class StereoOdometry:
         now = self._flow.now
         if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        alignment = self._given or self._rig.alignment_of(frame)
-        right = small_grey(whole_image(frame.right), self._n_halved)
-        self._before = self._view(frame.time_s, now, right, alignment)
-        if before is None or not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
+        own = self._given or self._rig.alignment_of(frame)
+        self._right.follow(own)
+        warped = self._right.now
+        right = small_grey(warped.warped(frame.right), self._n_halved)
+        if before is not None and not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
+            before = None
+        tracked = None if before is None else self._tracked(before, now)
+        fit = None if tracked is None else tracked.reliable
+        matches = self._matches(now, right, warped.alignment, tracked)
+        dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
+        moved = self._right_moved(matches, fit, frame.time_s, dt_s)
+        self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
+        if before is None:
             return EgoMotion()
-        time_s, dt_s = frame.time_s, frame.time_s - before.time_s
-        fit = self._fit(before, self._before.left, now.is_masked)
         if fit is not None:
-            speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, alignment)
+            speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, moved.alignment)
             if sigma_mps <= max(_MAX_SIGMA_MPS, _MAX_RELATIVE_SIGMA * abs(speed_mps)):
                 self._motion = fit.motion
-                filtered = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
+                filtered = self._filter.update(
+                    frame.time_s, dt_s, speed_mps, sigma_mps, systematic_mps
+                )
                 yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
                 return EgoMotion(*filtered, yaw_rad / dt_s, abs(speed_mps) <= _MAX_STILL_MPS)
         # without a measurement: the predicted speed, for a short time
-        return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
+        return EgoMotion(*self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan))
 
-    def _view(self, time_s: float, frame: FlowFrame, right: Image, alignment: Alignment) -> _View:
-        """Corners of the left image that are also found in the right image."""
-        left = frame.small
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        return self._right.notes
+
+    @property
+    def right_camera(self) -> RightCamera:
+        """How the right camera moved so far against its rig."""
+        return self._right.now
+
+    def _matches(
+        self, frame: FlowFrame, right: Image, alignment: Alignment, tracked: _Tracked | None
+    ) -> _Matches:
+        """Corners of the left image, and static points tracked to it, that are also found in the
+        right image.
+        """
         corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
-        coarse_px = self._coarse_disparities(left, right, corners)
+        coarse_px = self._coarse_disparities(frame.small, right, corners)
         is_known = np.isfinite(coarse_px)
-        corners = corners[is_known]
-        start = corners - np.stack([coarse_px[is_known], np.zeros(len(corners))], axis=1).astype(
-            np.float32
-        )
+        corners, start_px = corners[is_known], coarse_px[is_known]
+        n_corners = len(corners)
+        expected_px = np.full(n_corners, np.nan)
+        if tracked is not None and tracked.reliable is not None:
+            points, disparity_px = tracked.static
+            measured_px = disparity_px - self._correction_px(points, alignment)
+            corners = np.concatenate([corners, points])
+            start_px = np.concatenate([start_px, measured_px])
+            expected_px = np.concatenate([expected_px, measured_px])
+        start = corners - np.stack([start_px, np.zeros(len(corners))], axis=1).astype(np.float32)
         matches, is_matched = tracked_corners(
-            left, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start
+            frame.small, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start
         )
         disparity_px, row_px = (corners - matches).astype(np.float64).T
-        is_matched &= (np.abs(row_px) <= _MAX_ROW_PX) & (disparity_px >= _MIN_DISPARITY_PX)
-        corners, disparity_px = corners[is_matched], disparity_px[is_matched]
-        # the alignment counts in full pixels
-        factor = 1 << self._n_halved
-        x_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2
-        sigma_px = np.zeros(len(corners))
-        full_px, _ = alignment.corrected(
-            disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left
+        centre_px = float(np.median(row_px[is_matched])) if is_matched.any() else 0.0
+        if abs(centre_px) < _MAX_ROW_PX / 2:
+            centre_px = 0.0
+        is_matched &= np.abs(row_px - centre_px) <= _MAX_ROW_PX
+        return _Matches(
+            corners[is_matched],
+            matches[is_matched],
+            expected_px[is_matched],
+            np.arange(len(corners))[is_matched] < n_corners,
         )
-        return _View(time_s, left, corners, full_px / factor)
+
+    def _right_moved(
+        self, matches: _Matches, fit: MotionFit | None, time_s: float, dt_s: float
+    ) -> RightCamera:
+        """How the right camera moved, by the matches of a frame."""
+        if not dt_s:
+            return self._right.now
+        offset_px = math.nan, math.nan
+        if fit is not None:
+            per_inverse_depth = self._focal_baseline_m * (1 << self._n_halved)
+            offset_px = fit.offset[0] * per_inverse_depth, fit.offset[1] * per_inverse_depth
+        return self._right.update(
+            time_s,
+            dt_s,
+            self._full(matches.left),
+            self._full(matches.right),
+            matches.expected_px * (1 << self._n_halved),
+            offset_px,
+        )
+
+    def _view(
+        self,
+        time_s: float,
+        left: Image,
+        matches: _Matches,
+        moved: tuple[RightCamera, RightCamera],
+    ) -> _View:
+        """The corners of a frame, with the disparities after the second correction of the right
+        camera; the images have the first one.
+        """
+        warped, right = moved
+        corners = matches.left[matches.is_corner]
+        factor = 1 << self._n_halved
+        points = right.moved_from(warped, self._full(matches.right[matches.is_corner]))
+        disparity_px, row_px = (self._full(corners) - points).T / factor
+        is_used = (disparity_px >= _MIN_DISPARITY_PX) & (np.abs(row_px) <= _MAX_ROW_PX)
+        corners, disparity_px = corners[is_used], disparity_px[is_used]
+        correction_px = self._correction_px(corners, right.alignment)
+        return _View(time_s, left, corners, disparity_px + correction_px)
+
+    def _correction_px(self, points: FloatArray32, alignment: Alignment) -> FloatArray:
+        """(N,) correction of the disparities of points (N, 2), in small pixels."""
+        # the alignment counts in full pixels
+        u = column_from_axis(self._full(points)[:, 0], self._rig.left)
+        return alignment.error_px(u) / (1 << self._n_halved)
+
+    def _full(self, points: FloatArray32) -> FloatArray:
+        """(N, 2) points of the small image in full pixels."""
+        factor = 1 << self._n_halved
+        return np.asarray(factor * points.astype(np.float64) + (factor - 1) / 2)
 
     def _coarse_disparities(self, left: Image, right: Image, corners: FloatArray32) -> FloatArray:
         """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN =
@@ -221,37 +343,39 @@ class StereoOdometry:
         disparity_px = steps[row, column] / 8.0  # sixteenths of pixels of half the size
         return np.where(disparity_px >= 0, disparity_px, np.nan)
 
-    def _fit(self, before: _View, left: Image, is_masked: BoolArray) -> MotionFit | None:
-        """The motion from the corners of the previous frame; None if too few are static, or they do
-        not fit.
+    def _tracked(self, before: _View, now: FlowFrame) -> _Tracked | None:
+        """The corners of the previous frame in this one, and the motion that fits them; None if
+        there are too few.
         """
         rays = self._rays(before.corners)
         inverse_depth = before.disparity_px / self._focal_baseline_m
         predicted = self._pixels(self._motion.moved(rays, inverse_depth)).astype(np.float32)
         points, is_tracked = tracked_corners(
             before.left,
-            left,
+            now.small,
             before.corners,
             window_px=_WINDOW_PX,
             n_levels=_N_LEVELS if self._motion is AT_REST else _N_LEVELS_PREDICTED,
             start=np.where(np.isfinite(predicted), predicted, before.corners),
         )
-        is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
+        is_tracked[is_tracked] = ~are_masked(points[is_tracked], now.is_masked)
         self._motion = AT_REST
         if is_tracked.sum() < _MIN_FEATURES:
             return None
+        rays, inverse_depth = rays[is_tracked], inverse_depth[is_tracked]
         fit = fit_motion(
-            rays[is_tracked],
-            inverse_depth[is_tracked],
+            rays,
+            inverse_depth,
             self._rays(points[is_tracked]),
             noise=_NOISE_PX / self._focal_px,
             inverse_depth_noise=_DISPARITY_NOISE_PX / self._focal_baseline_m,
             rng=self._rng,
+            expected_offset=self._right.expected_offset_px
+            / (self._focal_baseline_m * (1 << self._n_halved)),
         )
-        has_static = (
-            fit.is_static.sum() >= _MIN_FEATURES and fit.is_static.mean() >= _MIN_STATIC_FRACTION
-        )
-        return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
+        depth_ratio = fit.motion.moved(rays, inverse_depth)[:, 2]
+        disparity_px = inverse_depth * self._focal_baseline_m / np.maximum(depth_ratio, _MIN_RATIO)
+        return _Tracked(fit, points[is_tracked], disparity_px)
 
     def _speed(
         self, fit: MotionFit, dt_s: float, alignment: Alignment
@@ -289,35 +413,90 @@ def fit_motion(
     noise: float,
     inverse_depth_noise: float,
     rng: np.random.Generator,
+    expected_offset: float = 0.0,
 ) -> MotionFit:
     """Motion of the camera from N points with inverse depths.
 
     `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1;
     `inverse_depth` (N,) is rho in 1/m. The standard deviations are `noise` of p', rad, and
-    `inverse_depth_noise` of rho, 1/m; `rng` draws triples.
+    `inverse_depth_noise` of rho, 1/m; `rng` draws triples. `expected_offset` is the
+    common error of all rho, near which the one that fits best is sought.
     """
     motion = _of_triples(
         rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng
     )
+    points = _Points(rays, inverse_depth, now, noise, inverse_depth_noise)
     for _ in range(_N_ROUNDS):
-        residual, jacobian, by_depth = _reprojection(motion, rays, inverse_depth, now)
-        variance = noise**2 + inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
+        equations = points.equations(motion)
+        information = equations.information[:6, :6]
+        step = np.asarray(-np.linalg.solve(information, equations.gradient[:6]), np.float64)
+        motion = motion.moved_by(step)
+    by_offset = -np.linalg.solve(information, equations.information[:6, 6])
+    covariance = np.linalg.inv(information) * equations.spread2
+    is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
+    # the camera has not passed the point
+    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO
+    return MotionFit(
+        motion,
+        np.asarray(covariance, np.float64),
+        np.asarray(by_offset, np.float64),
+        _offset(points, motion, expected_offset),
+        np.asarray(is_static),
+        math.sqrt(equations.spread2),
+    )
+
+
+class _Equations(NamedTuple):
+    """Normal equations of rotation, translation and a common error of all inverse depths."""
+
+    information: FloatArray  # (7, 7)
+    gradient: FloatArray  # (7,)
+    distance2: FloatArray  # (N,) squared Mahalanobis distances
+    spread2: float  # ratio of the squared residuals to those expected, at least 1
+
+
+class _Points(NamedTuple):
+    """N points of a motion, as in `fit_motion`."""
+
+    rays: FloatArray
+    inverse_depth: FloatArray
+    now: FloatArray
+    noise: float
+    inverse_depth_noise: float
+
+    def equations(self, motion: RigidMotion, offset: float = 0.0) -> _Equations:
+        """The normal equations at a motion and an offset of the inverse depths."""
+        residual, jacobian, by_depth = _reprojection(
+            motion, self.rays, self.inverse_depth + offset, self.now
+        )
+        variance = self.noise**2 + self.inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
         distance2 = (residual**2).sum(axis=0) / variance
         spread2 = max(1.0, float(median_of(distance2)) / _CHI2_MEDIAN)
         weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
-        weighted = jacobian * weight
-        information = np.asarray((weighted @ jacobian.transpose(0, 2, 1)).sum(axis=0), np.float64)
-        information += 1e-9 * np.trace(information) * np.eye(6)
-        step = -np.linalg.solve(information, np.einsum("ajn,an->j", weighted, residual))
-        motion = RigidMotion(_rotation(step[:3]) @ motion.rotation, motion.translation_m + step[3:])
-    by_offset = np.asarray(
-        -np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64
-    )
-    covariance = np.asarray(np.linalg.inv(information) * spread2, np.float64)
-    is_static = distance2 <= _MAX_DISTANCE2 * spread2
-    # the camera has not passed the point
-    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO
-    return MotionFit(motion, covariance, by_offset, np.asarray(is_static), math.sqrt(spread2))
+        whole = np.concatenate([jacobian, by_depth[:, None]], axis=1)
+        weighted = whole * weight
+        information = np.asarray((weighted @ whole.transpose(0, 2, 1)).sum(axis=0), np.float64)
+        information[:6, :6] += 1e-9 * np.trace(information[:6, :6]) * np.eye(6)
+        gradient = np.asarray(np.einsum("ajn,an->j", weighted, residual), np.float64)
+        return _Equations(information, gradient, np.asarray(distance2), spread2)
+
+
+def _offset(points: _Points, motion: RigidMotion, offset: float) -> tuple[float, float]:
+    """The common error of all inverse depths that fits best, with the motion that fits it, and its
+    standard deviation; NaN = unknown. The search starts from a motion and an error.
+    """
+    sigma = math.nan
+    for _ in range(_N_OFFSET_ROUNDS):
+        equations = points.equations(motion, offset)
+        if not equations.information[6, 6] > 0:
+            return math.nan, math.nan
+        covariance = np.linalg.inv(equations.information)
+        step = -covariance @ equations.gradient
+        sigma = math.sqrt(max(covariance[6, 6], 0.0) * equations.spread2)
+        motion, offset = motion.moved_by(step[:6]), offset + float(step[6])
+        if abs(step[6]) < _LARGE_OFFSET_SIGMAS * sigma:
+            break
+    return offset, sigma
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -10,13 +10,13 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import (
     Ego,
     EgoMotion,
-    Odometry,
     predicted_sigma_mps,
 )
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
@@ -27,7 +27,7 @@ class EgoStage:
     """Measures `Ego` frame by frame; None = that source is off."""
 
     speed: EgoSpeed | None = None  # of the camera, from telemetry or a setting
-    pair_odometry: Odometry | None = None  # by the static scene in both images
+    pair_odometry: StereoOdometry | None = None  # by the static scene in both images
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
     # whether the speed of `road_motion` is used: the height of the camera is known
     has_road_scale: bool = False
@@ -46,6 +46,11 @@ class EgoStage:
         if self.road_motion is not None and self.has_road_scale:
             return self.road_motion.source
         return None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        return () if self.pair_odometry is None else self.pair_odometry.notes
 
     def update(
         self,
@@ -73,7 +78,10 @@ class EgoStage:
         self._last = frame.time_s, motion
         given = self._given(frame.time_s, known)
         ego = replace(
-            self._ego(motion, given, trusts_given=trusts_given), by_pair=by_pair, by_road=by_road
+            self._ego(motion, given, trusts_given=trusts_given),
+            by_pair=by_pair,
+            by_road=by_road,
+            right_camera=None if self.pair_odometry is None else self.pair_odometry.right_camera,
         )
         if self.road_motion is None or not self.road_motion.has_horizon:
             return ego

@@ -126,6 +126,8 @@ class FramePipeline:
                 trusts_given=self.doubt.trusts_speed,
                 rig_scale=self.scale.rig,
             )
+        if ego.right_camera is not None:
+            frame = ego.right_camera.corrected(frame)
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
         return _Seen(tracks, ego, measured)
 
@@ -138,7 +140,7 @@ class FramePipeline:
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the parts of the pipeline, besides those of the stages."""
-        return (*self.setup_notes, *self.times.notes)
+        return (*self.setup_notes, *self.times.notes, *self.ego.notes)
 
     def summary(self) -> dict[str, Any]:
         """The scale of the drive for summary.json; no entry without evidence."""

@@ -32,7 +32,6 @@ from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
-from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
@@ -152,7 +151,7 @@ def _ego_stage(
     """
     if yaw_deg != 0:
         return EgoStage(speed=None if ego_speed is None else ego_speed.along(yaw_deg))
-    pair_odometry: Odometry | None = None
+    pair_odometry: StereoOdometry | None = None
     if context.rig is not None and (measures_speed or ego_speed is not None):
         # also checks a given speed
         pair_odometry = StereoOdometry(context.rig, flow=flow)

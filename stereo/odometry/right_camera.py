@@ -1,0 +1,114 @@
+"""RightCamera: how the right camera of a pair moved against its rig, and the correction of its
+images.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
+from track_range.stereo.odometry.change_filter import Changes
+
+PITCH, ROLL, ZOOM, OFFSET, BOW = range(5)  # changes
+_MIN_SIGMAS, _MIN_CHANGE_PX = 3.0, 0.12  # of a change that is corrected
+_WARPED_PX = 0.8  # change from which the right image is warped
+
+
+@dataclass(frozen=True, slots=True)
+class RightCamera:
+    """The right camera relative to the alignment of the frames."""
+
+    camera: PinholeCamera
+    own: Alignment = field(default_factory=Alignment)  # of the frame
+    change: Changes = field(
+        default_factory=lambda: changes_of(np.zeros(5))
+    )  # pitch, roll, zoom, offset and bow in px
+
+    @property
+    def applied_px(self) -> FloatArray:
+        """(5,) the changes that are significant; others are 0."""
+        mean, sigma, _ = self.change
+        is_clear = (np.abs(mean) > _MIN_SIGMAS * sigma) & (np.abs(mean) > _MIN_CHANGE_PX)
+        return np.where(is_clear, mean, 0.0)
+
+    @property
+    def is_warped(self) -> bool:
+        """Whether right images are warped."""
+        return bool((np.abs(self.applied_px[:BOW]) > _WARPED_PX).any())
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) from directions in the rectified right image to corrected directions."""
+        if not self.is_warped:
+            return np.eye(3)
+        pitch_px, roll_px, zoom_px, offset_px, _ = self.applied_px.tolist()
+        half_px = self.camera.width_px / 2
+        view = RightView(
+            pitch_px,
+            math.degrees(roll_px / half_px),
+            math.exp(zoom_px / half_px),
+            -math.degrees(math.atan(offset_px / self.camera.fx_px)),
+        )
+        return view.matrix(self.camera)
+
+    def moved_from(self, before: RightCamera, right_px: FloatArray) -> FloatArray:
+        """(N, 2) corrected points of a right image that `before` has corrected."""
+        if not (self.is_warped or before.is_warped):
+            return right_px
+        matrix = self.matrix @ np.linalg.inv(before.matrix)
+        return self.camera.project(self.camera.rays(right_px) @ matrix.T)
+
+    @property
+    def alignment(self) -> Alignment:
+        """The correction of the disparities of corrected right images."""
+        offset_px, bow_px = self.applied_px[[OFFSET, BOW]].tolist()
+        if self.is_warped:
+            offset_px = 0.0
+        mean, sigma, _ = self.change
+        withheld_px = np.hypot(np.where(self.applied_px == 0.0, mean, 0.0), sigma)
+        # zoom and bow act at the edges
+        extra_px = math.hypot(withheld_px[OFFSET], *(withheld_px[[ZOOM, BOW]] / math.sqrt(3.0)))
+        bow_of_offset = (self.camera.width_px / 2 / self.camera.fx_px) ** 2
+        return replace(
+            self.own,
+            offset_px=self.own.offset_px + offset_px,
+            curvature_px=self.own.curvature_px + bow_px + bow_of_offset * offset_px,
+            residual_px=math.hypot(self.own.residual_px, extra_px),
+        )
+
+    def warped(self, right: ImageView) -> Image:
+        """All of the corrected right image."""
+        if not self.is_warped:
+            return whole_image(right)
+        K = self.camera.matrix
+        H = K @ self.matrix @ np.linalg.inv(K)
+        return np.asarray(
+            cv2.warpPerspective(
+                whole_image(right),
+                H,
+                self.camera.size_px,
+                flags=cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
+            ),
+            np.uint8,
+        )
+
+    def corrected(self, frame: Frame) -> Frame:
+        """A frame with the correction in its images and in its alignment."""
+        if frame.right is None:
+            return frame
+        right = self.warped(frame.right) if self.is_warped else frame.right
+        return replace(frame, right=right, alignment=self.alignment)
+
+
+def changes_of(mean: FloatArray) -> Changes:
+    """Changes (5,) that are known exactly."""
+    return Changes(mean, np.zeros(5), np.zeros(4))

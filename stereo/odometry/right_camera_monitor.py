@@ -1,0 +1,225 @@
+r"""RightCameraMonitor: measures how the right camera of a pair moves against its rig during a drive.
+
+    rows of corresponding points     y_right - y_left = pitch (1 + Y^2) - roll u + zoom v
+    disparities of static points     predicted by the motion of the camera - measured = offset (1 + X^2) + bow u^2
+    flow of static points            the offset of all disparities that fits it
+
+with X, Y: right point / f, and u, v: the same in half image widths. A wrong zero of the disparities
+makes static points at all distances flow as if they were nearer: each step of the camera measures
+it. Only changes since the start of the drive count, so that errors that all frames have in common,
+such as residual distortion, do not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import mad_sigma
+from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.change_filter import ChangeFilter, Changes
+from track_range.stereo.odometry.right_camera import OFFSET, RightCamera, changes_of
+
+_MIN_POINTS = 20  # smallest number of points of a measurement
+_N_ROUNDS = 3  # rounds of the reweighted least squares
+_CAUCHY_SIGMAS = 2.0
+_NEAR_PX = 0.2  # smallest scatter of points, full pixels
+# standard deviations of errors that last for about a second, in px: pitch, roll, zoom, offset
+_LASTING_PX = np.array([0.03, 0.05, 0.15, 0.12])
+_FACTOR = 1.4  # of the sigmas of rows and of the offset by the flow
+# error of a step of the disparities that its points have in common, px
+_STEP_SIGMA_PX = 0.06
+_NEW_SIGMAS = 5.0  # of a change of the rows that the steps of the disparities take into account
+_FLOW_FACTOR = 2.0  # of the sigma of the offset by the flow
+_MAX_FLOW_SIGMA_PX = 1.5  # of an offset by the flow that is used
+# distance, and relative error there, from which a change of the offset is noted; change of rows
+_REFERENCE_M, _MATTERS, _MATTERING_ROWS_PX = 30.0, 0.01, 0.5
+# probability of a hit, and number and fraction of frames with one, of images that shake
+_IS_HIT, _MIN_HITS, _SHAKING_FRACTION = 0.5, 5, 0.1
+_DRIFT_PX = 0.02  # largest change of an alignment between frames that is its drift
+_MIN_AGREEING = 0.5  # of the points, for a step
+
+
+class RightCameraMonitor:
+    """Measures the changes in the frames of one stream of a rectified pair."""
+
+    def __init__(self, rig: StereoRig) -> None:
+        camera = rig.left
+        self._focal_baseline = camera.fx_px * rig.baseline_m  # px m
+        self._camera, self._filter = camera, ChangeFilter(_LASTING_PX)
+        # time of the first change that matters, the last state with one, and numbers of frames
+        self._moved_s, self._moved = math.nan, RightCamera(camera)
+        self._n_frames = self._n_hits = 0
+        self.now = RightCamera(camera)
+        self._is_first = True
+        self._bow_px = self._bow_variance = 0.0
+
+    @property
+    def expected_offset_px(self) -> float:
+        """The change of all disparities that the flow to the next frame is expected to show."""
+        return float(self._filter.expected[OFFSET] - self.now.applied_px[OFFSET])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        if not math.isfinite(self._moved_s):
+            return ()
+        if self._n_hits >= max(_MIN_HITS, _SHAKING_FRACTION * self._n_frames):
+            return (
+                f"Left and right images shake against each other from {self._moved_s:.1f} s on, in "
+                f"{100 * self._n_hits / self._n_frames:.0f} % of the frames: this is corrected, but "
+                "distances are less accurate; mount the cameras more firmly.",
+            )
+        pitch_px, roll_px, zoom_px, offset_px, _ = self._moved.applied_px.tolist()
+        pct = 100 * abs(offset_px) * _REFERENCE_M / self._focal_baseline
+        half_px = self._camera.width_px / 2
+        parts = {
+            f"disparities changed by {-offset_px:+.2f} px ({pct:.0f} % at {_REFERENCE_M:.0f} m)": (
+                offset_px
+            ),
+            f"rows by {pitch_px:+.1f} px": pitch_px,
+            f"its roll by {math.degrees(roll_px / half_px):+.2f} degrees": roll_px,
+            f"its focal length by {100 * zoom_px / half_px:+.1f} %": zoom_px,
+        }
+        changed = ", ".join(text for text, size_px in parts.items() if size_px)
+        return (
+            f"Rig: the right camera moved at about {self._moved_s:.1f} s, or was refocused: "
+            f"{changed}; this is corrected from then on. Mount the cameras more firmly.",
+        )
+
+    def _remember(self, time_s: float) -> None:
+        """Keep the changes that matter, for the notes."""
+        self._n_frames += 1
+        self._n_hits += bool((self.now.change.hit > _IS_HIT).any())
+        applied_px = np.abs(self.now.applied_px)
+        matters_px = _MATTERS * self._focal_baseline / _REFERENCE_M
+        if applied_px[OFFSET] > matters_px or (applied_px[:OFFSET] > _MATTERING_ROWS_PX).any():
+            self._moved_s = time_s if math.isnan(self._moved_s) else self._moved_s
+            self._moved = self.now
+
+    def update(
+        self,
+        time_s: float,
+        dt_s: float,
+        left_px: FloatArray,
+        right_px: FloatArray,
+        expected_px: FloatArray,
+        flow_offset_px: tuple[float, float],
+    ) -> RightCamera:
+        """Use the matched static points (N, 2) of a frame, whose right image `now` has corrected.
+
+        `expected_px` (N,) are their disparities by the motion of the camera, NaN = unknown;
+        `flow_offset_px` is the change of all disparities that fits the flow, with its sigma, NaN =
+        unknown.
+        """
+        applied_px = self.now.applied_px
+        value, sigma, step, step_sigma = np.full((4, 4), np.nan)
+        # the flow to this frame shows the offset of the disparities before it
+        if flow_offset_px[1] < _MAX_FLOW_SIGMA_PX:
+            value[OFFSET] = flow_offset_px[0] + applied_px[OFFSET]
+            sigma[OFFSET] = _FACTOR * flow_offset_px[1]
+            self._filter.measure(value, sigma)
+        bow_px = bow_sigma_px = 0.0
+        value, sigma = np.full((2, 4), np.nan)
+        rows = self._rows(left_px, right_px)
+        if rows is not None:
+            value[:3] = rows[0] + (applied_px[:3] if self.now.is_warped else 0.0)
+            sigma[:3] = rows[1]
+            news_px = value - self._filter.expected
+            is_new = np.nan_to_num(np.abs(news_px) / sigma) > _NEW_SIGMAS
+            rows_only = replace(
+                self.now, change=changes_of(np.append(np.where(is_new, news_px, 0.0), 0.0))
+            )
+            points_px = rows_only.moved_from(RightCamera(self._camera), right_px)
+            steps = self._steps(left_px, points_px, expected_px)
+            if steps is not None:
+                (step[OFFSET], bow_px), (step_sigma[OFFSET], bow_sigma_px) = steps
+        self._filter.advance(dt_s, step, step_sigma)
+        self._filter.measure(value, sigma)
+        # only a hit moves the bow
+        hit = float(self._filter.changes.hit[OFFSET])
+        self._bow_px += hit * bow_px
+        self._bow_variance += hit * bow_sigma_px**2
+        self.now = replace(self.now, change=self._change)
+        self._remember(time_s)
+        return self.now
+
+    def follow(self, alignment: Alignment) -> None:
+        """Take the alignment of the next frame into account: another one includes the changes."""
+        before, is_first = self.now.own, self._is_first
+        self._is_first = False
+        if is_first or before == alignment:
+            self.now = replace(self.now, own=alignment)
+            return
+        change_px = alignment.offset_px - before.offset_px
+        same = replace(before, offset_px=alignment.offset_px, residual_px=alignment.residual_px)
+        is_small = same == alignment and abs(change_px) <= _DRIFT_PX
+        if is_small or self.now.applied_px.any():
+            self._filter.rebase(np.array([0.0, 0.0, 0.0, change_px]))
+        else:
+            self._filter = ChangeFilter(_LASTING_PX)
+        self.now = RightCamera(self._camera, alignment, self._change)
+
+    @property
+    def _change(self) -> Changes:
+        mean, sigma, hit = self._filter.changes
+        return Changes(
+            np.append(mean, self._bow_px), np.append(sigma, math.sqrt(self._bow_variance)), hit
+        )
+
+    def _rows(
+        self, left_px: FloatArray, right_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """(3,) pitch, roll and zoom of the right image with their sigmas; None = too few points."""
+        if len(left_px) < _MIN_POINTS:
+            return None
+        u, v, Y = self._places(right_px)
+        # the yaw is one of the disparities, too, which measure it better
+        design = np.stack([1 + Y**2, -u, v, -u * Y], axis=1)
+        solution, covariance, _ = _robust_fit(design, right_px[:, 1] - left_px[:, 1])
+        return solution[:3], _FACTOR * np.sqrt(np.diag(covariance))[:3]
+
+    def _steps(
+        self, left_px: FloatArray, right_px: FloatArray, expected_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """(2,) steps of offset and bow since the last frame with their sigmas; None = unknown."""
+        is_known = np.isfinite(expected_px)
+        if is_known.sum() < _MIN_POINTS:
+            return None
+        u, _, _ = self._places(right_px[is_known])
+        missing_px = expected_px[is_known] - (left_px - right_px)[is_known, 0]
+        X = u * (self._camera.width_px / 2 / self._camera.fx_px)
+        design = np.stack([1 + X**2, u**2], axis=1)
+        solution, covariance, agreeing = _robust_fit(design, missing_px)
+        if agreeing < _MIN_AGREEING:
+            return None
+        return solution, np.sqrt(np.diag(covariance) + _STEP_SIGMA_PX**2)
+
+    def _places(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """u, v and Y of points (N, 2)."""
+        half_px, camera = self._camera.width_px / 2, self._camera
+        below_px = points_px[:, 1] - camera.cy_px
+        u = (points_px[:, 0] - camera.cx_px) / half_px
+        return u, below_px / half_px, below_px / camera.fy_px
+
+
+def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """(P,) parameters of the values (N,) by the design (N, P), their covariance, and the fraction
+    of the values that agree.
+    """
+    centre = float(np.median(values))
+    residual = values - centre
+    ridge = 1e-6 * len(values) * np.eye(design.shape[1])
+    for _ in range(_N_ROUNDS):
+        scale = max(mad_sigma(residual), _NEAR_PX)
+        weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale)) ** 2)
+        information = (design * weight[:, None]).T @ design + ridge
+        solution = np.linalg.solve(information, design.T @ (weight * values))
+        residual = values - design @ solution
+    agreeing = float((np.abs(residual) < 3 * _CAUCHY_SIGMAS * _NEAR_PX).mean())
+    covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
+    return np.asarray(solution, np.float64), covariance, agreeing
