@@ -81,3 +81,17 @@ class Odometry(Protocol):
         unknown at first.
         """
         ...
+
+
+class PairOdometry(Odometry, Protocol):
+    """Odometry by both images of a pair, which also measures how the pair moved."""
+
+    @property
+    def right_camera(self) -> RightCamera | None:
+        """How the right camera moved so far against its rig; None = not measured."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        ...

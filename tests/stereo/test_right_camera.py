@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.stereo.test_odometry import static_scene, yawed
+from tests.stereo.static_scenes import static_scene, yawed
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene

@@ -10,13 +10,13 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import (
     Ego,
     EgoMotion,
+    PairOdometry,
     predicted_sigma_mps,
 )
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView
-from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
@@ -27,7 +27,7 @@ class EgoStage:
     """Measures `Ego` frame by frame; None = that source is off."""
 
     speed: EgoSpeed | None = None  # of the camera, from telemetry or a setting
-    pair_odometry: StereoOdometry | None = None  # by the static scene in both images
+    pair_odometry: PairOdometry | None = None  # by the static scene in both images
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
     # whether the speed of `road_motion` is used: the height of the camera is known
     has_road_scale: bool = False

@@ -278,6 +278,8 @@ def test_given_speed_of_a_repeated_image_is_that_of_its_time():
 
 class _SteadyOdometry:
     source = "steady odometry"
+    right_camera = None
+    notes = ()
 
     def update(self, frame: Frame, xyxy_px: np.ndarray) -> EgoMotion:
         return EgoMotion(9.0, 0.1, 0.1)
