@@ -11,6 +11,7 @@ from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.stereo.odometry.speed_relation import RelationFit
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,8 @@ class Ego:
     given: EgoMotion | None = None  # as given, also where it is not trusted
     # how the right camera moved against its rig; None = not measured
     right_camera: RightCamera | None = None
+    # ratio and delay of the given speed to that by the pair, or else by the road; None = unknown
+    relation: RelationFit | None = None
     trusts_given: bool = True  # whether a given speed is used
 
 

@@ -53,6 +53,12 @@ class EgoSpeed:
             return math.nan
         return float(np.interp(time_s, self.time_s, self.speed_mps))
 
+    def near(self, time_s: FloatArray) -> FloatArray:
+        """(N,) speeds at times (N,) in m/s; outside the samples, and in gaps, those beside."""
+        if np.isneginf(self.time_s[0]):
+            return np.full(len(time_s), self.speed_mps[0])
+        return np.interp(time_s, self.time_s, self.speed_mps)
+
     def sigma_at(self, time_s: float) -> float:
         """Standard deviation of `at(time_s)` in m/s, NaN where the speed is unknown.
 

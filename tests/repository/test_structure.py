@@ -25,7 +25,8 @@ MOST_STATEMENTS = {
     # moments (135); pairs with an assumed baseline (8); self-calibration from the motion of the
     # static scene (590); a right camera that moves is followed in every frame, by a filter, its
     # measurements and the correction of its images (375)
-    "stereo": 8_521,
+    # a given speed beside the images, by ratio, delay and moment (131)
+    "stereo": 8_652,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145)
     "ranging": 6_320,
@@ -43,8 +44,8 @@ MOST_STATEMENTS = {
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
-    # right camera that moved (2)
-    "pipeline": 792,
+    # right camera that moved (2); speeds by two sources (12)
+    "pipeline": 804,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help (115)

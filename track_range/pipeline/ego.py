@@ -1,7 +1,7 @@
 """EgoStage: the motion of the camera and the road, from given speeds and from the images."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
@@ -14,12 +14,15 @@ from track_range.stereo.odometry.ego_motion import (
     predicted_sigma_mps,
 )
 from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.given_speed import GivenSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
-from track_range.stereo.odometry.road_horizon import RoadView
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
+# relative error of the speed by stereo odometry, from its rig, and of the speed by the motion of the
+# road, from a height of the camera that is given, and from a usual one
+_RIG_SIGMA, _HEIGHT_SIGMA, _USUAL_SIGMA = 0.025, 0.04, 0.25
 
 
 @dataclass(slots=True, kw_only=True)
@@ -33,6 +36,7 @@ class EgoStage:
     has_road_scale: bool = False
     camera_height: CameraHeight | None = None  # from a known speed, where it is not given
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`
+    given_speed: GivenSpeed = field(default_factory=GivenSpeed)  # against that of the images
     # motion in the last frame that was measured, and its time
     _last: tuple[float, EgoMotion] = (math.nan, EgoMotion())
 
@@ -50,7 +54,8 @@ class EgoStage:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
-        return () if self.pair_odometry is None else self.pair_odometry.notes
+        of_pair = () if self.pair_odometry is None else self.pair_odometry.notes
+        return (*of_pair, *self.given_speed.notes)
 
     def update(
         self,
@@ -77,16 +82,45 @@ class EgoStage:
             motion = EgoMotion(yaw_rad_s=self._yaw_rad_s(frame, xyxy_px))
         self._last = frame.time_s, motion
         given = self._given(frame.time_s, known)
-        ego = replace(
-            self._ego(motion, given, trusts_given=trusts_given),
+        height_m = None
+        if by_road is not None and self.camera_height is not None:
+            is_measured = math.isfinite(motion.speed_mps)
+            scaled = given if given is not None and trusts_given and not is_measured else motion
+            self.camera_height.update(frame.time_s, scaled, by_road)
+            height_m = self.camera_height.height_m
+        shown = by_road, (0.0, _HEIGHT_SIGMA if self.camera_height is None else _USUAL_SIGMA)
+        if by_pair is not None:
+            shown = by_pair, (-rig_scale.log_factor, min(_RIG_SIGMA + rig_scale.sigma, 1.0))
+        used = None if given is None else self._weighed(frame.time_s, given, *shown, known)
+        ego = Ego(
+            motion=_with_given(motion, used, trusts_given=trusts_given),
             by_pair=by_pair,
             by_road=by_road,
+            given=given,
+            relation=self.given_speed.relation,
+            trusts_given=trusts_given,
             right_camera=None if self.pair_odometry is None else self.pair_odometry.right_camera,
         )
-        if self.road_motion is None or not self.road_motion.has_horizon:
+        road = self.road_motion
+        if road is None or not road.has_horizon:
             return ego
-        road = self._road_view(self.road_motion, ego, frame.time_s)
-        return replace(ego, road=road, step=self.road_motion.step(ego.motion))
+        view = road.view
+        if height_m is not None:
+            view = replace(view.scaled(height_m[0] / road.height_m), height_m=height_m)
+        return replace(ego, road=view, step=road.step(ego.motion))
+
+    def _weighed(
+        self,
+        time_s: float,
+        given: EgoMotion,
+        measured: EgoMotion | None,
+        scale: tuple[float, float],
+        known: EgoMotion | None,
+    ) -> EgoMotion:
+        """The given speed beside the measured one, whose scale has an error."""
+        table = self.speed if known is None else None
+        measured = measured or EgoMotion()
+        return self.given_speed.update(time_s, given, measured, scale, table=table)
 
     def predicted(
         self, time_s: float, known: EgoMotion | None = None, *, trusts_given: bool = True
@@ -100,27 +134,9 @@ class EgoStage:
             grown_mps = predicted_sigma_mps(time_s - last_s)
             sigma_mps = math.hypot(last.speed_sigma_mps, grown_mps)
             motion = replace(last, speed_sigma_mps=sigma_mps, is_predicted=True)
-        return self._ego(motion, self._given(time_s, known), trusts_given=trusts_given)
-
-    @staticmethod
-    def _ego(motion: EgoMotion, given: EgoMotion | None, *, trusts_given: bool) -> Ego:
-        """The measured motion, with the given speed if there is one and it is trusted."""
-        if given is not None and trusts_given:
-            motion = replace(given, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)
+        given = self._given(time_s, known)
+        motion = _with_given(motion, given, trusts_given=trusts_given)
         return Ego(motion=motion, given=given, trusts_given=trusts_given)
-
-    def _road_view(self, road: GroundOdometry, ego: Ego, time_s: float) -> RoadView:
-        """The road in metres; in units of the assumed camera height until the speed shows the
-        height.
-        """
-        is_in_doubt = ego.given is not None and not ego.trusts_given
-        if self.camera_height is None or is_in_doubt:
-            return road.view
-        self.camera_height.update(time_s, ego.motion, road.ego)
-        height_m = self.camera_height.height_m
-        if height_m is None:
-            return road.view
-        return replace(road.view.scaled(height_m[0] / road.height_m), height_m=height_m)
 
     def _given(self, time_s: float, known: EgoMotion | None) -> EgoMotion | None:
         if known is not None or self.speed is None:
@@ -134,3 +150,10 @@ class EgoStage:
         if self.image_motion is not None:
             return self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
         return math.nan
+
+
+def _with_given(motion: EgoMotion, given: EgoMotion | None, *, trusts_given: bool) -> EgoMotion:
+    """The measured motion, with a given speed if there is one and it is trusted."""
+    if given is None or not trusts_given:
+        return motion
+    return replace(given, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)

@@ -1,0 +1,195 @@
+r"""GivenSpeed: a given speed of the camera beside the speed that the images show, moment by moment.
+
+A given speed may be late, have another unit, or stay at zero; odometry may have another scale. Their
+ratio and the delay belong to the drive (`SpeedRelation`): the given speed is read at all likely
+delays, and its variance contains their spread. With the ratio removed, the difference D of the two
+over the last moment, and its standard deviation S if both are right,
+
+    P(given is wrong) = pi N(D; 0, S^2 + W^2) / ((1 - pi) N(D; 0, S^2) + pi N(D; 0, S^2 + W^2))
+
+W is the size of mistakes. The speed is the mean over both cases, that of the images if the given one
+is wrong, and its variance contains their difference: there is no threshold at which one replaces
+the other. A ratio that the scale of odometry does not explain widens the variance only, since either
+speed may be the cause.
+"""
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.speed_relation import LAGS_S, RelationFit, SpeedRelation
+
+PRIOR = 0.1  # pi: probability of a mistake; receivers lag when a car brakes
+LAG_SIGMA_S = 0.3  # of the delay of a speed without a stated one
+_LATE_S = 0.7, 1.2  # mean and standard deviation of a delay that is a mistake
+# W: a part for failures, and one for units; the same of the logarithm of a ratio
+_MISTAKE_MPS, _MISTAKE_FRACTION, _MISTAKE_RATIO = 1.0, 0.3, 0.5
+_WINDOW_S, _MEMORY_S = 0.5, 5.0  # differences of a moment; until they say nothing any more
+_MIN_VALUES = 3
+# standard deviations of the speed that images showed a moment ago, and the smallest one
+_UNMEASURED_MPS, _LEAST_SIGMA_MPS = 0.5, 0.03
+_INTERVAL_S = 0.5  # between two fits
+_REST_MPS, _MOVING_MPS = 1.0, 3.0  # given speed at rest; speed in the images of one that is not
+_MIN_REST_S = 1.0  # of contradictions before a note
+
+
+class GivenSpeed:
+    """Weighs the given speed of one drive against the measured one; the state belongs to the
+    instance.
+    """
+
+    def __init__(self) -> None:
+        self._samples, self._due_s = SpeedRelation(), -math.inf
+        self.relation: RelationFit | None = None  # given over measured speed; None = unknown
+        self._lag_weight = _lag_prior(LAG_SIGMA_S)  # (G,)
+        self._ratio = 0.0, 0.0  # logarithm of given over measured speed, and its variance
+        self._differences: deque[tuple[float, float]] = deque()  # time, given - measured
+        self._last_s = math.nan
+        self._moving_s = self._rest_s = 0.0  # in motion, and in motion with a given speed at rest
+
+    def update(
+        self,
+        time_s: float,
+        given: EgoMotion,
+        measured: EgoMotion,
+        scale: tuple[float, float],
+        *,
+        table: EgoSpeed | None = None,
+    ) -> EgoMotion:
+        """The speed of a frame by both.
+
+        `scale` is what the logarithm of their ratio, given over measured, should be, and its
+        standard deviation; `table` has the given speed over the whole drive, None = it is known up
+        to this frame.
+        """
+        step_s, self._last_s = time_s - self._last_s, time_s
+        if math.isnan(given.speed_mps):
+            return given
+        sigmas_mps = given.speed_sigma_mps, measured.speed_sigma_mps
+        self._samples.add(time_s, given.speed_mps, measured.speed_mps, sigmas_mps)
+        if time_s >= self._due_s:
+            self._due_s = time_s + _INTERVAL_S
+            self._fit(scale, table)
+        read = self._read(time_s, given, table)
+        self._count_rest(step_s, given, measured)
+        log_ratio, ratio_variance = self._ratio
+        factor = math.exp(log_ratio)
+        sigma_mps = math.hypot(
+            measured.speed_sigma_mps, math.sqrt(ratio_variance) * measured.speed_mps
+        )
+        by_images = EgoMotion(factor * measured.speed_mps, factor * sigma_mps)
+        return self._with_scale(self._weighed(time_s, read, by_images), scale)
+
+    def _fit(self, scale: tuple[float, float], table: EgoSpeed | None) -> None:
+        """Ratio and delay by all frames so far."""
+        prior = _lag_prior(LAG_SIGMA_S if table is None else table.time_sigma_s or LAG_SIGMA_S)
+        self._ratio, self.relation = (scale[0], scale[1] ** 2), self._samples.fit()
+        if self.relation is not None:
+            self._lag_weight = self.relation.weights(prior * _ratio_prior(self.relation, scale))
+            mean, covariance = self.relation.moments(self._lag_weight)
+            self._ratio = float(mean[0]), float(covariance[0, 0])
+
+    def _read(self, time_s: float, given: EgoMotion, table: EgoSpeed | None) -> EgoMotion:
+        """The given speed with the spread over its likely delays."""
+        if table is None:
+            return given
+        speeds_mps = table.near(time_s + LAGS_S)
+        mean_mps = float(self._lag_weight @ speeds_mps)
+        variance = float(self._lag_weight @ (speeds_mps - mean_mps) ** 2)
+        sigma_mps = math.hypot(given.speed_sigma_mps, math.sqrt(variance))
+        return replace(given, speed_mps=mean_mps, speed_sigma_mps=sigma_mps)
+
+    def _weighed(self, time_s: float, read: EgoMotion, by_images: EgoMotion) -> EgoMotion:
+        """The mean of both speeds of a moment, in the scale of the given one."""
+        if math.isfinite(by_images.speed_mps):
+            self._differences.append((time_s, read.speed_mps - by_images.speed_mps))
+        while self._differences and self._differences[0][0] < time_s - _MEMORY_S:
+            self._differences.popleft()
+        if not self._differences:
+            return read
+        start_s = self._differences[-1][0] - _WINDOW_S
+        of_moment = [value for at_s, value in self._differences if at_s >= start_s]
+        if len(of_moment) < _MIN_VALUES:
+            return read
+        difference_mps = float(np.median(of_moment))
+        other_mps, gain = read.speed_mps - difference_mps, 0.0
+        other_sigma_mps = math.hypot(_UNMEASURED_MPS, math.sqrt(self._ratio[1]) * other_mps)
+        if math.isfinite(by_images.speed_sigma_mps):
+            other_sigma_mps = max(by_images.speed_sigma_mps, _LEAST_SIGMA_MPS)
+        given_variance, other_variance = read.speed_sigma_mps**2, other_sigma_mps**2
+        mistake_mps = math.hypot(_MISTAKE_MPS, _MISTAKE_FRACTION * other_mps)
+        both_mps = math.sqrt(given_variance + other_variance)
+        wrong = p_mistake(difference_mps, both_mps, mistake_mps)
+        if math.isfinite(by_images.speed_mps):
+            other_mps = by_images.speed_mps
+            gain = given_variance / (given_variance + other_variance)
+        # both are right, or the given one is not
+        right_mps = read.speed_mps + gain * (other_mps - read.speed_mps)
+        right_variance = (1 - gain) * given_variance
+        mean_mps = right_mps + wrong * (other_mps - right_mps)
+        variance = (1 - wrong) * right_variance + wrong * other_variance
+        variance += wrong * (1 - wrong) * (other_mps - right_mps) ** 2
+        return replace(read, speed_mps=mean_mps, speed_sigma_mps=math.sqrt(variance))
+
+    def _with_scale(self, motion: EgoMotion, scale: tuple[float, float]) -> EgoMotion:
+        """The speed with an error that covers both scales, if they contradict each other."""
+        log_ratio, variance = self._ratio[0] - scale[0], self._ratio[1]
+        both = math.hypot(scale[1], math.sqrt(variance))
+        # what the ratio adds to the prior of a mistake, which is of either speed
+        added = p_mistake(log_ratio, both, _MISTAKE_RATIO) - p_mistake(0.0, both, _MISTAKE_RATIO)
+        wrong = added / 2
+        other_mps = motion.speed_mps * (1 - math.exp(-log_ratio))
+        sigma_mps = math.hypot(motion.speed_sigma_mps, math.sqrt(wrong) * other_mps)
+        return replace(motion, speed_sigma_mps=sigma_mps)
+
+    def _count_rest(self, step_s: float, given: EgoMotion, measured: EgoMotion) -> None:
+        if measured.speed_mps >= _MOVING_MPS and 0 < step_s <= _MEMORY_S:
+            self._moving_s += step_s
+            self._rest_s += step_s * (abs(given.speed_mps) < _REST_MPS)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user on a given speed at rest while the images move."""
+        if self._rest_s < _MIN_REST_S:
+            return ()
+        return (
+            f"The given speed is below {_REST_MPS:g} m/s during {self._rest_s:.1f} of the "
+            f"{self._moving_s:.1f} s in which the images show that the camera moves: the speed of "
+            "the images is used there; check the source of the speed.",
+        )
+
+
+def p_mistake(difference: float, sigma: float, mistake_sigma: float) -> float:
+    """Probability that a difference is a mistake, of a size `mistake_sigma`, and not an error of
+    `sigma`.
+    """
+    sigma = max(sigma, 1e-6)
+    wide = math.hypot(sigma, mistake_sigma)
+    log_odds = 0.5 * difference**2 * (1 / sigma**2 - 1 / wide**2)
+    log_odds += math.log(sigma / wide) + math.log(PRIOR / (1 - PRIOR))
+    return 1 / (1 + math.exp(-min(log_odds, 50.0)))
+
+
+def _lag_prior(sigma_s: float) -> FloatArray:
+    """(G,) probabilities of the delays `LAGS_S`: usual ones with a standard deviation, or a
+    mistake.
+    """
+    usual, late = _normal(LAGS_S, 0.0, sigma_s), _normal(LAGS_S, *_LATE_S)
+    prior = (1 - PRIOR) * usual / usual.sum() + PRIOR * late / late.sum()
+    return np.asarray(prior)
+
+
+def _ratio_prior(relation: RelationFit, scale: tuple[float, float]) -> FloatArray:
+    """(G,) density of the ratio of each delay: scales that are right, or a mistake."""
+    sigma = np.sqrt(relation.log_ratio_variance + scale[1] ** 2)
+    right = _normal(relation.log_ratio, scale[0], sigma)
+    return (1 - PRIOR) * right + PRIOR * _normal(relation.log_ratio, scale[0], _MISTAKE_RATIO)
+
+
+def _normal(x: FloatArray, mean: float, sigma: FloatArray | float) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * ((x - mean) / sigma) ** 2) / sigma)
