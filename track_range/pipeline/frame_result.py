@@ -49,6 +49,9 @@ class TrackedObject:
         filtered_m: distance filtered over time, `ranges["fused_kf"]` and `fused_kf_m`, in frames
             without a measurement too; NaN = not measured yet.
         filtered_sigma_m: its standard deviation.
+        x_sigma_m: standard deviation of x of `position_m`: by the distance, the box and the
+            principal point.
+        y_sigma_m: the same of y.
     """
 
     id: int
@@ -64,6 +67,8 @@ class TrackedObject:
     state: str = ""
     filtered_m: float = math.nan
     filtered_sigma_m: float = math.nan
+    x_sigma_m: float = math.nan
+    y_sigma_m: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +150,7 @@ class FrameResult:
                 names.tolist(),
             ),
             *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
+            *self.world.xy_sigma_m.T.tolist(),
         )
         return tuple(map(TrackedObject, *columns))
 

@@ -1,5 +1,6 @@
 """WorldStage: where the tracks and the camera are, and how the tracks move over ground."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -8,6 +9,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.filtering import Filtered
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -20,20 +22,24 @@ class World:
     """Positions and motion of the N tracks of a frame and of the camera; NaN = unknown."""
 
     xyz_m: FloatArray  # (N, 3) ranged point in the left camera's frame, from the fused distance
+    xy_sigma_m: FloatArray  # (N, 2) standard deviations of its x and y; that of z is the distance's
     motion: ObjectMotion  # over ground, and positions in the frame `map`
     ego_pose: EgoPose  # of the left camera in the frame `map`
 
     @classmethod
     def unknown(cls, n: int) -> "World":
         """The world of n tracks whose distances are unknown."""
-        return cls(np.full((n, 3), np.nan), ObjectMotion.unknown(n), EgoPose())
+        nan = np.nan
+        return cls(np.full((n, 3), nan), np.full((n, 2), nan), ObjectMotion.unknown(n), EgoPose())
 
 
 class WorldStage:
     """Places the tracks of a drive in the world of its first frame."""
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._camera, self._path, self._motions = camera, EgoPath(), ObjectMotions()
+    def __init__(self, camera: PinholeCamera, *, centre_sigma_px: float = 0.0) -> None:
+        """`centre_sigma_px` is the standard deviation of the camera's principal point."""
+        self._camera, self._centre_sigma_px = camera, centre_sigma_px
+        self._path, self._motions = EgoPath(), ObjectMotions()
 
     def update(
         self,
@@ -54,6 +60,16 @@ class WorldStage:
             ego=ego,
             pose=pose,
         )
-        centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
-        xyz_m = self._camera.rays(centre_px) * ranges["fused"].distance_m[:, None]
-        return World(xyz_m, motion, pose)
+        return World(*self._points_m(tracks, ranges["fused"]), motion, pose)
+
+    def _points_m(self, tracks: Tracks, fused: Ranges) -> tuple[FloatArray, FloatArray]:
+        """(N, 3) points where the rays of the boxes meet the objects, and (N, 2) the standard
+        deviations of their x and y: by the distance, and by the direction.
+        """
+        first_px, last_px = tracks.xyxy_px[:, :2], tracks.xyxy_px[:, 2:]
+        rays = self._camera.rays((first_px + last_px) / 2)
+        edge_sigma_px = BoxNoise().sigma_px(last_px - first_px, tracks.class_id)
+        direction_px = np.hypot(edge_sigma_px / math.sqrt(2), self._centre_sigma_px)
+        direction = direction_px / np.array([self._camera.fx_px, self._camera.fy_px])
+        distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]
+        return rays * distance_m, np.hypot(rays[:, :2] * sigma_m, direction * distance_m)

@@ -72,6 +72,7 @@ class _Frames:
         self._parts = {place: self._part(place) for place in PARTS}
         self._parts["tracks"]["class_id"] = class_id
         self._xyz_m = np.stack([rows[name] for name in ("x_m", "y_m", "fused_m")], axis=1)
+        self._xy_sigma_m = np.stack([rows[name] for name in ("x_sigma_m", "y_sigma_m")], axis=1)
         self._has_warnings = "contact_probability" in rows and "warning" in rows
         self._has_safety = "gap_m" in rows
         self._distances = {name: rows.distance(name) for name in measured}
@@ -121,7 +122,12 @@ class _Frames:
             tracks=tracks,
             ranges=ranges,
             approach=Approach(**parts["approach"]),
-            world=World(self._xyz_m[rows], ObjectMotion(**parts["world.motion"]), pose),
+            world=World(
+                self._xyz_m[rows],
+                self._xy_sigma_m[rows],
+                ObjectMotion(**parts["world.motion"]),
+                pose,
+            ),
             alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
             ego=EgoMotion(**ego),
         )

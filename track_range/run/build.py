@@ -103,7 +103,7 @@ def open_pipeline(
         filtering=FilterStage(
             camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
         ),
-        world=WorldStage(camera),
+        world=WorldStage(camera, centre_sigma_px=calibration.centre_sigma_px),
         alarming=AlarmStage(camera, warning),
         setup_notes=(*appearance_notes, *(() if is_ahead else (_SIDE_VIEW,))),
     )

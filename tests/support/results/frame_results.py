@@ -49,7 +49,7 @@ def changed(result: FrameResult, **values: Any) -> FrameResult:
     for name, value in values.items():
         if name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s"):
             parts["approach"] = replace(parts.get("approach", result.approach), **{name: value})
-        elif name in ("xyz_m", "motion", "ego_pose"):
+        elif name in ("xyz_m", "xy_sigma_m", "motion", "ego_pose"):
             parts["world"] = replace(parts.get("world", result.world), **{name: value})
         elif name in ("warnings", "safety"):
             alarms = parts.get("alarms", result.alarms)
@@ -104,6 +104,7 @@ def result(frame=4):
         ttc_s=np.array([6.0, nan]),
         ttc_sigma_s=np.array([1.5, nan]),
         xyz_m=xyz_m,
+        xy_sigma_m=np.array([[0.25, 0.125], [nan, nan]]),
         motion=ObjectMotion(
             *(
                 np.array(pair)

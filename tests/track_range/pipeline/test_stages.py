@@ -255,6 +255,11 @@ def test_positions_are_on_the_rays_of_the_boxes():
     world = WorldStage(CAMERA).update(CARS, motion, distances, KNOWN, 0.0)
     x_m = (50.0 - CAMERA.cx_px) / CAMERA.fx_px * fused.ranges.distance_m[0]
     np.testing.assert_allclose(world.xyz_m[0], [x_m, 0.105 * 6.0, 6.0], rtol=1e-9)
+    # 6 m away, principal point and box off by 2 px at 100 px focal length: beside the error by z
+    sure = WorldStage(CAMERA).update(CARS, motion, distances, KNOWN, 0.0).xy_sigma_m[0]
+    sigma = WorldStage(CAMERA, centre_sigma_px=2.0).update(CARS, motion, distances, KNOWN, 0.0)
+    np.testing.assert_allclose(sigma.xy_sigma_m[0] ** 2 - sure**2, (6.0 * 2.0 / CAMERA.fx_px) ** 2)
+    assert np.all(sure > np.abs(world.xyz_m[0, :2]) / 6.0 * distances["fused"].sigma_m[0])
     assert world.ego_pose.x_m == 0.0
 
 

@@ -22,7 +22,7 @@ CONTRACT = (
     "frame,time_s,track_id,class,score,observed,x1_px,y1_px,x2_px,y2_px,mono_m,mono_sigma_m,ground_m,ground_sigma_m,"
     "lane_m,lane_sigma_m,stereo_m,stereo_sigma_m,sgbm_m,sgbm_sigma_m,fused_m,fused_sigma_m,"
     "mono_kf_m,mono_kf_sigma_m,stereo_kf_m,stereo_kf_sigma_m,fused_kf_m,fused_kf_sigma_m,"
-    "x_m,y_m,closing_mps,closing_sigma_mps,ttc_s,ttc_sigma_s,utc,"
+    "x_m,x_sigma_m,y_m,y_sigma_m,closing_mps,closing_sigma_mps,ttc_s,ttc_sigma_s,utc,"
     "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
@@ -45,8 +45,8 @@ def test_fixed_columns():
 def test_sigmas_follow_their_values():
     names = column_names()
     sigmas = [name for name in names if "_sigma_" in name]
-    # of nine distances, closing speed, two times to collision, and speed over ground
-    assert len(sigmas) == 13
+    # of nine distances, x and y, closing speed, two times to collision, and speed over ground
+    assert len(sigmas) == 15
     assert [names[names.index(sigma) - 1] for sigma in sigmas] == [
         sigma.replace("_sigma", "") for sigma in sigmas
     ]

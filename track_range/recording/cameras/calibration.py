@@ -44,6 +44,8 @@ _GIVEN_FOCAL_SIGMA = 0.02
 # stereo camera in one housing, to both ends of a roof
 _ASSUMED_BASELINE_M, _BASELINE_SIGMA = 0.5, 1.0
 # relative standard deviation of a fitted camera height up to which it is used as known
+# of a calibrated principal point, and of the image centre over the image width: those of cameras
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA = 2.0, 0.015
 _MAX_HEIGHT_SIGMA = 0.05
 # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
 _CODEC_CROP_PX = 2
@@ -130,6 +132,20 @@ class RecordingCalibration:
             else known.scale_sigma
         )
         return math.hypot(self.focal_sigma, board)
+
+    @property
+    def centre_sigma_px(self) -> float:
+        """Standard deviation of the principal point: measured, or taken to be the image centre."""
+        cameras = (
+            self.raw_camera,
+            None if self.raw_rig is None else self.raw_rig.left,
+            self.camera,
+        )
+        camera = next(camera for camera in cameras if camera is not None)
+        centre = PinholeCamera.of_focal_length(1.0, camera.size_px)
+        if (camera.cx_px, camera.cy_px) == (centre.cx_px, centre.cy_px):
+            return _CENTRE_SIGMA * self.camera.width_px
+        return _CENTRE_SIGMA_PX
 
     @property
     def camera_height_m(self) -> float | None:

@@ -63,11 +63,18 @@ _APPROACH = (
         "x of the measured point (right of the camera), from the fused distance",
     ),
     ResultColumn(
+        "x_sigma_m",
+        "m",
+        "world.xy_sigma_m.0",
+        "its standard deviation: by the distance, the box and the principal point",
+    ),
+    ResultColumn(
         "y_m",
         "m",
         "world.xyz_m.1",
         "y of the measured point (below the camera), from the fused distance",
     ),
+    ResultColumn("y_sigma_m", "m", "world.xy_sigma_m.1", _SIGMA),
     ResultColumn(
         "closing_mps",
         "m/s",
@@ -341,7 +348,11 @@ def methods_with_sigma() -> list[str]:
     """Names of all distances with a sigma (methods, "fused", filtered ones as NAME_kf), in the
     order of the summary.
     """
-    names = [name.removesuffix("_sigma_m") for name in column_names() if name.endswith("_sigma_m")]
+    names = [
+        column.name.removesuffix("_sigma_m")
+        for column in result_columns()
+        if column.place.startswith("ranges.") and column.name.endswith("_sigma_m")
+    ]
     return sorted(names, key=lambda name: name.endswith("_kf"))
 
 
