@@ -36,10 +36,12 @@ from track_range.recording.cameras.camera_estimate import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
 _MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
+_TURN_DEG = 5.0  # change of the heading that is called a turn
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
 
@@ -122,6 +124,9 @@ class PrePass:
         """The camera without the measurements of the user."""
         size_px = drive.size_px
         estimate = CameraEstimate(size_px=size_px, sources=self._outside_sources(drive))
+        motion = view.motion_estimate()
+        if motion is not None:
+            estimate = with_motion(estimate, motion)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
         cuboids = self.sizes if isinstance(self.sizes, CuboidSizes) else None
@@ -181,6 +186,21 @@ def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
     log_f = (log_fit * fit.focal_sigma**-2 - log_prior * prior.sigma**-2) / gained
     guess = FocalGuess(float(np.exp(log_f)), float(gained**-0.5), "the known metres")
     return source_of_guess(guess, "known metres", before.size_px[0])
+
+
+def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimate:
+    """The estimate with the evidence of the motion of the static scene."""
+    minutes, seconds = divmod(round(motion.span_s[0]), 60)
+    source = f"the turn at {minutes}:{seconds:02}"
+    if motion.turn_deg < _TURN_DEG:
+        source = f"the motion of the static scene at {minutes}:{seconds:02}"
+    focal_px = np.exp(motion.log_focal)
+    by_motion = source_of_curve(
+        "motion", source, focal_px, motion.log_likelihood, before.size_px[0]
+    )
+    return replace(
+        before, sources=(*before.sources, by_motion), k1=motion.k1, k1_sigma=motion.k1_sigma
+    )
 
 
 def thinned(boxes: SceneBoxes) -> SceneBoxes:

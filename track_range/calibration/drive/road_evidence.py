@@ -7,7 +7,7 @@ road.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from track_range.ranging.cameras.measurements import (
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
 from track_range.tracking.registry import create_tracker
 
 STEP_S = 0.1  # time between the frames that are read
@@ -31,6 +32,7 @@ _MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
 # Standard deviations of the horizon from lanes and from the direction of travel that do not average
 # out: slopes and curves of the road, and the vehicle's attitude.
 _LANE_SIGMA_RAD, _TRAVEL_SIGMA_RAD = 0.006, 0.006
+_PART_GAP_S = 1e6  # added to the times of each further part, for the motion
 _IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a video
 
 
@@ -44,6 +46,7 @@ class RoadEvidence:
     boxes: list[SceneBoxes] = field(default_factory=list)
     lane_rows: list[float] = field(default_factory=list)  # rows of the horizon from lanes, px
     travel_rows: list[float] = field(default_factory=list)  # rows of the direction of travel, px
+    motion: SceneMotion | None = None  # of the static scene in all parts; None = none was added
     _n_parts: int = 0
 
     def add(
@@ -56,11 +59,15 @@ class RoadEvidence:
         """Add a part of a video of an approximate camera; `advance` is called with the number of
         frames so far.
         """
-        tracker, lanes, motion = (
+        tracker, lanes, travel = (
             create_tracker("deepsort"),
             EdgeLaneFinder(),
             ImageMotionEstimator(camera),
         )
+        if self.motion is None:
+            self.motion = SceneMotion(camera.size_px, start_px=camera.fx_px)
+        # parts of several videos follow each other with a gap
+        base_s = self._n_parts * _PART_GAP_S
         self._n_parts += 1
         last_s = -np.inf
         for frame in frames:
@@ -72,10 +79,11 @@ class RoadEvidence:
             rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
             ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
             self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
+            self.motion.add(frame.left, base_s + frame.time_s, detections.xyxy_px)
             if self.has_horizon:
                 if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
                     self.lane_rows.append(row[0])
-                epipole_px = motion.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
+                epipole_px = travel.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
                 if np.isfinite(epipole_px[1]):
                     self.travel_rows.append(epipole_px[1])
             self.n_frames += 1
@@ -85,6 +93,16 @@ class RoadEvidence:
     def scene(self) -> SceneBoxes:
         """All boxes."""
         return SceneBoxes.joined(self.boxes)
+
+    def motion_estimate(self) -> MotionEstimate | None:
+        """The lens from the motion of the static scene, with times in its part; None = nothing was
+        tracked.
+        """
+        estimate = None if self.motion is None else self.motion.estimate()
+        if estimate is None:
+            return None
+        first_s, last_s = (time_s % _PART_GAP_S for time_s in estimate.span_s)
+        return replace(estimate, span_s=(first_s, last_s))
 
     def horizon(self, focal_px: float) -> tuple[HorizonRow, ...]:
         """The row of the horizon from lanes and from the direction of travel, where enough frames
