@@ -1,6 +1,7 @@
 """DriveVideo: a recorded drive before it is read, and the parts of it that are."""
 
-from collections.abc import Generator
+import math
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 
@@ -11,11 +12,18 @@ from track_range.recording.sources.names import VideoName, source_of
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.options import DEFAULTS, RecordingOptions
 from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.self_calibration.turns import turning_spans
 
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0
+# Length in which turns are sought: decoding an hour would take minutes. Time between the images, and
+# the smallest turn after which no other part is read.
+_SCANNED_S, _SCAN_S, _MIN_TURN_DEG = 180.0, 0.25, 15.0
 # starts of the parts of a longer recording, as fractions of it
 _PARTS = (0.0, 0.5, 0.85)
+
+TIME_EPSILON_S = 0.004  # tolerance of times between frames, for frame rates that divide them
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +64,19 @@ class DriveVideo:
             replace(options, topics=(), stereo_layout=None, start_utc=None),
         )
 
-    @property
     def parts_s(self) -> list[tuple[float, float | None]]:
-        """Start and length of each part that is read: all of a short drive, some of a long one;
-        None = to the end.
+        """Start and length of each part that is read, None = to the end: those with the largest
+        turns, else all of a short drive, or some of a long one.
         """
         start_s, given_s = self.options.start_s, self.options.duration_s
         length_s = self.duration_s if given_s is None else min(given_s, self.duration_s or given_s)
+        if 0 < length_s <= _PART_S:
+            return [(start_s, given_s)]
+        with self.opened(start_s, min(length_s or _SCANNED_S, _SCANNED_S)) as recording:
+            images = ((frame.time_s, frame.left) for frame in every_step(_SCAN_S, recording.frames))
+            turns = turning_spans(images, span_s=_PART_S, min_turn_deg=_MIN_TURN_DEG)
+        if turns:
+            return [(turn.start_s, turn.end_s - turn.start_s) for turn in turns]
         if 0 < length_s <= _WHOLE_S:
             return [(start_s, given_s)]
         if not length_s:
@@ -97,3 +111,12 @@ class DriveVideo:
             raise UsageError(
                 f"{name}: expected a time up to {self.duration_s:.1f} s, the end of the video."
             )
+
+
+def every_step(step_s: float, frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Frames that are at least `step_s` apart."""
+    last_s = -math.inf
+    for frame in frames:
+        if frame.time_s - last_s >= step_s - TIME_EPSILON_S:
+            last_s = frame.time_s
+            yield frame

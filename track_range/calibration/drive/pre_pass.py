@@ -41,6 +41,9 @@ from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 _MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
+# of a focal length from motion, which says nothing then: on a straight road focal length and depths are
+# interchangeable, and small errors of the tracks decide
+_UNKNOWN_SIGMA = 0.15
 _TURN_DEG = 5.0  # change of the heading that is called a turn
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
@@ -115,7 +118,7 @@ class PrePass:
         view = RoadEvidence(has_horizon=has_horizon)
         with self.progress("estimating the focal length") as advance:
             for drive in drives:
-                for start_s, duration_s in drive.parts_s:
+                for start_s, duration_s in drive.parts_s():
                     with drive.opened(start_s, duration_s) as recording:
                         view.add(recording.camera, recording.frames, self.detect, advance)
         return view
@@ -125,7 +128,7 @@ class PrePass:
         size_px = drive.size_px
         estimate = CameraEstimate(size_px=size_px, sources=self._outside_sources(drive))
         motion = view.motion_estimate()
-        if motion is not None:
+        if motion is not None and motion.sigma < _UNKNOWN_SIGMA:
             estimate = with_motion(estimate, motion)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))

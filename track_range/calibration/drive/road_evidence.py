@@ -1,7 +1,7 @@
 """Evidence of a video about its camera: boxes of road users, rows of the horizon, and the motion of
 the static scene.
 
-Frames are read at `STEP_S`, as close as the tracker needs them. The horizon comes from the lines of
+Frames are read at `STEP_S`, as close as tracking needs them. The horizon comes from the lines of
 the ego lane, where they meet, and from the direction of travel (epipole), which is parallel to the
 road.
 """
@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from track_range.calibration.drive.drive_video import TIME_EPSILON_S, every_step
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.foundation.arrays import FloatArray
@@ -26,8 +27,9 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
 from track_range.tracking.registry import create_tracker
 
-STEP_S = 0.1  # time between the frames that are read
-_TIME_EPSILON_S = 0.004  # tolerance of that time, for frame rates that divide it
+# time between the frames that are read, and between those in which road users are detected, whose
+# boxes hide them in the next frame too
+STEP_S, DETECTION_S = 0.1, 0.2
 _MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
 # Standard deviations of the horizon from lanes and from the direction of travel that do not average
 # out: slopes and curves of the road, and the vehicle's attitude.
@@ -69,16 +71,14 @@ class RoadEvidence:
         # parts of several videos follow each other with a gap
         base_s = self._n_parts * _PART_GAP_S
         self._n_parts += 1
-        last_s = -np.inf
-        for frame in frames:
-            if frame.time_s - last_s < STEP_S - _TIME_EPSILON_S:
-                continue
-            last_s = frame.time_s
-            detections = detect(frame)
-            tracks = tracker.update(detections, frame.time_s, frame.left)
-            rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
-            ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
-            self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
+        detections, detected_s = Detections.empty(), -np.inf
+        for frame in every_step(STEP_S, frames):
+            if frame.time_s - detected_s > DETECTION_S - TIME_EPSILON_S:
+                detections, detected_s = detect(frame), frame.time_s
+                tracks = tracker.update(detections, frame.time_s, frame.left)
+                rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
+                ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
+                self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
             self.motion.add(frame.left, base_s + frame.time_s, detections.xyxy_px)
             if self.has_horizon:
                 if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:

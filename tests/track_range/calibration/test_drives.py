@@ -1,0 +1,161 @@
+"""The pre-pass of drives: parts that are read, motion as a source, boxes without distortion, and
+`track-range calibrate drive`.
+"""
+
+import json
+import math
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.pre_pass import thinned, undistorted, with_motion
+from track_range.ranging.cameras.measurements import SceneBoxes
+from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
+from track_range.recording.sources.names import video_name
+from track_range.recording.video.options import RecordingOptions
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+from track_range.stereo.rig_formats.reading import load_camera, read_calibration
+from track_range.stereo.self_calibration.scene_motion import MotionEstimate
+
+SIZE_PX = (1280, 720)
+
+
+def motion(focal_px=1000.0, sigma=0.02, **changes):
+    log_f = np.log(np.geomspace(400, 2500, 200))
+    values = {
+        "log_focal": log_f,
+        "log_likelihood": -0.5 * ((log_f - math.log(focal_px)) / sigma) ** 2,
+        "focal_px": focal_px,
+        "sigma": sigma,
+        "k1": -0.1,
+        "k1_sigma": 0.01,
+        "centre_px": (640.0, 360.0),
+        "centre_sigma_px": 5.0,
+        "turn_deg": 30.0,
+        "span_s": (42.3, 44.3),
+        "n_points": 500,
+    }
+    return MotionEstimate(**{**values, **changes})
+
+
+def usual():
+    source = source_of_guess(default_guess(SIZE_PX[0]), "usual", SIZE_PX[0])
+    return CameraEstimate(size_px=SIZE_PX, sources=(source,))
+
+
+def test_turn_gives_the_focal_length_and_the_distortion():
+    estimate = with_motion(usual(), motion())
+    assert estimate.focal_px == pytest.approx(1000, rel=0.01)
+    assert 0.015 < estimate.sigma < 0.03
+    assert estimate.sentence.startswith("Focal length 99")
+    assert "from the turn at 0:42" in estimate.sentence
+    assert "k1 = -0.100" in estimate.sentence
+    assert estimate.distortion == (-0.1, 0.0, 0.0, 0.0)
+    straight = with_motion(usual(), motion(turn_deg=1.0, k1_sigma=0.1, span_s=(62.0, 64.0)))
+    assert "from the motion of the static scene at 1:02" in straight.sentence
+    assert straight.distortion == ()
+
+
+def test_views_of_one_object_are_thinned():
+    ids = np.repeat([3, 5], [100, 4])
+    xyxy = np.arange(4.0) + np.arange(104)[:, None]
+    few = thinned(SceneBoxes(xyxy, np.zeros(104, np.int64), ids))
+    assert [(few.track_id == number).sum() for number in (3, 5)] == [8, 4]
+    assert few.xyxy_px[few.track_id == 3][[0, -1], 0].tolist() == [0.0, 99.0]
+    assert len(thinned(SceneBoxes())) == 0
+
+
+def test_boxes_without_distortion_by_hand():
+    camera = PinholeCamera(1000.0, 1000.0, 639.5, 359.5, *SIZE_PX, (-0.1, 0.0, 0.0, 0.0))
+    # the ray (0.3, 0) is imaged at 0.3 (1 - 0.1 0.09) = 0.2973
+    boxes = SceneBoxes(
+        np.array([[639.5, 349.5, 639.5 + 297.3, 369.5]]), np.zeros(1, int), np.zeros(1, int)
+    )
+    (straight,) = undistorted(boxes, camera).xyxy_px
+    assert straight[2] == pytest.approx(639.5 + 300.0, abs=0.05)
+    assert straight[0] == pytest.approx(639.5, abs=0.05)
+    assert undistorted(boxes, camera.without_distortion()) is boxes
+
+
+def write_video(path, shifts_px):
+    """A video of 10 Hz in which a texture moves by pixels per frame."""
+    texture = np.random.default_rng(1).integers(0, 255, (60, 90), np.uint8)
+    wide = cv2.resize(texture, (1800, 120), interpolation=cv2.INTER_CUBIC)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (160, 120))
+    place = 800.0
+    for shift_px in shifts_px:
+        place += shift_px
+        left = int(place)
+        writer.write(cv2.cvtColor(wide[:, left : left + 160], cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return DriveVideo.of(video_name(str(path)))
+
+
+def test_parts_that_are_read(tmp_path):
+    straight = write_video(tmp_path / "straight.mp4", [0] * 200)
+    assert straight.parts_s() == [(0.0, None)]
+    long = write_video(tmp_path / "long.mp4", [0] * 400)
+    assert [start for start, _ in long.parts_s()] == pytest.approx([0.0, 20.0, 34.0], abs=0.2)
+    turning = write_video(tmp_path / "turn.mp4", [0] * 120 + [-4] * 60 + [0] * 120)
+    ((start_s, length_s),) = turning.parts_s()
+    assert start_s < 13
+    assert start_s + length_s > 17
+    assert length_s <= 10.5
+
+
+def test_part_that_was_asked_for(tmp_path):
+    whole = write_video(tmp_path / "a.mp4", [0] * 100)
+    part = DriveVideo(
+        whole.name,
+        whole.size_px,
+        whole.duration_s,
+        whole.guesses,
+        RecordingOptions(start_s=2.0, duration_s=3.0),
+    )
+    assert part.parts_s() == [(2.0, 3.0)]
+
+
+@pytest.mark.slow
+def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
+    videos = [shutil.copy(small_drive.left, tmp_path / name) for name in ("a.mp4", "b.mp4")]
+    out, figures = tmp_path / "rig.yaml", tmp_path / "f.json"
+    status, printed, complaint = cli("calibrate", "drive", *videos, "--out", out, "--json", figures)
+    assert status == 0, complaint
+    assert "2 videos" in printed
+    assert "all" in printed
+    true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
+    first = read_calibration(out, is_grey=False, is_pair=False).mounting
+    camera, _ = load_camera(out, size_px=None)
+    assert abs(math.log(camera.fx_px / true_px)) < 3 * first.focal_sigma
+    estimate = json.loads(figures.read_text())["camera_estimate"]
+    assert "usual" in [source["kind"] for source in estimate["sources"]]
+    status, _, complaint = cli(
+        "calibrate", "drive", videos[0], "--rig", out, "--out", out, "--json", figures
+    )
+    assert status == 0, complaint
+    estimate = json.loads(figures.read_text())["camera_estimate"]
+    kinds = [source["kind"] for source in estimate["sources"]]
+    assert "given" in kinds
+    assert "usual" not in kinds
+    second = read_calibration(out, is_grey=False, is_pair=False).mounting
+    assert second.focal_sigma < 1.1 * first.focal_sigma
+
+
+def test_recordings_of_two_sizes(tmp_path, cli):
+    write_video(tmp_path / "a.mp4", [0] * 3)
+    writer = cv2.VideoWriter(str(tmp_path / "b.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (80, 64))
+    for _ in range(3):
+        writer.write(np.zeros((64, 80, 3), np.uint8))
+    writer.release()
+    status, _, complaint = cli("calibrate", "drive", tmp_path / "a.mp4", tmp_path / "b.mp4")
+    assert (status, "b.mp4" in complaint, "160x120" in complaint) == (2, True, True)
+
+
+def test_prior_is_a_source():
+    given = source_of_guess(FocalGuess(950.0, 0.02, "rig.yaml"), "given", SIZE_PX[0])
+    estimate = with_motion(CameraEstimate(size_px=SIZE_PX, sources=(given,)), motion(1000.0, 0.02))
+    assert estimate.focal_px == pytest.approx(math.sqrt(950 * 1000), rel=0.005)
