@@ -44,10 +44,6 @@ WORKLOADS = {
         "throughput, overhead and memory of workers, and the cost of 1,000 hours",
     ),
     "fleet_faults": ("fleet.faults", "killed workers, a corrupt clip and a killed driver"),
-    "focal_length": (
-        "accuracy.ranging.focal_length",
-        "focal lengths of cameras without a calibration",
-    ),
     "formats": ("accuracy.detection.formats", "round trips through the label formats"),
     "fusion": (
         "accuracy.ranging.simulated_runs",
@@ -77,6 +73,10 @@ WORKLOADS = {
     "rig_health": (
         "accuracy.ranging.rig_alignment",
         "true rig files and rig files with errors on the same drives",
+    ),
+    "self_calibration": (
+        "accuracy.ranging.self_calibration",
+        "cameras without a calibration: focal length, distortion, distances, time",
     ),
     "startup": ("speed.runs", "start-up time of the command line and of the import"),
     "roads": (

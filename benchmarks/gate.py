@@ -24,7 +24,7 @@ FAST = {
     "tracking": "--sets --rounds 2",
     "fusion": "--scenarios town",
     "alignment": "--seeds 240 241 242",
-    "focal_length": "--seeds 2",
+    "self_calibration": "--parts boxes --seeds 2",
     "horizon": "--scenarios town --seeds 221 --known height none",
     "warnings": "--only hours --hours 0.1 --first-seed 120 --errors 2",
 }

@@ -24,6 +24,7 @@ FIELD_DEG = (45.0, 95.0)  # smallest and largest horizontal field of view
 PRINCIPAL_FRACTION = 0.01  # spread of the principal point around the centre, of the width
 PITCH_DEG, BASELINE_M = 1.0, (0.25, 0.6)
 SIZE_SIGMA = 0.07  # spread of the logarithm of the mean size of a drive's cars: that of the prior
+WIDE_DEG = 110.0  # horizontal field of view of a wide lens
 SECONDS, FPS = 20.0, 10.0
 
 
@@ -37,6 +38,7 @@ class CameraDrive:
     car_size: float  # mean size of the cars relative to the usual one
     pitch_deg: float
     turn_deg: float  # between the directions of the road farthest to the left and to the right
+    name: str  # of the drive's folder
 
     @classmethod
     def drawn(cls, scenario: str, seed: int) -> CameraDrive:
@@ -56,12 +58,24 @@ class CameraDrive:
             math.exp(rng.normal(0, SIZE_SIGMA)),
             float(rng.normal(0, PITCH_DEG)),
             _turn_deg(scenario, seed),
+            f"{scenario}_{seed}",
         )
 
-    @property
-    def name(self) -> str:
-        """Name of the drive's folder."""
-        return f"{self.scenario}_{self.seed}"
+    @classmethod
+    def wide(cls, seed: int) -> CameraDrive:
+        """A drive with a turn that is recorded with a lens of 110 degrees, nearly equidistant."""
+        rng = np.random.default_rng([seed, 59])
+        half_rad, k1 = math.radians(WIDE_DEG / 2), float(rng.uniform(-0.04, 0.02))
+        width_px, height_px = SIZES_PX[0]
+        middle_x_px, middle_y_px = (width_px - 1) / 2, (height_px - 1) / 2
+        focal_px = middle_x_px / (half_rad + k1 * half_rad**3)
+        camera = PinholeCamera(
+            *(focal_px, focal_px, middle_x_px, middle_y_px, width_px, height_px),
+            (k1, 0.0, 0.0, 0.0),
+            "kannala-brandt",
+        )
+        drawn = cls.drawn("winding", seed)
+        return replace(drawn, rig=StereoRig.rectified(camera, 0.5), name=f"wide_{seed}")
 
     def files(self, cache_folder: Path) -> Drive:
         """The files of the drive in the cache folder; if they are not there, rendered first."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.ranging.doubt import _boxes_text, _quantity, _truth_of_images
+from benchmarks.accuracy.ranging.doubt import _boxes_text, _truth_of_images
+from benchmarks.accuracy.ranging.row_scores import quantity
 from benchmarks.inputs import faulty_drives as faults
 from track_range.ranging.truth.truth import Truth
 
@@ -80,7 +81,7 @@ def test_truth_of_a_frozen_image_is_where_the_objects_are_then():
 
 def test_blank_rows_are_counted_apart():
     true, value = np.array([10.0, 20.0, 30.0, 40.0]), np.array([11.0, np.nan, 30.5, 44.0])
-    scores = _quantity("fused", true, value, np.array([0.8, np.nan, 1.0, 1.0]))
+    scores = quantity("fused", true, value, np.array([0.8, np.nan, 1.0, 1.0]))
     assert [scores[f"fused_{part}"] for part in ("rows", "known", "1_sigma", "2_sigma")] == [
         *(4, 3, 1, 2),
     ]

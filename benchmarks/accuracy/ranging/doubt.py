@@ -24,11 +24,11 @@ import cv2
 import numpy as np
 
 import track_range as tr
+from benchmarks.accuracy.ranging.row_scores import RowScores, pooled
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, decoded
 from benchmarks.inputs.faulty_drives import FAULTS, FPS, Drive, Fault, clean
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.ranging.truth.errors import match_truth
 from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.simulation.drive import write_drive
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -38,7 +38,6 @@ SEEDS = (610, 611)  # no test and no choice uses them
 SCENARIOS = ("city", "town", "highway", "following")
 SECONDS = 12.0
 FAULT_S = 4.0  # moment of a fault during a drive
-QUANTITIES = ("fused", "stereo", "closing", "ego")
 SECTIONS = ("scale", "size", "time", "pair", "values", "rig", "clock", "speed", "image")
 
 
@@ -130,7 +129,11 @@ def _case(
         options = _written(root, changed, fault, files)
         make = tr.Run.mono if fault.is_mono else tr.Run.stereo
         sides = [str(root / "left"), *([] if fault.is_mono else [str(root / "right")])]
-        noticed_s, sentences, rows = float("nan"), [], _Scores(changed, truth)
+        noticed_s, sentences, rows = (
+            float("nan"),
+            [],
+            RowScores(truth, changed.true_mps, lambda index: changed.source(index)[1]),
+        )
         try:
             with make(*sides, **options) as run:
                 for result in run:
@@ -295,76 +298,6 @@ def _truth_of_images(truth: Truth, drive: Drive) -> Truth:
     )
 
 
-class _Scores:
-    """Errors of the rows of a run."""
-
-    def __init__(self, drive: Drive, truth: Truth | None) -> None:
-        self._drive, self._truth = drive, truth
-        self._rows: list[FloatArray] = []  # frame, time, box, and value and sigma of each quantity
-        self._ego: list[tuple[float, ...]] = []  # time, true speed, speed, sigma
-
-    def add(self, result: tr.FrameResult) -> None:
-        """Add the rows of a frame with a detection, and the speed of the camera."""
-        if self._drive.true_mps is not None:
-            true_mps = float(self._drive.true_mps[self._drive.source(result.index)[1]])
-            self._ego.append((result.time_s, true_mps, result.ego_mps, result.ego_sigma_mps))
-        n = len(result.tracks)
-        unknown = np.full(n, np.nan)
-        columns = [np.full(n, result.index), np.full(n, result.time_s), *result.tracks.xyxy_px.T]
-        for name in ("fused", "stereo"):
-            ranges = result.ranges.get(name)
-            columns += [unknown, unknown] if ranges is None else [ranges.distance_m, ranges.sigma_m]
-        columns += [result.closing_mps, result.closing_sigma_mps]
-        self._rows.append(np.stack(columns, axis=1)[result.tracks.observed])
-
-    def scores(self, from_s: float, until_s: float) -> dict[str, Any]:
-        """Numbers of rows, of those without a value, and of those within 1 and 2 sigma, the median
-        error and sigma, by quantity: distances in per cent, speeds in m/s.
-        """
-        figures: dict[str, Any] = {}
-        values = dict.fromkeys(QUANTITIES, np.zeros((0, 4)))
-        if self._truth is not None and self._rows:
-            rows = np.concatenate(self._rows)
-            match = match_truth(rows[:, 0].astype(np.int64), rows[:, 2:6], self._truth)
-            rows, match = rows[match >= 0], match[match >= 0]
-            true_m, true_mps = self._truth.distance_m[match], self._truth.closing_mps[match]
-            is_true = np.isfinite(true_m) & (true_m >= 5) & (true_m <= 100)
-            for k, name in enumerate(("fused", "stereo", "closing")):
-                true = np.where(is_true, true_m if k < 2 else true_mps, np.nan)
-                values[name] = np.column_stack([rows[:, 1], true, rows[:, 6 + 2 * k : 8 + 2 * k]])
-        if self._ego:
-            values["ego"] = np.array(self._ego)
-        for name in QUANTITIES:
-            rows = values[name]
-            is_scored = np.isfinite(rows[:, 1])
-            is_scored &= (rows[:, 0] >= from_s - 1e-6) & (rows[:, 0] < until_s - 1e-6)
-            figures |= _quantity(name, *rows[is_scored, 1:].T)
-        return figures
-
-
-def _quantity(
-    name: str, true: FloatArray, value: FloatArray, sigma: FloatArray
-) -> dict[str, float | int]:
-    is_known = np.isfinite(value)
-    error = np.abs(value - true)[is_known]
-    unit, factor = ("mps", 1.0) if name in ("closing", "ego") else ("pct", 100 / true[is_known])
-    spread = sigma[is_known]
-    return {
-        f"{name}_rows": len(true),
-        f"{name}_known": len(error),
-        f"{name}_1_sigma": int((error < spread).sum()),
-        f"{name}_2_sigma": int((error < 2 * spread).sum()),
-        f"{name}_median_{unit}": _median(error * factor),
-        f"{name}_sigma_{unit}": _median(spread * factor),
-    }
-
-
-def _median(values: Any) -> float:
-    values = np.asarray(values, np.float64)
-    values = values[np.isfinite(values)]
-    return round(float(np.median(values)), 3) if len(values) else float("nan")
-
-
 def _summed(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     noticed_s = np.array([row["noticed_s"] for row in rows])
     figures: dict[str, Any] = {
@@ -374,19 +307,7 @@ def _summed(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "within_10_s": round(float((noticed_s <= 10.0).mean()), 2),
         "named": round(float(np.mean([row["named"] for row in rows])), 2),
     }
-    for name in QUANTITIES:
-        n_rows, n_known, n_1, n_2 = (
-            sum(row[f"{name}_{part}"] for row in rows)
-            for part in ("rows", "known", "1_sigma", "2_sigma")
-        )
-        unit = "mps" if name in ("closing", "ego") else "pct"
-        figures |= {
-            f"{name}_median_{unit}": _median([row[f"{name}_median_{unit}"] for row in rows]),
-            f"{name}_sigma_{unit}": _median([row[f"{name}_sigma_{unit}"] for row in rows]),
-            f"{name}_within_1_sigma": round(n_1 / n_known, 2) if n_known else float("nan"),
-            f"{name}_within_2_sigma": round(n_2 / n_known, 2) if n_known else float("nan"),
-            f"{name}_blank": round(1 - n_known / n_rows, 2) if n_rows else float("nan"),
-        }
+    figures |= pooled(rows)
     return figures
 
 

@@ -1,5 +1,5 @@
-"""Focal lengths and distances of cameras without a calibration, with no, one and three known
-distances.
+"""Focal lengths and distances of cameras without a calibration from boxes alone, with no, one and
+three known distances: drives without images.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.boxes.box_drive import BoxDrive
-from benchmarks.harness import Figures, option, workload
+from benchmarks.harness import Figures, option
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
@@ -62,13 +62,16 @@ class RoadDrive:
     known: tuple[tuple[KnownObject, ...], ...]
 
 
-@workload(
+BOX_OPTIONS = (
     option("--first-seed", "--seed", default=100, help="first seed; 0-9 were used for the design"),
-    option("--seeds", default=20, help="number of seeds"),
+    option("--seeds", default=20, help="number of seeds of drives without images"),
     option("--sets", default=(), nargs="*", choices=SETS, help="data sets of real drives"),
     option("--data", default=REAL_DATA, help="folder of the data sets"),
 )
-def focal_length(options: Namespace) -> Figures:
+
+
+def box_figures(options: Namespace) -> Figures:
+    """Errors of focal lengths and distances by scenario and data set, and by what is known."""
     sizes = load_curves(region="europe")  # as runs and `calibrate` do
     if not isinstance(sizes, CuboidSizes):
         raise TypeError("the packaged curves have no priors")
