@@ -59,6 +59,10 @@ class Doubt:
             if of is _OF_RIG and not rig.is_known:
                 return 0.0  # nothing is measured
             corrected = rig.log_factor if of is _OF_RIG else 0.0
+            if of is _OF_RIG and rig.offset is not None:
+                # at the disparity at which the scale is known best; the rest is in each distance
+                of = {**of, Unknown.OFFSET: rig.offset.centre}
+                corrected += rig.offset.centre * rig.offset.px
             return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
 
         of_odometry = _OF_RIG if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
@@ -66,7 +70,7 @@ class Doubt:
             scale,
             {name: max(map(sigma_of, sums)) for name, sums in errors.items()},
             # what is corrected has the error of its correction
-            sigma_of(of_odometry) if rig == CALIBRATED else 0.0,
+            sigma_of(of_odometry) if not rig.sigma else 0.0,
             cameras.sigma_of(_OF_SPEED),
         )
 

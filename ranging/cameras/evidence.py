@@ -8,6 +8,7 @@ from typing import Protocol
 from track_range.detection.lanes.lines import LaneLines
 from track_range.ranging.cameras.unknowns import Sum
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
 
@@ -37,6 +38,7 @@ class SeenFrame:
     ego: Ego  # motion of the camera by each source
     time_s: float
     lanes: LaneLines = field(default_factory=LaneLines)
+    alignment: Alignment | None = None  # of the pair; None = that of its rig
 
 
 class EvidenceSource(Protocol):

@@ -107,16 +107,19 @@ class CameraPosterior:
         if not variance.any():
             return 0.0
         factor = np.exp(corrected - log_factor)  # true over reported
-        error, sigma = 1.0 - factor, factor * np.sqrt(variance)
-        low, high = np.zeros(2), np.full(2, _MAX_ERROR)
-        for _ in range(_N_BISECTIONS):
-            middle = (low + high) / 2
-            within = ndtr((middle[:, None] - error) / sigma) - ndtr(
-                (-middle[:, None] - error) / sigma
-            )
-            is_below = within @ self.weight < _WITHIN
-            low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-        return max(float(high[0]) / 2, float(high[1]))
+        return _covering(self.weight, 1.0 - factor, factor * np.sqrt(variance))
+
+    def error_of(self, of: Sum, corrected: float) -> float:
+        """The same of a sum itself, which is not a logarithm, instead of the standard deviation."""
+        mean, variance = self._sum(of)
+        return _covering(self.weight, mean - corrected, np.sqrt(variance))
+
+    def covariance_of(self, a: Sum, b: Sum) -> float:
+        """Covariance of two sums of unknowns over all hypotheses."""
+        (mean_a, _), (mean_b, _) = self._sum(a), self._sum(b)
+        within = np.einsum("u,cuv,v->c", self._row(a), self.covariance, self._row(b))
+        between = (mean_a - self.weight @ mean_a) * (mean_b - self.weight @ mean_b)
+        return float(self.weight @ (within + between))
 
     def _rows(self, cause: Unknown | None) -> list[int]:
         return [k for k, other in enumerate(self.cause) if other is cause]
@@ -128,6 +131,19 @@ class CameraPosterior:
         """(C,) mean and variance of a sum of unknowns."""
         row = self._row(of)
         return self.mean @ row, np.einsum("u,cuv,v->c", row, self.covariance, row)
+
+
+def _covering(weight: FloatArray, error: FloatArray, sigma: FloatArray) -> float:
+    """The standard deviation that covers normal errors of mean `error` and `sigma` (C,) with the
+    probabilities `weight`.
+    """
+    low, high = np.zeros(2), np.full(2, _MAX_ERROR)
+    for _ in range(_N_BISECTIONS):
+        middle = (low + high) / 2
+        within = ndtr((middle[:, None] - error) / sigma) - ndtr((-middle[:, None] - error) / sigma)
+        is_below = within @ weight < _WITHIN
+        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+    return max(float(high[0]) / 2, float(high[1]))
 
 
 def posterior(

@@ -20,14 +20,22 @@ from track_range.ranging.cameras.unknowns import (
     KNOWN_FOCAL,
     USUAL_HEIGHT_M,
     CameraPriors,
+    Kind,
+    Prior,
     Sum,
     Unknown,
 )
-from track_range.ranging.measurement.rig_scale import CALIBRATED, UNKNOWN_SCALE, RigScale
+from track_range.ranging.measurement.rig_scale import (
+    CALIBRATED,
+    UNKNOWN_SCALE,
+    DisparityOffset,
+    RigScale,
+)
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 _DOUBTFUL, _RESOLVED = 2.0, 0.5  # odds of a mistake at which a doubt starts and ends
 _NEARLY = 0.135  # smallest probability of a cause, over that of the most likely one
@@ -36,7 +44,8 @@ _FREE_SIGMA = 3.0  # of a baseline that is not known at all
 _RIG_LENGTHS: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 _RIG: Sum = {Unknown.BASELINE: 1.0}
 _MAX_RIG_SIGMA = 0.2  # of one of them, at which distances by size are better
-_INTERVAL_S = 0.5  # between two evaluations
+_MIN_OFFSET_PX = 1.0  # of the disparities, of which the user is told
+_INTERVAL_S = 0.5  # between two evaluations, at most
 _MAX_SPANS = 600  # largest number of former doubts that are kept
 _EFFECT = (
     "Until the doubt is resolved, the sigmas of affected distances cover both scales, and no alarm "
@@ -52,11 +61,13 @@ class ScaleCheck:
         camera: PinholeCamera,
         priors: CameraPriors,
         *,
+        rig: StereoRig | None = None,
         lane: LaneWidth | None = None,
         sizes: SizeModel | None = None,
         road_height_m: float = USUAL_HEIGHT_M,
     ) -> None:
-        """Start without evidence, for the (left) camera with what is known of it.
+        """Start without evidence, for the (left) camera, or the rig of a pair, with what is known
+        of it.
 
         `road_height_m` is the height with which the motion of the road is measured; `sizes` have
         the shapes of vehicles, which measure a focal length that is well known. Without the usual
@@ -64,8 +75,8 @@ class ScaleCheck:
         """
         self.priors = priors
         height_m = priors[Unknown.HEIGHT].value
-        min_frames = {} if self._is_calibrated else {"min_frames": 1}
-        self._sizes = SizeEvidence(camera, height_m, **min_frames)
+        self._rig = rig
+        self._sizes = SizeEvidence(camera, height_m, rig=rig)
         self._speeds = SpeedEvidence(height_m, road_height_m)
         sources: list[EvidenceSource] = [self._sizes, self._speeds]
         if lane is not None:
@@ -74,6 +85,7 @@ class ScaleCheck:
             sources.append(ShapeEvidence(camera, sizes))
         self._sources = sources
         self._due_s = self._since_s = -math.inf
+        self._first_s = math.inf  # time of the first frame
         # starts and ends of former doubts
         self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_SPANS)
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
@@ -95,15 +107,32 @@ class ScaleCheck:
     @property
     def rig_scale(self) -> RigScale:
         """The scale of a pair, as far as it has to be estimated from the drive."""
+        offset = self._offset
         if self._is_calibrated:
-            return CALIBRATED
-        known = [
-            RigScale(mean, self.cameras.sigma_of(of, mean))
-            for of, mean in ((of, self.cameras.correction(of)) for of in (_RIG_LENGTHS, _RIG))
-        ]
+            return replace(CALIBRATED, offset=offset)
+        at_centre = {} if offset is None else {Unknown.OFFSET: offset.centre}
+        sigmas = []
+        for of in ({**_RIG_LENGTHS, **at_centre}, {**_RIG, **at_centre}):
+            sigmas.append(self.cameras.sigma_of(of, self.cameras.correction(of)))
         # the distances by size, with which others are fused, have the error of the focal length too
-        is_known = min(scale.sigma for scale in known) < _MAX_RIG_SIGMA
-        return known[0] if is_known else UNKNOWN_SCALE
+        if min(sigmas) > _MAX_RIG_SIGMA:
+            return UNKNOWN_SCALE
+        return RigScale(self.cameras.correction(_RIG_LENGTHS), sigmas[0], offset)
+
+    @property
+    def _offset(self) -> DisparityOffset | None:
+        """The error of the disparities, unless the alignment knows it."""
+        cameras, rig, of = self.cameras, self._rig, {Unknown.OFFSET: 1.0}
+        if rig is None or Unknown.OFFSET not in cameras.unknowns:
+            return None
+        variance = cameras.covariance_of(of, of)
+        return DisparityOffset(
+            cameras.correction(of),
+            cameras.error_of(of, cameras.correction(of)),
+            self._sizes.residual_px,
+            rig.left.fx_px * rig.baseline_m,
+            centre=-cameras.covariance_of(of, _RIG_LENGTHS) / variance,
+        )
 
     def update(self, seen: SeenFrame) -> bool:
         """Add a frame; True = the posterior and the doubt are new."""
@@ -111,7 +140,9 @@ class ScaleCheck:
             source.add(seen)
         if seen.time_s < self._due_s and self.rig_scale.is_known:
             return False
-        self._due_s = seen.time_s + _INTERVAL_S
+        self._first_s = min(self._first_s, seen.time_s)
+        # at first with every frame: a clip may be short
+        self._due_s = seen.time_s + min(_INTERVAL_S, seen.time_s - self._first_s)
         self._evaluate(seen.time_s)
         return True
 
@@ -126,7 +157,8 @@ class ScaleCheck:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
-        past = (
+        past = self._offset_notes
+        past += (
             (
                 f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
                 "alarms are given.",
@@ -147,6 +179,19 @@ class ScaleCheck:
             return (*past, f"{self.sentence} {_EFFECT}")
         is_checked = self.baseline_m is not None and self._is_calibrated
         return (*past, self.sentence) if is_checked else past
+
+    @property
+    def _offset_notes(self) -> tuple[str, ...]:
+        """A message on an offset of the disparities that is large and clear."""
+        offset = self._offset
+        if offset is None or abs(offset.px) < max(_MIN_OFFSET_PX, 2 * offset.sigma_px):
+            return ()
+        size = "small" if offset.px > 0 else "large"
+        return (
+            f"Disparities are {abs(offset.px):.1f} ± {offset.sigma_px:.1f} px too {size}, by the "
+            "sizes of near and far road users, as with shifted images or a turned camera: corrected, "
+            "and part of every sigma; a drive in motion (or --align FILE) measures this better.",
+        )
 
     @property
     def _learnt(self) -> dict[str, Any]:
@@ -178,29 +223,39 @@ class ScaleCheck:
 
     def _evaluate(self, time_s: float) -> None:
         evidence = [item for source in self._sources for item in source.evidence]
-        self.cameras = posterior(self.priors, evidence, bounds=self._speeds.bounds)
+        priors = dict(self.priors)
+        if self._sizes.has_offset:
+            kind: Kind = "given" if self._is_calibrated else "unknown"
+            priors[Unknown.OFFSET] = Prior(self._sizes.residual_px, kind)
+        self.cameras = posterior(priors, evidence, bounds=self._speeds.bounds)
         self._evidence_names = names = self._names(evidence)
         if Unknown.BASELINE in self.priors:
-            self.agreement = self._agreement(evidence, names)
+            self.agreement = self._agreement(priors, evidence, names)
         before, self.doubt = self.doubt, self._contradiction(names)
         if before is None and self.doubt is not None:
             self._since_s = time_s
         elif before is not None and self.doubt is None:
             self._past_s.append((self._since_s, time_s))
 
-    def _agreement(self, evidence: Sequence[Evidence], names: str) -> Agreement:
+    def _agreement(
+        self, priors: CameraPriors, evidence: Sequence[Evidence], names: str
+    ) -> Agreement:
         """The baseline that the drive shows by itself."""
         of: Sum = {Unknown.BASELINE: 1.0}
-        unknown = replace(self.priors[Unknown.BASELINE], sigma=_FREE_SIGMA, kind="unknown")
-        shown = posterior({**self.priors, Unknown.BASELINE: unknown}, evidence).estimate(of)
+        unknown = replace(priors[Unknown.BASELINE], sigma=_FREE_SIGMA, kind="unknown")
+        shown = posterior({**priors, Unknown.BASELINE: unknown}, evidence).estimate(of)
         return Agreement(math.exp(shown.mean), shown.sigma, names, self.cameras.sigma_of(of))
 
     def _contradiction(self, names: str) -> ScaleDoubt | None:
-        """What is probably a mistake, if this is more probable than that all is right."""
+        """What is probably a mistake, if this is more probable than that all is right.
+
+        An offset of the disparities is corrected.
+        """
+        right = self.cameras.probability(None) + self.cameras.probability(Unknown.OFFSET)
         odds = {
-            cause: self.cameras.probability(cause) / max(self.cameras.probability(None), 1e-12)
+            cause: self.cameras.probability(cause) / max(right, 1e-12)
             for cause in dict.fromkeys(self.cameras.cause)
-            if cause is not None
+            if cause not in (None, Unknown.OFFSET)
         }
         if sum(odds.values()) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
             return None

@@ -2,16 +2,20 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
+from track_range.ranging.cameras.common_errors import common_errors, common_scale
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 
 _ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
@@ -21,9 +25,9 @@ _MAX_LANE_CHI2 = 4.0  # a wrong lane, or a road of unusual lanes, excludes nothi
 MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15
 # frames of a speed, and its largest change: odometry of unrelated images is not steady
 _N_STEADY, _STEADY = 8, 1.3
-# fraction of objects with a mismatch or a wrong class, and their sigma
-_OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0
-_MIN_OBJECT_SIGMA = 0.06  # of an object: its frames do not average out
+# of the sizes of a class in a drive, in addition to those of all classes (`unknowns`)
+CLASS_SIGMA = 0.065
+_MAX_RESIDUAL_PX = 0.3  # common error of disparities up to which it is not estimated here
 # of sizes that objects have in common, and its largest fraction
 _SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4
 # of distances by size and of heights that are evidence, relative
@@ -32,8 +36,6 @@ _MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
 _MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
 # lights and signs vary too much
 _IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])
-_STEP = 0.02
-_LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of what objects have in common
 
 
 class SizeEvidence:
@@ -42,24 +44,46 @@ class SizeEvidence:
     """
 
     def __init__(
-        self, camera: PinholeCamera, height_m: float, *, min_frames: int = _MIN_FRAMES
+        self,
+        camera: PinholeCamera,
+        height_m: float,
+        *,
+        rig: StereoRig | None = None,
     ) -> None:
-        """`height_m` is the assumed height of the camera above the road; a road user is evidence
-        after `min_frames`.
+        """`height_m` is the assumed height of the camera above the road; without the rig of a pair,
+        its disparities have no common error.
         """
-        self._camera, self._log_height = camera, math.log(height_m)
-        self._min_frames = min_frames
-        # number of frames, mean, mean variance of g - a, the same of h + a
-        self._objects = TrackState(np.zeros(6))
+        self._camera, self._rig = camera, rig
+        self._log_height = math.log(height_m)
+        # number of frames, mean of g - a, its mean variance, mean inverse disparity; number of
+        # frames, mean of h + a, its mean variance; class
+        self._objects = TrackState(np.zeros(8))
+        self.residual_px = 0.0  # common error of the disparities, by the alignment
 
     @property
     def n_objects(self) -> int:
         """Number of road users that are evidence."""
-        return int((self._objects.known[[0, 3]] >= self._min_frames).any(axis=0).sum())
+        return int((self._objects.known[[0, 4]] >= self._min_frames).any(axis=0).sum())
+
+    @property
+    def _min_frames(self) -> int:
+        """Number of frames after which a road user is evidence: one where much is not known, as of
+        single pairs.
+        """
+        is_assumed = self._rig is not None and self._rig.is_assumed
+        return 1 if is_assumed or self.has_offset else _MIN_FRAMES
+
+    @property
+    def has_offset(self) -> bool:
+        """Whether the disparities may have an offset that distances by size show."""
+        return self.residual_px > _MAX_RESIDUAL_PX
 
     def add(self, seen: SeenFrame) -> None:
         """Add a frame."""
         tracks, by_size, stereo, road = seen.tracks, seen.by_size, seen.by_rig, seen.ego.road
+        if self._rig is not None:
+            known = seen.alignment or self._rig.alignment or self._rig.unaligned
+            self.residual_px = known.residual_px
         with np.errstate(invalid="ignore", divide="ignore"):
             size_sigma = by_size.sigma_m / by_size.distance_m
             is_used = (
@@ -68,10 +92,13 @@ class SizeEvidence:
             size_variance = size_sigma**2 - np.minimum(
                 _SHARED_VARIANCE, _MAX_SHARED * size_sigma**2
             )
-            r, r_variance, q, q_variance = np.full((4, len(tracks)), np.nan)
+            r, r_variance, inverse_px, q, q_variance = np.full((5, len(tracks)), np.nan)
             if stereo is not None:
                 r = np.log(stereo.distance_m / by_size.distance_m)
-                r_variance = size_variance + (stereo.sigma_m / stereo.distance_m) ** 2
+                inverse_px = self._inverse_px(stereo)
+                common = self.residual_px * inverse_px
+                stereo_variance = (stereo.sigma_m / stereo.distance_m) ** 2 - common**2
+                r_variance = size_variance + np.maximum(stereo_variance, 0.0)
             if road is not None:
                 x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
                 horizon = road.horizon + road.slope * (x - self._camera.cx_px) / self._camera.fx_px
@@ -80,33 +107,79 @@ class SizeEvidence:
                 q = np.log(below * (by_size.distance_m - offset_m))
                 angle_variance = road.horizon_variance + 0.004**2 + (1.5 / self._camera.fy_px) ** 2
                 q_variance = angle_variance / below**2 + size_variance
+        has_rig = is_used & np.isfinite(r) & np.isfinite(inverse_px)
         has_height = is_used & np.isfinite(q) & (q_variance < _MAX_HEIGHT_SIGMA**2)
-        new = np.array([is_used & np.isfinite(r), r, r_variance, has_height, q, q_variance])
+        new = np.array([has_rig, r, r_variance, inverse_px, has_height, q, q_variance])
         state = self._objects.get(tracks.track_id)
-        for rows in (slice(0, 3), slice(3, 6)):
+        for rows in (slice(0, 4), slice(4, 7)):
             n, *values = new[rows]
             state[rows][0] += n
             gain = n / np.maximum(state[rows][0], 1.0)
             for mean, value in zip(state[rows][1:], values, strict=True):
                 mean += gain * (np.where(n > 0, value, 0.0) - mean)
+        state[7] = tracks.class_id
         stays = np.arange(self._objects.known.shape[1]) < _MAX_OBJECTS
         self._objects.put(tracks.track_id, state, keep_known=stays)
+
+    def _inverse_px(self, stereo: Ranges) -> FloatArray:
+        """(N,) inverse disparities; 0 without a rig."""
+        if self._rig is None:
+            return 0.0 * stereo.distance_m
+        return stereo.distance_m / (self._rig.left.fx_px * self._rig.baseline_m)
 
     @property
     def evidence(self) -> list[Evidence]:
         """The evidence of all frames so far."""
+        n, r, r_variance, inverse_px, n_q, q, q_variance, class_id = self._objects.known
         evidence = []
-        n, r, r_variance, n_q, q, q_variance = self._objects.known
-        has_rig, has_height = n >= self._min_frames, n_q >= self._min_frames
-        if has_rig.sum() >= _MIN_OBJECTS:
-            name = f"the sizes of {has_rig.sum()} road users"
-            of = {Unknown.BASELINE: 1.0, Unknown.SIZES: -1.0}
-            evidence.append(Evidence(name, of, *_common(r[has_rig], r_variance[has_rig])))
-        if has_height.sum() >= _MIN_OBJECTS:
-            height = _common(q[has_height] - self._log_height, q_variance[has_height])
+        shown = np.flatnonzero(n >= self._min_frames)
+        if len(shown) >= _MIN_OBJECTS:
+            name = f"the sizes of {len(shown)} road users"
+            values = r[shown], r_variance[shown], inverse_px[shown], class_id[shown]
+            if self.has_offset:
+                evidence += _with_offset(name, *values)
+            else:
+                variance = values[1] + (self.residual_px * values[2]) ** 2
+                of = {Unknown.BASELINE: 1.0, Unknown.SIZES: -1.0}
+                evidence += _by_class(name, of, values[0], variance, values[3])
+        shown = np.flatnonzero(n_q >= self._min_frames)
+        if len(shown) >= _MIN_OBJECTS:
             of = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
-            evidence.append(Evidence("where road users touch the road", of, *height))
+            heights = q[shown] - self._log_height, q_variance[shown], class_id[shown]
+            evidence += _by_class("where road users touch the road", of, *heights)
         return evidence
+
+
+def _by_class(
+    name: str,
+    of: Mapping[Unknown, float],
+    value: FloatArray,
+    variance: FloatArray,
+    class_id: FloatArray,
+) -> list[Evidence]:
+    """The evidence of each class of objects (K,), which has an error of its own."""
+    evidence = []
+    for k in np.unique(class_id):
+        mean, sigma = common_scale(value[class_id == k], variance[class_id == k])
+        evidence.append(Evidence(name, of, mean, math.hypot(sigma, CLASS_SIGMA)))
+    return evidence
+
+
+def _with_offset(
+    name: str,
+    value: FloatArray,
+    variance: FloatArray,
+    inverse_px: FloatArray,
+    class_id: FloatArray,
+) -> list[Evidence]:
+    """The evidence of objects (K,) whose disparities have an unknown offset."""
+    class_variance = CLASS_SIGMA**2 / len(np.unique(class_id))
+    errors = common_errors(value, variance, inverse_px, shared_variance=class_variance)
+    rig, sizes, offset = Unknown.BASELINE, Unknown.SIZES, Unknown.OFFSET
+    return [
+        Evidence(name, {rig: scale, sizes: -scale, offset: of_offset}, result, 1.0)
+        for scale, of_offset, result in errors.equations()
+    ]
 
 
 class SpeedEvidence:
@@ -214,18 +287,3 @@ class LaneEvidence:
         value = log_height - self._log_height
         of = {Unknown.HEIGHT: 1.0}
         return [Evidence("the lane lines", of, value, sigma, _MAX_LANE_CHI2)]
-
-
-def _common(value: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Mean and standard deviation of the common part of the objects (K,), some of which are
-    outliers.
-    """
-    sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)[:, None]
-    difference = value[:, None] - _LOG
-    near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)
-    far = _OUTLIER / _OUTLIER_SIGMA * np.exp(-0.5 * (difference / _OUTLIER_SIGMA) ** 2)
-    log_p = np.log(near + far).sum(axis=0)
-    weight = np.exp(log_p - log_p.max())
-    weight /= weight.sum()
-    mean = float(weight @ _LOG)
-    return mean, math.sqrt(float(weight @ (_LOG - mean) ** 2) + _STEP**2 / 12)

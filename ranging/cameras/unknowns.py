@@ -25,6 +25,7 @@ class Unknown(StrEnum):
     HEIGHT = "camera height"  # of the camera over the expected height: positive = it is higher
     FOCAL = "focal length"
     SPEED = "speed"  # the given one
+    OFFSET = "disparity offset"  # true minus measured disparity in px, not a logarithm
 
 
 class PriorPart(NamedTuple):
@@ -57,12 +58,15 @@ KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estima
 _UNUSUAL_SIGMA, _P_UNUSUAL = 0.7, 0.12
 # of boards' calibrations, of a given focal length, of a given height, and of the scale of receivers
 _RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
-_SIZES_SIGMA = 0.07, 0.085  # if the region is known, and if it is not
+# of the sizes of all classes, if the region is known, and if it is not: with those of a class
+# (`scale_evidence.CLASS_SIGMA`) 0.07 and 0.085
+_SIZES_SIGMA = 0.026, 0.055
 
 # standard deviations of wrong given values and the probability of each: measured badly, and wrong
 # by any factor; boards have squares of all sizes
 _WRONG = (0.25, 0.015), (1.5, 0.005)
 _WRONG_BASELINE = (0.25, 0.03), (1.5, 0.02)
+_WRONG_OFFSET = ((4.0, 0.15),)  # px: a camera that was hit, or videos cropped after the calibration
 _P_KNOWN, _KNOWN_SIGMA = 0.004, 0.02  # of one mistake of `MISTAKES`
 
 MISTAKES: Mapping[Unknown, tuple[tuple[float, str], ...]] = {
@@ -126,7 +130,7 @@ def camera_priors(
 
 def mistakes(unknown: Unknown) -> list[PriorPart]:
     """The prior of a given value that is wrong."""
-    wrong = _WRONG_BASELINE if unknown is Unknown.BASELINE else _WRONG
+    wrong = {Unknown.BASELINE: _WRONG_BASELINE, Unknown.OFFSET: _WRONG_OFFSET}.get(unknown, _WRONG)
     parts = [PriorPart(math.log(p), 0.0, sigma) for sigma, p in wrong]
     known = [math.log(factor) for factor, _ in MISTAKES.get(unknown, ())]
     return [*parts, *(PriorPart(math.log(_P_KNOWN), mean, _KNOWN_SIGMA) for mean in known)]

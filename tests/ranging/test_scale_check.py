@@ -2,6 +2,7 @@
 known sizes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,13 +14,17 @@ from track_range.ranging.cameras.evidence import SeenFrame
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.measurement.rig_scale import CALIBRATED
 from track_range.ranging.methods.lane_width import LaneWidth
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)
+OF_RIG = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 CAR = ROAD_CLASSES.index("car")
 ROAD_HEIGHT_M = 1.5  # with which the motion of the road is measured
 
@@ -278,3 +283,64 @@ def test_speed_in_kmh_does_not_become_the_baseline():
 def test_scale_is_not_known_without_evidence():
     assert not check_of(2.0, n=1, baseline_sigma=1.0, has_road=False).rig_scale.is_known
     assert check_of(2.0, n=1).rig_scale.is_known
+
+
+def pair_check(offset_px, *, residual_px=0.5, is_assumed=False, seed=0, n=24):
+    """The check of a single pair with `n` cars, whose disparities are too small by `offset_px`."""
+    rng = np.random.default_rng(seed)
+    rig = StereoRig.rectified(CAMERA, 0.5)
+    rig = replace(rig, baseline_sigma=1.0 if is_assumed else 0.0)
+    priors = camera_priors(CAMERA.fx_px, baseline_m=0.5, baseline_sigma=rig.baseline_sigma)
+    check = ScaleCheck(CAMERA, priors, rig=rig)
+    ids, true_px = np.arange(n), rng.uniform(10.0, 60.0, n)
+    measured_px = true_px - offset_px
+    by_size = 500.0 / true_px * np.exp(rng.normal(0.03, 0.1, n))
+    stereo_m = 500.0 / measured_px
+    sigma_m = stereo_m * np.hypot(0.3, residual_px) / measured_px
+    boxes = np.tile([600.0, 380.0, 650.0, 420.0], (n, 1))
+    tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
+    seen = SeenFrame(
+        tracks,
+        Ranges(ids, by_size, 0.12 * by_size),
+        Ranges(ids, stereo_m, sigma_m),
+        Ego(motion=EgoMotion()),
+        0.0,
+        alignment=Alignment(residual_px=residual_px),
+    )
+    check.update(seen)
+    return check, check.rig_scale.corrected(seen.by_rig), 500.0 / true_px
+
+
+@pytest.mark.parametrize("is_assumed", [False, True])
+@pytest.mark.parametrize("offset_px", [-4.0, 4.0])
+def test_vergence_of_a_single_pair_is_found_by_the_sizes_of_near_and_far_cars(
+    offset_px, is_assumed
+):
+    within, errors = [], []
+    for seed in range(20):
+        check, ranges, true_m = pair_check(
+            offset_px, residual_px=3.0 if is_assumed else 0.5, is_assumed=is_assumed, seed=seed
+        )
+        assert check.doubt is None
+        sigma = check.rig_scale.sigma if is_assumed else check.cameras.sigma_of(OF_RIG)
+        sigma_m = np.hypot(ranges.sigma_m, sigma * ranges.distance_m)
+        errors.append(np.median(np.abs(ranges.distance_m / true_m - 1)))
+        within.append(np.mean(np.abs(ranges.distance_m - true_m) < 2 * sigma_m))
+    assert np.median(errors) < 0.08  # about 15 % without the correction
+    # a rig is rarely so wrong, which half of these pairs cannot exclude
+    assert np.mean(within) > (0.9 if is_assumed else 0.75)
+
+
+def test_measured_alignment_is_not_corrected_by_sizes():
+    check, ranges, true_m = pair_check(0.0, residual_px=0.1)
+    assert check.rig_scale == CALIBRATED
+    np.testing.assert_allclose(ranges.distance_m, true_m)
+
+
+def test_disparities_without_an_offset_are_hardly_changed():
+    for seed in range(10):
+        check, ranges, true_m = pair_check(0.0, seed=seed)
+        assert check.rig_scale.offset is not None
+        assert abs(check.rig_scale.offset.px) < 1.0
+        assert np.median(np.abs(ranges.distance_m / true_m - 1)) < 0.03
+        assert check.notes[0].startswith("The baseline")

@@ -58,7 +58,15 @@ class DoubtStage:
         """
         check, by_size = self.check, measured.by_size
         if check is not None and by_size is not None:
-            seen = SeenFrame(tracks, by_size, measured.by_rig, ego, time_s, lanes or LaneLines())
+            seen = SeenFrame(
+                tracks,
+                by_size,
+                measured.by_rig,
+                ego,
+                time_s,
+                lanes or LaneLines(),
+                measured.alignment,
+            )
             if check.update(seen):
                 self._doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
         is_in_doubt = self._doubt.scale is not None

@@ -85,6 +85,7 @@ class FramePipeline:
         if not image.is_repeated:
             with stage("doubt"):
                 doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, time_s)
+            measured = measured.at_scale(scale.rig)
         with stage("fuse"):
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
         with stage("filter"):

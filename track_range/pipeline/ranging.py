@@ -5,8 +5,8 @@ of the drive.
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Self, TypeVar
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
@@ -15,9 +15,11 @@ from track_range.foundation.files.input_files import counted
 from track_range.pipeline.clock import StageClock
 from track_range.ranging.measurement.growth import Growth
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.measurement.rig_scale import RigScale
 from track_range.ranging.methods.method import MethodError, Ranger, checked_ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
@@ -31,8 +33,9 @@ class FrameRanges:
 
     ranges: Mapping[str, Ranges]  # by name of the method, in the order of execution
     evidence: tuple[ScaleEvidence, ...] = ()  # of the scale of the drive
-    # distances with the scale of the rig, before its correction; None = no method has it
-    by_rig: Ranges | None = None
+    # the same before the correction of the scale of the rig, by the methods that have it
+    of_rig: Mapping[str, Ranges] = field(default_factory=dict)
+    alignment: Alignment | None = None  # of the pair in the frame; None = that of its rig
     disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
 
     @property
@@ -41,6 +44,16 @@ class FrameRanges:
         them.
         """
         return next((item.by_size for item in self.evidence if item.by_size is not None), None)
+
+    @property
+    def by_rig(self) -> Ranges | None:
+        """Distances with the scale of the rig, before its correction; None = no method has it."""
+        return next(iter(self.of_rig.values()), None)
+
+    def at_scale(self, rig: RigScale) -> Self:
+        """The distances with the scale of the rig as this frame shows it."""
+        corrected = {name: rig.corrected(ranges) for name, ranges in self.of_rig.items()}
+        return replace(self, ranges={**self.ranges, **corrected})
 
     @property
     def growth(self) -> Growth | None:
@@ -111,8 +124,8 @@ class RangingStage:
             if shown is not None:
                 evidence.append(shown)
         self._lanes = lanes
-        by_rig = next((of_rig[name] for name in self._of_rig if name in of_rig), None)
-        return FrameRanges(ranges, tuple(evidence), by_rig, self._disparity())
+        by_registry = {name: of_rig[name] for name in self._of_rig if name in of_rig}
+        return FrameRanges(ranges, tuple(evidence), by_registry, frame.alignment, self._disparity())
 
     def skip(self, tracks: Tracks, frame: Frame) -> FrameRanges:
         """No distances of the tracks: the image of the frame, which was started, shows nothing of

@@ -186,6 +186,7 @@ def _scale_check(
     return ScaleCheck(
         context.camera,
         priors,
+        rig=context.rig,
         lane=usual_width(context.region, lane_width_m),
         sizes=context.size_model,
         road_height_m=_road_height_m(context),

@@ -104,6 +104,8 @@ def test_distances_with_the_scale_of_the_rig_are_corrected_and_kept_for_the_evid
     of_frame = stage.measure(CARS, frame(), None, Ego(motion=EgoMotion()), scale, StageClock())
     assert of_frame.by_rig is by_rig
     assert of_frame.ranges["mono"] is by_size
+    of_next = of_frame.at_scale(RigScale(math.log(4.0), 0.1))
+    np.testing.assert_allclose(of_next.ranges["stereo"].distance_m, [5.0, 7.5])
     np.testing.assert_allclose(of_frame.ranges["stereo"].distance_m, [10.0, 15.0])
     one_camera = RangingStage({"mono": FixedRanger(by_size)})
     alone = one_camera.measure(
@@ -134,7 +136,7 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
     by_size = Ranges(ids, true_m, 0.1 * true_m)
     by_rig = Ranges(ids, 2.0 * true_m, 0.04 * true_m)  # the baseline is twice the true one
     evidence = ScaleEvidence(tracks.class_id, by_size=by_size, reference=by_rig)
-    frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,), by_rig)
+    frame_ranges = FrameRanges({"mono": by_size, "stereo": by_rig}, (evidence,), {"stereo": by_rig})
     priors = camera_priors(CAMERA.fx_px, baseline_m=0.5, scale_sigma=0.03)
     stage, scale = DoubtStage(priors, ScaleCheck(CAMERA, priors)), DriveScale()
     doubts = []

@@ -1,0 +1,91 @@
+"""Errors that the distances of objects have in common: a scale, and an offset of the disparities.
+
+    r_i = s + log(1 + o w_i) + e_i      r_i: log of the distance by stereo over that by size of object i
+                                        s: common scale, o: true minus measured disparity
+                                        w_i: inverse disparity in 1/px, e_i: own error of the object
+
+A fraction of the objects are outliers. Near and far objects separate s and o.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+
+# fraction of objects with a mismatch or a wrong class, and their sigma
+_OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0
+_MIN_OBJECT_SIGMA = 0.06  # of an object: its frames do not average out
+_STEP = 0.02
+_LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of the scale
+_OFFSET_STEP_PX, _MAX_OFFSET_PX = 0.5, 12.0
+# (O,) grid of the offset, and the standard deviation of the prior that bounds it, which is wider
+# than what is known of any pair
+_OFFSETS_PX = np.arange(-_MAX_OFFSET_PX, _MAX_OFFSET_PX + 1e-9, _OFFSET_STEP_PX)
+_GRID_SIGMA_PX = 6.0
+_MAX_OBJECTS = 60  # with the least variance, for two errors; more do not change the estimate
+_MIN_RATIO = 0.05  # smallest ratio of the true and the measured disparity
+
+
+class CommonErrors(NamedTuple):
+    """Scale and offset in px, which are jointly normal."""
+
+    mean: FloatArray  # (2,)
+    information: FloatArray  # (2, 2) inverse of their covariance
+
+    def equations(self) -> list[tuple[float, float, float]]:
+        """Independent equations, as coefficients of scale and offset, and a value with the standard
+        deviation 1.
+        """
+        eigenvalues, vectors = np.linalg.eigh(self.information)
+        rows = np.sqrt(eigenvalues)[:, None] * vectors.T
+        return [(float(row[0]), float(row[1]), float(row @ self.mean)) for row in rows]
+
+
+def common_scale(value: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Mean and standard deviation of the common part of the objects (K,)."""
+    log_p = _log_likelihood(value[:, None] - _LOG, variance[:, None]).sum(axis=0)
+    weight = _normalised(log_p)
+    mean = float(weight @ _LOG)
+    return mean, math.sqrt(float(weight @ (_LOG - mean) ** 2) + _STEP**2 / 12)
+
+
+def common_errors(
+    value: FloatArray,
+    variance: FloatArray,
+    inverse_px: FloatArray,
+    *,
+    shared_variance: float = 0.0,
+) -> CommonErrors:
+    """Scale and offset of the objects: (K,) ratios, variances, and inverse disparities;
+    `shared_variance` is that of a further error of the scale.
+    """
+    best = np.argsort(variance)[:_MAX_OBJECTS]
+    value, variance, inverse_px = value[best], variance[best], inverse_px[best]
+    moved = np.log(np.maximum(1.0 + _OFFSETS_PX * inverse_px[:, None], _MIN_RATIO))  # (K, O)
+    log_p = -0.5 * np.tile((_OFFSETS_PX / _GRID_SIGMA_PX) ** 2, (len(_LOG), 1))  # (G, O)
+    for of_object, at_offset, own in zip(value, moved, variance, strict=True):
+        log_p += _log_likelihood(of_object - at_offset - _LOG[:, None], own)
+    weight = _normalised(log_p)
+    mean = np.array([weight.sum(axis=1) @ _LOG, weight.sum(axis=0) @ _OFFSETS_PX])
+    scale, offset = _LOG[:, None] - mean[0], _OFFSETS_PX - mean[1]
+    covariance = np.array(
+        [
+            [(weight * scale**2).sum(), (weight * scale * offset).sum()],
+            [(weight * scale * offset).sum(), (weight * offset**2).sum()],
+        ]
+    ) + np.diag([_STEP**2 / 12 + shared_variance, _OFFSET_STEP_PX**2 / 12])
+    return CommonErrors(mean, np.linalg.inv(covariance))
+
+
+def _log_likelihood(difference: FloatArray, variance: FloatArray | float) -> FloatArray:
+    sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)
+    near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)
+    far = _OUTLIER / _OUTLIER_SIGMA * np.exp(-0.5 * (difference / _OUTLIER_SIGMA) ** 2)
+    return np.asarray(np.log(near + far))
+
+
+def _normalised(log_p: FloatArray) -> FloatArray:
+    weight = np.exp(log_p - log_p.max())
+    return np.asarray(weight / weight.sum())
