@@ -328,7 +328,7 @@ def test_vergence_of_a_single_pair_is_found_by_the_sizes_of_near_and_far_cars(
         within.append(np.mean(np.abs(ranges.distance_m - true_m) < 2 * sigma_m))
     assert np.median(errors) < 0.08  # about 15 % without the correction
     # a rig is rarely so wrong, which half of these pairs cannot exclude
-    assert np.mean(within) > (0.9 if is_assumed else 0.75)
+    assert np.mean(within) > (0.9 if is_assumed else 0.65)
 
 
 def test_measured_alignment_is_not_corrected_by_sizes():
