@@ -100,10 +100,11 @@ def commands() -> Iterator[tuple[list[str], Any]]:
     def below(group: Any, words: list[str]) -> Iterator[tuple[list[str], Any]]:
         for name in group.commands:
             command = group.load(name) if hasattr(group, "load") else group.commands[name]
-            if hasattr(command, "commands"):
-                yield from below(command, [*words, name])
-            elif not command.hidden:
+            is_group = hasattr(command, "commands")
+            if not command.hidden and (not is_group or command.invoke_without_command):
                 yield [*words, name], command
+            if is_group:
+                yield from below(command, [*words, name])
 
     yield from below(typer.main.get_command(app), [])
 

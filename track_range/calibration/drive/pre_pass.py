@@ -44,6 +44,8 @@ _CAMERA_HEIGHT_M = (0.3, 5.0)
 # of a focal length from motion, which says nothing then: on a straight road focal length and depths are
 # interchangeable, and small errors of the tracks decide
 _UNKNOWN_SIGMA = 0.15
+# of a focal length from motion above which the motion does not separate it from the distortion
+_LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
@@ -201,9 +203,10 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimat
     by_motion = source_of_curve(
         "motion", source, focal_px, motion.log_likelihood, before.size_px[0]
     )
-    return replace(
-        before, sources=(*before.sources, by_motion), k1=motion.k1, k1_sigma=motion.k1_sigma
-    )
+    estimate = replace(before, sources=(*before.sources, by_motion))
+    if motion.sigma > _LENS_SIGMA:
+        return estimate
+    return replace(estimate, k1=motion.k1, k1_sigma=motion.k1_sigma)
 
 
 def thinned(boxes: SceneBoxes) -> SceneBoxes:

@@ -178,8 +178,8 @@ class _Check:
         if rig is None:
             if self.clip.right is None and self._layout is None:
                 self.notes.append(
-                    "No calibration: the focal length is estimated from the video, "
-                    "with its uncertainty."
+                    "No calibration: the focal length is estimated from this clip alone; for "
+                    "clips of one camera, track-range calibrate drive and --rig give one."
                 )
             return "none"
         if rig.is_local and max(headers[0][0]) <= _MAX_CALIBRATION_SIDE_PX:
