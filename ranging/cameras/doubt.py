@@ -18,6 +18,7 @@ _OF_RIG: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 _OF_SPEED: Sum = {Unknown.SPEED: 1.0}
 _OF_ROAD: Sum = {Unknown.HEIGHT: -1.0, Unknown.FOCAL: 1.0}
 _OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
+_OF_TIMES: Sum = {Unknown.FRAME_RATE: 1.0}
 
 Errors = Mapping[str, tuple[Sum, ...]]
 """By the name of a distance, the sums of unknowns of which one is what it is too large by."""
@@ -34,6 +35,7 @@ class Doubt:
     # the same of speeds of the camera: measured from the images, and as given
     odometry_sigma: float = 0.0
     given_sigma: float = 0.0
+    closing_sigma: float = 0.0  # the same of closing speeds: of the fused distance and the times
 
     @property
     def trusts_speed(self) -> bool:
@@ -66,12 +68,15 @@ class Doubt:
             return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
 
         of_odometry = _OF_RIG if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
+        # speeds by images have the error of the times, too
+        times_sigma = cameras.sigma_of(_OF_TIMES)
         return cls(
             scale,
             {name: max(map(sigma_of, sums)) for name, sums in errors.items()},
             # what is corrected has the error of its correction
-            sigma_of(of_odometry) if not rig.sigma else 0.0,
+            math.hypot(sigma_of(of_odometry) if not rig.sigma else 0.0, times_sigma),
             cameras.sigma_of(_OF_SPEED),
+            math.hypot(max(map(sigma_of, errors.get("fused", ())), default=0.0), times_sigma),
         )
 
     def widened(self, ego: Ego) -> EgoMotion:

@@ -1,17 +1,17 @@
 r"""CameraPosterior: the unknowns of the cameras by all evidence together.
 
 Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by
-size, h of the camera's height over the expected one, f of the focal length and u of the given
-speed.
+size, h of the camera's height over the expected one, f of the focal length, u of the given speed,
+and c of the frame rate.
 
     log d_stereo - log d_size of the road users                      = g - a        own sizes, wrong matches
     log height of the camera over their contact points by size       = h + a
     log height by stereo odometry over the motion of the road        = g + h
-    log height by the given speed over the motion of the road        = h - f + u    one camera
-    log speed by stereo odometry - log given speed                   = g + f - u
+    log height by the given speed over the motion of the road        = h - f - c + u    one camera
+    log speed by stereo odometry - log given speed                   = g + f + c - u
     log height by the usual width of the lane, from its lines        = h
     log focal length - log f by the shapes of vehicles' boxes        = f
-    log of an impossible speed by stereo odometry over the largest   < g + f
+    log of an impossible speed by stereo odometry over the largest   < g + f + c
 
 Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height;
 for g, f and u, the precision of calibrations and receivers. Because all unknowns are estimated

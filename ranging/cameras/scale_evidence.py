@@ -18,7 +18,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 
-_ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
+# of the scale of stereo odometry with a right rig, and of the motion of the road
+_ODOMETRY_SIGMA, _ROAD_SIGMA = 0.01, 0.02
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _MAX_LANE_CHI2 = 4.0  # a wrong lane, or a road of unusual lanes, excludes nothing alone
 # speed that vehicles hardly exceed, and the sigma of its logarithm
@@ -191,9 +192,10 @@ class SpeedEvidence:
         """
         self._log_height = math.log(height_m)
         self._pair_height = CameraHeight(road_height_m)
-        self._given_height = CameraHeight(road_height_m)
-        # of stereo odometry and the given speed
-        self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)
+        self._log_road_height = math.log(road_height_m)
+        # logarithm of given over measured speed, its standard deviation, and whether the road
+        # measured it
+        self._given: tuple[float, float, bool] | None = None
         self._given_sigmas: deque[float] = deque(maxlen=_MAX_VALUES)
         self._speeds_mps: deque[float] = deque(maxlen=_N_STEADY)
         self._max_mps = 1.0
@@ -212,42 +214,34 @@ class SpeedEvidence:
                 self._pair_height.update(time_s, by_pair, by_road)
         if given is not None and math.isfinite(given.speed_mps):
             self._given_sigmas.append(given.speed_sigma_mps / max(abs(given.speed_mps), 0.1))
-            if by_pair is not None:
-                self._speed_ratio.update(time_s, by_pair, given)
-            elif by_road is not None:
-                self._given_height.update(time_s, given, by_road)
+        if ego.speed_ratio is not None:
+            self._given = *ego.speed_ratio, by_pair is None
 
     @property
     def evidence(self) -> list[Evidence]:
         """The evidence of all frames so far."""
-        rig, height, focal, speed = (
-            Unknown.BASELINE,
-            Unknown.HEIGHT,
-            Unknown.FOCAL,
-            Unknown.SPEED,
-        )
-        given_sigma = float(np.median(self._given_sigmas)) if self._given_sigmas else 0.0
         evidence = []
-        for name, of, ratio, other_sigma in (
-            ("the motion of the road", {rig: 1.0, height: 1.0}, self._pair_height, 0.0),
-            (
-                "the given speed",
-                {height: 1.0, focal: -1.0, speed: 1.0},
-                self._given_height,
-                given_sigma,
-            ),
-            (
-                "the given speed",
-                {rig: 1.0, focal: 1.0, speed: -1.0},
-                self._speed_ratio,
-                given_sigma,
-            ),
-        ):
-            if (measured := ratio.height_m) is not None:
-                base = 0.0 if ratio is self._speed_ratio else self._log_height
-                sigma = math.hypot(measured[1] / measured[0], other_sigma)
-                evidence.append(Evidence(name, of, math.log(measured[0]) - base, sigma))
+        if (measured := self._pair_height.height_m) is not None:
+            value = math.log(measured[0]) - self._log_height
+            of = {Unknown.BASELINE: 1.0, Unknown.HEIGHT: 1.0}
+            sigma = measured[1] / measured[0]
+            evidence.append(Evidence("the motion of the road", of, value, sigma))
+        if self._given is not None:
+            evidence.append(self._of_given(*self._given))
         return evidence
+
+    def _of_given(self, log_ratio: float, sigma: float, by_road: bool) -> Evidence:
+        """The ratio of the given to the measured speed."""
+        given_sigma = float(np.median(self._given_sigmas)) if self._given_sigmas else 0.0
+        name = "the given speed"
+        if by_road:
+            of = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0}
+            of |= {Unknown.SPEED: 1.0, Unknown.FRAME_RATE: -1.0}
+            value = log_ratio + self._log_road_height - self._log_height
+            return Evidence(name, of, value, math.hypot(sigma, given_sigma, _ROAD_SIGMA))
+        of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
+        of |= {Unknown.SPEED: -1.0, Unknown.FRAME_RATE: 1.0}
+        return Evidence(name, of, -log_ratio, math.hypot(sigma, given_sigma, _ODOMETRY_SIGMA))
 
     @property
     def bounds(self) -> list[Evidence]:
@@ -255,7 +249,7 @@ class SpeedEvidence:
         if self._max_mps <= MAX_MPS:
             return []
         log_factor = math.log(self._max_mps / MAX_MPS)
-        of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
+        of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0, Unknown.FRAME_RATE: 1.0}
         return [Evidence("the speed of the camera", of, log_factor, _MAX_MPS_SIGMA)]
 
 

@@ -25,6 +25,7 @@ class Unknown(StrEnum):
     HEIGHT = "camera height"  # of the camera over the expected height: positive = it is higher
     FOCAL = "focal length"
     SPEED = "speed"  # the given one
+    FRAME_RATE = "frame rate"  # the times of the images: all speeds by images
     OFFSET = "disparity offset"  # true minus measured disparity in px, not a logarithm
 
 
@@ -58,16 +59,20 @@ KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estima
 _UNUSUAL_SIGMA, _P_UNUSUAL = 0.7, 0.12
 # of boards' calibrations, of a given focal length, of a given height, and of the scale of receivers
 _RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
+_CLOCK_SIGMA = 0.001  # of the clocks of cameras
 # of the sizes of all classes, if the region is known, and if it is not: with those of a class
 # (`scale_evidence.CLASS_SIGMA`) 0.07 and 0.085
 _SIZES_SIGMA = 0.026, 0.055
 
 # standard deviations of wrong given values and the probability of each: measured badly, and wrong
 # by any factor; boards have squares of all sizes
-_WRONG = (0.25, 0.015), (1.5, 0.005)
+_WRONG: tuple[tuple[float, float], ...] = (0.25, 0.015), (1.5, 0.005)
 _WRONG_BASELINE = (0.25, 0.03), (1.5, 0.02)
 _WRONG_OFFSET = ((4.0, 0.15),)  # px: a camera that was hit, or videos cropped after the calibration
-_P_KNOWN, _KNOWN_SIGMA = 0.004, 0.02  # of one mistake of `MISTAKES`
+# wrong clocks are rare: they are those of conversions
+_WRONG_CLOCK = ((0.3, 0.003),)
+# of one mistake of `MISTAKES`, and of one of the clock
+_P_KNOWN, _P_KNOWN_CLOCK, _KNOWN_SIGMA = 0.004, 0.0015, 0.02
 
 MISTAKES: Mapping[Unknown, tuple[tuple[float, str], ...]] = {
     Unknown.BASELINE: (
@@ -89,6 +94,14 @@ MISTAKES: Mapping[Unknown, tuple[tuple[float, str], ...]] = {
         (1 / 1.609, "miles per hour read as km/h"),
         (1.944, "knots read as m/s"),
         (1 / 1.852, "knots read as km/h"),
+    ),
+    Unknown.FRAME_RATE: (
+        (2.0, "every second image left out"),
+        (0.5, "every image stored twice"),
+        (1.2, "25 frames/s stored as 30"),
+        (1 / 1.2, "30 frames/s stored as 25"),
+        (1.25, "24 frames/s stored as 30"),
+        (1 / 1.25, "30 frames/s stored as 24"),
     ),
 }
 """Known mistakes, and the factor that each makes a value too large by."""
@@ -119,6 +132,7 @@ def camera_priors(
         Unknown.HEIGHT: height,
         Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), focal_kind, focal_px),
         Unknown.SPEED: Prior(_SPEED_SIGMA),
+        Unknown.FRAME_RATE: Prior(_CLOCK_SIGMA),
     }
     if baseline_m is not None and baseline_sigma:
         priors[Unknown.BASELINE] = Prior(baseline_sigma, "unknown", baseline_m)
@@ -130,10 +144,15 @@ def camera_priors(
 
 def mistakes(unknown: Unknown) -> list[PriorPart]:
     """The prior of a given value that is wrong."""
-    wrong = {Unknown.BASELINE: _WRONG_BASELINE, Unknown.OFFSET: _WRONG_OFFSET}.get(unknown, _WRONG)
+    wrong = {
+        Unknown.BASELINE: _WRONG_BASELINE,
+        Unknown.OFFSET: _WRONG_OFFSET,
+        Unknown.FRAME_RATE: _WRONG_CLOCK,
+    }.get(unknown, _WRONG)
+    p_known = _P_KNOWN_CLOCK if unknown is Unknown.FRAME_RATE else _P_KNOWN
     parts = [PriorPart(math.log(p), 0.0, sigma) for sigma, p in wrong]
     known = [math.log(factor) for factor, _ in MISTAKES.get(unknown, ())]
-    return [*parts, *(PriorPart(math.log(_P_KNOWN), mean, _KNOWN_SIGMA) for mean in known)]
+    return [*parts, *(PriorPart(math.log(p_known), mean, _KNOWN_SIGMA) for mean in known)]
 
 
 def unusual() -> PriorPart:

@@ -11,7 +11,6 @@ from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.road_horizon import RoadView
-from track_range.stereo.odometry.speed_relation import RelationFit
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +65,9 @@ class Ego:
     given: EgoMotion | None = None  # as given, also where it is not trusted
     # how the right camera moved against its rig; None = not measured
     right_camera: RightCamera | None = None
-    # ratio and delay of the given speed to that by the pair, or else by the road; None = unknown
-    relation: RelationFit | None = None
+    # logarithm of the given speed over that by the pair, or else by the road, in the whole drive,
+    # and its standard deviation; None = unknown
+    speed_ratio: tuple[float, float] | None = None
     trusts_given: bool = True  # whether a given speed is used
 
 

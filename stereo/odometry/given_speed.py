@@ -35,7 +35,8 @@ _MIN_VALUES = 3
 _UNMEASURED_MPS, _LEAST_SIGMA_MPS = 0.5, 0.03
 _INTERVAL_S = 0.5  # between two fits
 _REST_MPS, _MOVING_MPS = 1.0, 3.0  # given speed at rest; speed in the images of one that is not
-_MIN_REST_S = 1.0  # of contradictions before a note
+# in a note: least time of contradictions, smallest delay, and its probability
+_MIN_REST_S, _NOTED_LAG_S, _P_NOTED = 1.0, 0.4, 0.9
 
 
 class GivenSpeed:
@@ -45,8 +46,11 @@ class GivenSpeed:
 
     def __init__(self) -> None:
         self._samples, self._due_s = SpeedRelation(), -math.inf
-        self.relation: RelationFit | None = None  # given over measured speed; None = unknown
+        # logarithm of given over measured speed and its standard deviation, whatever the scales;
+        # None = unknown
+        self.shown_ratio: tuple[float, float] | None = None
         self._lag_weight = _lag_prior(LAG_SIGMA_S)  # (G,)
+        self._has_table = False
         self._ratio = 0.0, 0.0  # logarithm of given over measured speed, and its variance
         self._differences: deque[tuple[float, float]] = deque()  # time, given - measured
         self._last_s = math.nan
@@ -87,12 +91,16 @@ class GivenSpeed:
 
     def _fit(self, scale: tuple[float, float], table: EgoSpeed | None) -> None:
         """Ratio and delay by all frames so far."""
+        self._has_table = table is not None
         prior = _lag_prior(LAG_SIGMA_S if table is None else table.time_sigma_s or LAG_SIGMA_S)
-        self._ratio, self.relation = (scale[0], scale[1] ** 2), self._samples.fit()
-        if self.relation is not None:
-            self._lag_weight = self.relation.weights(prior * _ratio_prior(self.relation, scale))
-            mean, covariance = self.relation.moments(self._lag_weight)
-            self._ratio = float(mean[0]), float(covariance[0, 0])
+        self._ratio, relation = (scale[0], scale[1] ** 2), self._samples.fit()
+        if relation is None:
+            return
+        mean, covariance = relation.moments(relation.weights(prior))
+        self.shown_ratio = float(mean[0]), math.sqrt(covariance[0, 0])
+        self._lag_weight = relation.weights(prior * _ratio_prior(relation, scale))
+        mean, covariance = relation.moments(self._lag_weight)
+        self._ratio = float(mean[0]), float(covariance[0, 0])
 
     def _read(self, time_s: float, given: EgoMotion, table: EgoSpeed | None) -> EgoMotion:
         """The given speed with the spread over its likely delays."""
@@ -128,6 +136,11 @@ class GivenSpeed:
         if math.isfinite(by_images.speed_mps):
             other_mps = by_images.speed_mps
             gain = given_variance / (given_variance + other_variance)
+        if self.shown_ratio is None and read.speed_mps >= _REST_MPS:
+            # the scale of either may be wrong
+            error_mps = math.sqrt(wrong / 2) * difference_mps
+            sigma_mps = math.hypot(read.speed_sigma_mps, error_mps)
+            return replace(read, speed_sigma_mps=sigma_mps)
         # both are right, or the given one is not
         right_mps = read.speed_mps + gain * (other_mps - read.speed_mps)
         right_variance = (1 - gain) * given_variance
@@ -153,15 +166,31 @@ class GivenSpeed:
             self._rest_s += step_s * (abs(given.speed_mps) < _REST_MPS)
 
     @property
+    def lag_s(self) -> tuple[float, float]:
+        """Delay of the given speed, and its standard deviation."""
+        mean_s = float(self._lag_weight @ LAGS_S)
+        return mean_s, math.sqrt(self._lag_weight @ (LAGS_S - mean_s) ** 2)
+
+    @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user on a given speed at rest while the images move."""
-        if self._rest_s < _MIN_REST_S:
-            return ()
-        return (
-            f"The given speed is below {_REST_MPS:g} m/s during {self._rest_s:.1f} of the "
-            f"{self._moving_s:.1f} s in which the images show that the camera moves: the speed of "
-            "the images is used there; check the source of the speed.",
-        )
+        """Messages for the user on a given speed that is late, or at rest while the images move."""
+        notes = []
+        lag_s, sigma_s = self.lag_s
+        p_delayed = self._lag_weight[np.abs(LAGS_S) >= _NOTED_LAG_S].sum()
+        if p_delayed >= _P_NOTED:
+            side = "late" if lag_s > 0 else "early"
+            effect = "it is read at this delay" if self._has_table else "the images correct it"
+            notes.append(
+                f"The given speed is {abs(lag_s):.1f} ± {sigma_s:.1f} s {side}, as the changes of "
+                f"the speed in the images show: {effect}; check the times of its source."
+            )
+        if self._rest_s >= _MIN_REST_S:
+            notes.append(
+                f"The given speed is below {_REST_MPS:g} m/s during {self._rest_s:.1f} of the "
+                f"{self._moving_s:.1f} s in which the images show that the camera moves: the "
+                "speed of the images is used there; check the source of the speed."
+            )
+        return tuple(notes)
 
 
 def p_mistake(difference: float, sigma: float, mistake_sigma: float) -> float:

@@ -17,7 +17,7 @@ from track_range.foundation.arrays import FloatArray
 
 LAGS_S: FloatArray = np.arange(-1.5, 3.01, 0.1)  # (G,) given speeds are rather late than early
 _CORRELATED_S = 1.0  # time over which errors of both speeds are correlated
-_SPAN_S = 60.0  # latest samples that are used
+_SPAN_S, _STEP_S = 30.0, 0.095  # latest samples that are used, and the time between two of them
 _UNKNOWN_MPS2 = 1.0  # usual acceleration before the first measurement
 _NOISE_FRACTION = 0.02  # of both speeds, by roads that are not plane and slopes of axes
 _MIN_MPS = 1.0  # smallest speeds that are compared: a receiver at rest may show anything
@@ -61,6 +61,8 @@ class SpeedRelation:
         self, time_s: float, given_mps: float, measured_mps: float, sigmas_mps: tuple[float, float]
     ) -> None:
         """Add a frame; frames with an unknown speed, or one near rest, say nothing."""
+        if self._samples and time_s - self._samples[-1][0] < _STEP_S:
+            return
         is_moving = given_mps >= _MIN_MPS and measured_mps >= _MIN_MPS  # False for NaN
         if not is_moving:
             return

@@ -115,7 +115,10 @@ def test_late_table_is_read_at_its_delay(late_s: float) -> None:
     error, sigma = errors(motions, 8.0)
     assert (np.abs(error) < 2 * sigma).mean() > 0.9
     assert np.median(np.abs(error)) < 0.2
-    assert both.relation is not None
+    lag_s, sigma_s = both.lag_s
+    assert abs(lag_s - late_s) < 3 * sigma_s
+    assert both.notes[0].startswith(f"The given speed is {lag_s:.1f} ± {sigma_s:.1f} s late")
+    assert weighed(driven)[0].notes == ()
 
 
 def test_late_speed_that_is_known_frame_by_frame_is_corrected_by_the_images():

@@ -97,7 +97,7 @@ class EgoStage:
             by_pair=by_pair,
             by_road=by_road,
             given=given,
-            relation=self.given_speed.relation,
+            speed_ratio=None if given is None else self.given_speed.shown_ratio,
             trusts_given=trusts_given,
             right_camera=None if self.pair_odometry is None else self.pair_odometry.right_camera,
         )

@@ -91,7 +91,7 @@ class FramePipeline:
         with stage("filter"):
             filtered = self.filtering.update(tracks, measured, fused, ego.motion, time_s)
             ranges = reported(measured, fused, filtered, doubt)
-            approach = Approach.of(filtered.fused, doubt.shared_sigma["fused"])
+            approach = Approach.of(filtered.fused, doubt.closing_sigma)
         with stage("world"):
             moved = doubt.widened(ego)
             world = self.world.update(tracks, filtered, ranges, moved, time_s)
