@@ -79,6 +79,20 @@ class Doubt:
             math.hypot(max(map(sigma_of, errors.get("fused", ())), default=0.0), times_sigma),
         )
 
+    def zoomed(self, focal_change: float) -> Self:
+        """The doubt with a relative change of the focal length of both cameras that is not
+        corrected.
+        """
+        if focal_change == 0.0:
+            return self
+        return replace(
+            self,
+            shared_sigma={
+                name: math.hypot(sigma, focal_change) for name, sigma in self.shared_sigma.items()
+            },
+            odometry_sigma=math.hypot(self.odometry_sigma, focal_change),
+        )
+
     def widened(self, ego: Ego) -> EgoMotion:
         """The motion of the camera with the errors of its scale."""
         motion = ego.motion

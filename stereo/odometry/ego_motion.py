@@ -68,6 +68,7 @@ class Ego:
     # logarithm of the given speed over that by the pair, or else by the road, in the whole drive,
     # and its standard deviation; None = unknown
     speed_ratio: tuple[float, float] | None = None
+    focal_change: float = 0.0  # relative change of the focal length of both cameras
     trusts_given: bool = True  # whether a given speed is used
 
 
@@ -92,6 +93,11 @@ class PairOdometry(Odometry, Protocol):
     @property
     def right_camera(self) -> RightCamera | None:
         """How the right camera moved so far against its rig; None = not measured."""
+        ...
+
+    @property
+    def focal_change(self) -> float:
+        """Relative change of the focal length of both cameras since the start."""
         ...
 
     @property

@@ -56,6 +56,8 @@ class RightCameraMonitor:
         self._n_frames = self._n_hits = 0
         self.now = RightCamera(camera)
         self._is_first = True
+        # change of the offset in the frame before the last one that its correction did not contain
+        self.missed_offset_px = 0.0
         self._bow_px = self._bow_variance = 0.0
 
     @property
@@ -123,6 +125,7 @@ class RightCameraMonitor:
             value[OFFSET] = flow_offset_px[0] + applied_px[OFFSET]
             sigma[OFFSET] = _FACTOR * flow_offset_px[1]
             self._filter.measure(value, sigma)
+        self.missed_offset_px = float(self._filter.changes.mean[OFFSET] - applied_px[OFFSET])
         bow_px = bow_sigma_px = 0.0
         value, sigma = np.full((2, 4), np.nan)
         rows = self._rows(left_px, right_px)

@@ -21,6 +21,8 @@ _MAX_GAP_S = 0.35  # longest time in seconds without a measurement; the speed is
 _OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations are ignored
 # distance between two frames from which a first speed is not used until a second one agrees
 _LARGE_STEP_M = 4.0
+# weight of one measurement in the spread of the measurements, and largest spread of one
+_SPREAD_GAIN, _MAX_SPREAD2 = 0.15, 400.0
 _MAX_OUTLIERS = 3  # number of consecutive outliers after which the filter starts again
 
 
@@ -33,6 +35,8 @@ class SpeedFilter:
         # consecutive outliers; measurements since the start that agree
         self._n_outliers = self._n_measured = 0
         self._systematic_mps = math.nan
+        # ratio of the variance of the measurements to the expected one, at least 1
+        self._spread2 = 1.0
 
     def update(
         self, time_s: float, dt_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
@@ -64,6 +68,10 @@ class SpeedFilter:
     def _measure(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
         if self._state is not None:
             innovation = np.array([speed_mps]) - self._state.x
+            excess = (innovation[0] ** 2 - self._state.P_xx[0]) / sigma_mps**2
+            own = (1 - _SPREAD_GAIN) * self._spread2
+            self._spread2 = max(1.0, own + _SPREAD_GAIN * min(float(excess), _MAX_SPREAD2))
+            sigma_mps *= math.sqrt(self._spread2)
             limit_mps = _OUTLIER_SIGMA * np.sqrt(self._state.P_xx + sigma_mps**2)
             is_outlier = bool(np.abs(innovation)[0] > limit_mps[0])
             self._n_outliers = self._n_outliers + 1 if is_outlier else 0

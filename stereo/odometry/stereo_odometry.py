@@ -25,8 +25,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
-from track_range.foundation.robust_statistics import median_of
+from track_range.foundation.arrays import (
+    BoolArray,
+    FloatArray,
+    FloatArray32,
+    Image,
+    IntArray,
+    check_shape,
+)
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
     FlowFrame,
@@ -38,22 +44,18 @@ from track_range.foundation.sparse_flow import (
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.common_zoom import common_zoom
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.motion_fit import (
+    AT_REST,
+    MIN_RATIO,
+    MotionFit,
+    fit_motion,
+)
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
-# residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
-_TUKEY = 4.685
-_N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
-# the same with a free offset of the inverse depths, while it changes by more than some sigmas
-_N_OFFSET_ROUNDS, _LARGE_OFFSET_SIGMAS = 5, 2.0
-# random triples of corners: of half static ones, one is all static with a probability of 99.5 %
-_N_TRIPLES = 40
-_CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
-# largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
-_MAX_DISTANCE2 = 9.0
-_MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point leaves the image
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
 
@@ -80,6 +82,8 @@ _MAX_SIGMA_MPS = 0.5  # largest standard deviation of a reliable speed
 _MAX_RELATIVE_SIGMA = 0.05  # the same as a fraction of the speed; one of the two suffices
 _SCALE_SIGMA = 0.005  # relative error of all speeds, from calibration and subpixel bias
 _MAX_STILL_MPS = 0.15  # largest speed of a camera at rest
+# difference of the offset from the expected one at which the motion is not that of a rigid scene
+_UNUSUAL_SIGMAS = 5.0
 _MAX_GAP_S = 0.6  # longest time between two frames
 
 
@@ -92,45 +96,16 @@ class _View(NamedTuple):
     disparity_px: FloatArray
 
 
-class RigidMotion(NamedTuple):
-    """Motion `now_from_before`: (3, 3) rotation R and (3,) translation t in metres."""
-
-    rotation: FloatArray
-    translation_m: FloatArray
-
-    def moved(self, rays: FloatArray, inverse_depth: FloatArray) -> FloatArray:
-        """(N, 3) R m + t rho of rays (N, 3) with inverse depths (N,) in 1/m: the points scaled by
-        rho.
-        """
-        return np.asarray(rays @ self.rotation.T + inverse_depth[:, None] * self.translation_m)
-
-    def moved_by(self, step: FloatArray) -> RigidMotion:
-        """The motion after a small change (6,) of rotation and translation."""
-        return RigidMotion(_rotation(step[:3]) @ self.rotation, self.translation_m + step[3:])
-
-
-AT_REST = RigidMotion(np.eye(3), np.zeros(3))
-
-
-class MotionFit(NamedTuple):
-    """A motion fitted to N points."""
-
-    motion: RigidMotion  # the motion
-    covariance: FloatArray  # (6, 6) of rotation and translation
-    # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
-    by_offset: FloatArray
-    # common error of all inverse depths that fits best, in 1/m, and its standard deviation
-    offset: tuple[float, float]
-    is_static: BoolArray  # (N,) which points agree with it
-    noise_factor: float  # ratio of the residuals to those expected, at least 1
-
-
 class _Tracked(NamedTuple):
-    """Corners of the previous frame that were found in this one."""
+    """N corners of the previous frame that were found in this one, in small pixels."""
 
     fit: MotionFit
-    points: FloatArray32  # (N, 2) in this frame, small pixels
-    disparity_px: FloatArray  # (N,) disparities in this frame by the motion, small pixels
+    points: FloatArray32  # (N, 2) in this frame
+    # (N, 2) points and (N,) disparities in this frame, expected by the motion before
+    expected: FloatArray32
+    expected_px: FloatArray
+    disparity_px: FloatArray  # (N,) disparities in this frame by the motion that fits
+    expected_offset: float  # of the fit
 
     @property
     def reliable(self) -> MotionFit | None:
@@ -142,9 +117,22 @@ class _Tracked(NamedTuple):
         return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
 
     @property
-    def static(self) -> tuple[FloatArray32, FloatArray]:
-        """(M, 2) points and (M,) disparities of the static ones."""
-        return self.points[self.fit.is_static], self.disparity_px[self.fit.is_static]
+    def is_usual(self) -> bool:
+        """Whether a motion fits with about the offset of the inverse depths that is expected."""
+        offset, sigma = self.fit.offset
+        is_near = abs(offset - self.expected_offset) < _UNUSUAL_SIGMAS * sigma
+        return self.reliable is not None and is_near
+
+    @property
+    def static(self) -> tuple[IntArray, FloatArray]:
+        """(M,) numbers of the static points, and their disparities (M,); those of all points by the
+        motion before, if no usual one fits them.
+        """
+        if not self.is_usual:
+            is_known = np.isfinite(self.expected_px)
+            return np.flatnonzero(is_known), self.expected_px[is_known]
+        number = np.flatnonzero(self.fit.is_static)
+        return number, self.disparity_px[number]
 
 
 class _Matches(NamedTuple):
@@ -153,7 +141,12 @@ class _Matches(NamedTuple):
     left: FloatArray32  # (N, 2)
     right: FloatArray32  # (N, 2) in the corrected right image
     expected_px: FloatArray  # (N,) disparities there by the motion; NaN = unknown
-    is_corner: BoolArray  # (N,) whether a new corner, not a tracked point
+    number: IntArray  # (N,) numbers of tracked points; -1 = a new corner
+
+    @property
+    def is_corner(self) -> BoolArray:
+        """(N,) whether a new corner, not a tracked point."""
+        return self.number < 0
 
 
 class StereoOdometry:
@@ -188,6 +181,7 @@ class StereoOdometry:
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
         self._right = RightCameraMonitor(rig)
+        self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()
         self._motion = AT_REST
         self._rng = np.random.default_rng(0)
@@ -218,12 +212,18 @@ class StereoOdometry:
         fit = None if tracked is None else tracked.reliable
         matches = self._matches(now, right, warped.alignment, tracked)
         dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
+        is_usual = tracked is not None and tracked.is_usual
+        if tracked is not None and not is_usual and self._is_zoom(matches, tracked, frame.time_s):
+            fit = None
+        if not is_usual:
+            matches = matches._replace(expected_px=np.full(len(matches.number), np.nan))
         moved = self._right_moved(matches, fit, frame.time_s, dt_s)
         self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
         if before is None:
             return EgoMotion()
         if fit is not None:
             speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, moved.alignment)
+            speed_mps += self._right.missed_offset_px * self._by_offset_px(fit) / dt_s
             if sigma_mps <= max(_MAX_SIGMA_MPS, _MAX_RELATIVE_SIGMA * abs(speed_mps)):
                 self._motion = fit.motion
                 filtered = self._filter.update(
@@ -237,7 +237,20 @@ class StereoOdometry:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
-        return self._right.notes
+        if self._focal_factor == 1.0:
+            return self._right.notes
+        pct = 100 * (self._focal_factor - 1)
+        return (
+            *self._right.notes,
+            f"The focal length of both cameras changed by {pct:+.1f} % at about "
+            f"{self._zoomed_s:.1f} s, as if they zoomed or focused: this is part of the sigma of "
+            "every distance. Fix zoom and focus.",
+        )
+
+    @property
+    def focal_change(self) -> float:
+        """Relative change of the focal length of both cameras since the start."""
+        return self._focal_factor - 1.0
 
     @property
     def right_camera(self) -> RightCamera:
@@ -256,8 +269,10 @@ class StereoOdometry:
         corners, start_px = corners[is_known], coarse_px[is_known]
         n_corners = len(corners)
         expected_px = np.full(n_corners, np.nan)
-        if tracked is not None and tracked.reliable is not None:
-            points, disparity_px = tracked.static
+        number = np.full(n_corners, -1)
+        if tracked is not None:
+            static, disparity_px = tracked.static
+            points, number = tracked.points[static], np.concatenate([number, static])
             measured_px = disparity_px - self._correction_px(points, alignment)
             corners = np.concatenate([corners, points])
             start_px = np.concatenate([start_px, measured_px])
@@ -275,8 +290,26 @@ class StereoOdometry:
             corners[is_matched],
             matches[is_matched],
             expected_px[is_matched],
-            np.arange(len(corners))[is_matched] < n_corners,
+            number[is_matched],
         )
+
+    def _is_zoom(self, matches: _Matches, tracked: _Tracked, time_s: float) -> bool:
+        """Whether the points show a change of the focal length of both cameras, which is counted."""
+        is_tracked = ~matches.is_corner
+        number = matches.number[is_tracked]
+        points, expected = matches.left[is_tracked], tracked.expected[number]
+        camera = self._rig.left
+        centre = (np.array([camera.cx_px, camera.cy_px]) + 0.5) / (1 << self._n_halved) - 0.5
+        zoom = common_zoom(
+            expected - centre,
+            points - centre,
+            matches.expected_px[is_tracked],
+            (points - matches.right[is_tracked]).astype(np.float64)[:, 0],
+        )
+        if zoom:
+            self._focal_factor *= 1 + zoom
+            self._zoomed_s = time_s
+        return bool(zoom)
 
     def _right_moved(
         self, matches: _Matches, fit: MotionFit | None, time_s: float, dt_s: float
@@ -349,20 +382,26 @@ class StereoOdometry:
         """
         rays = self._rays(before.corners)
         inverse_depth = before.disparity_px / self._focal_baseline_m
-        predicted = self._pixels(self._motion.moved(rays, inverse_depth)).astype(np.float32)
+        moved = self._motion.moved(rays, inverse_depth)
+        expected = self._pixels(moved).astype(np.float32)
+        expected_px = before.disparity_px / np.maximum(moved[:, 2], MIN_RATIO)
+        if self._motion is AT_REST:  # or unknown
+            expected_px = np.full(len(rays), np.nan)
         points, is_tracked = tracked_corners(
             before.left,
             now.small,
             before.corners,
             window_px=_WINDOW_PX,
             n_levels=_N_LEVELS if self._motion is AT_REST else _N_LEVELS_PREDICTED,
-            start=np.where(np.isfinite(predicted), predicted, before.corners),
+            start=np.where(np.isfinite(expected), expected, before.corners),
         )
         is_tracked[is_tracked] = ~are_masked(points[is_tracked], now.is_masked)
         self._motion = AT_REST
         if is_tracked.sum() < _MIN_FEATURES:
             return None
         rays, inverse_depth = rays[is_tracked], inverse_depth[is_tracked]
+        full_focal_baseline = self._focal_baseline_m * (1 << self._n_halved)
+        expected_offset = self._right.expected_offset_px / full_focal_baseline
         fit = fit_motion(
             rays,
             inverse_depth,
@@ -370,12 +409,23 @@ class StereoOdometry:
             noise=_NOISE_PX / self._focal_px,
             inverse_depth_noise=_DISPARITY_NOISE_PX / self._focal_baseline_m,
             rng=self._rng,
-            expected_offset=self._right.expected_offset_px
-            / (self._focal_baseline_m * (1 << self._n_halved)),
+            expected_offset=expected_offset,
         )
         depth_ratio = fit.motion.moved(rays, inverse_depth)[:, 2]
-        disparity_px = inverse_depth * self._focal_baseline_m / np.maximum(depth_ratio, _MIN_RATIO)
-        return _Tracked(fit, points[is_tracked], disparity_px)
+        disparity_px = inverse_depth * self._focal_baseline_m / np.maximum(depth_ratio, MIN_RATIO)
+        return _Tracked(
+            fit,
+            points[is_tracked],
+            expected[is_tracked],
+            expected_px[is_tracked],
+            disparity_px,
+            expected_offset,
+        )
+
+    def _by_offset_px(self, fit: MotionFit) -> float:
+        """Change of the distance travelled along the axis, in m, per pixel of all disparities."""
+        backwards = fit.motion.rotation[:, 2] @ fit.by_offset[3:]
+        return -float(backwards) / (self._focal_baseline_m * (1 << self._n_halved))
 
     def _speed(
         self, fit: MotionFit, dt_s: float, alignment: Alignment
@@ -403,159 +453,3 @@ class StereoOdometry:
         """(N, 2) points of the small image, NaN behind the camera."""
         factor = 1 << self._n_halved
         return (self._rig.left.project(xyz) - (factor - 1) / 2) / factor
-
-
-def fit_motion(
-    rays: FloatArray,
-    inverse_depth: FloatArray,
-    now: FloatArray,
-    *,
-    noise: float,
-    inverse_depth_noise: float,
-    rng: np.random.Generator,
-    expected_offset: float = 0.0,
-) -> MotionFit:
-    """Motion of the camera from N points with inverse depths.
-
-    `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1;
-    `inverse_depth` (N,) is rho in 1/m. The standard deviations are `noise` of p', rad, and
-    `inverse_depth_noise` of rho, 1/m; `rng` draws triples. `expected_offset` is the
-    common error of all rho, near which the one that fits best is sought.
-    """
-    motion = _of_triples(
-        rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng
-    )
-    points = _Points(rays, inverse_depth, now, noise, inverse_depth_noise)
-    for _ in range(_N_ROUNDS):
-        equations = points.equations(motion)
-        information = equations.information[:6, :6]
-        step = np.asarray(-np.linalg.solve(information, equations.gradient[:6]), np.float64)
-        motion = motion.moved_by(step)
-    by_offset = -np.linalg.solve(information, equations.information[:6, 6])
-    covariance = np.linalg.inv(information) * equations.spread2
-    is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
-    # the camera has not passed the point
-    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO
-    return MotionFit(
-        motion,
-        np.asarray(covariance, np.float64),
-        np.asarray(by_offset, np.float64),
-        _offset(points, motion, expected_offset),
-        np.asarray(is_static),
-        math.sqrt(equations.spread2),
-    )
-
-
-class _Equations(NamedTuple):
-    """Normal equations of rotation, translation and a common error of all inverse depths."""
-
-    information: FloatArray  # (7, 7)
-    gradient: FloatArray  # (7,)
-    distance2: FloatArray  # (N,) squared Mahalanobis distances
-    spread2: float  # ratio of the squared residuals to those expected, at least 1
-
-
-class _Points(NamedTuple):
-    """N points of a motion, as in `fit_motion`."""
-
-    rays: FloatArray
-    inverse_depth: FloatArray
-    now: FloatArray
-    noise: float
-    inverse_depth_noise: float
-
-    def equations(self, motion: RigidMotion, offset: float = 0.0) -> _Equations:
-        """The normal equations at a motion and an offset of the inverse depths."""
-        residual, jacobian, by_depth = _reprojection(
-            motion, self.rays, self.inverse_depth + offset, self.now
-        )
-        variance = self.noise**2 + self.inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
-        distance2 = (residual**2).sum(axis=0) / variance
-        spread2 = max(1.0, float(median_of(distance2)) / _CHI2_MEDIAN)
-        weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
-        whole = np.concatenate([jacobian, by_depth[:, None]], axis=1)
-        weighted = whole * weight
-        information = np.asarray((weighted @ whole.transpose(0, 2, 1)).sum(axis=0), np.float64)
-        information[:6, :6] += 1e-9 * np.trace(information[:6, :6]) * np.eye(6)
-        gradient = np.asarray(np.einsum("ajn,an->j", weighted, residual), np.float64)
-        return _Equations(information, gradient, np.asarray(distance2), spread2)
-
-
-def _offset(points: _Points, motion: RigidMotion, offset: float) -> tuple[float, float]:
-    """The common error of all inverse depths that fits best, with the motion that fits it, and its
-    standard deviation; NaN = unknown. The search starts from a motion and an error.
-    """
-    sigma = math.nan
-    for _ in range(_N_OFFSET_ROUNDS):
-        equations = points.equations(motion, offset)
-        if not equations.information[6, 6] > 0:
-            return math.nan, math.nan
-        covariance = np.linalg.inv(equations.information)
-        step = -covariance @ equations.gradient
-        sigma = math.sqrt(max(covariance[6, 6], 0.0) * equations.spread2)
-        motion, offset = motion.moved_by(step[:6]), offset + float(step[6])
-        if abs(step[6]) < _LARGE_OFFSET_SIGMAS * sigma:
-            break
-    return offset, sigma
-
-
-def _rotation(vector: FloatArray) -> FloatArray:
-    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
-
-
-def _reprojection(
-    motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
-
-    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
-    """
-    u_x, u_y, u_z = motion.rotation @ rays.T
-    t_x, t_y, t_z = motion.translation_m.tolist()
-    z = np.maximum(u_z + t_z * inverse_depth, _MIN_RATIO)
-    x, y = (u_x + t_x * inverse_depth) / z, (u_y + t_y * inverse_depth) / z
-    zero = np.zeros(len(z))
-    by_x = [-x * u_y, u_z + x * u_x, -u_y, inverse_depth, zero, -x * inverse_depth]
-    by_y = [-u_z - y * u_y, y * u_x, u_x, zero, inverse_depth, -y * inverse_depth]
-    jacobian = np.array([by_x, by_y]) / z
-    by_depth = np.array([t_x - x * t_z, t_y - y * t_z]) / z
-    return np.array([x, y]) - now[:, :2].T, jacobian, by_depth
-
-
-def _of_triples(
-    rays: FloatArray,
-    inverse_depth: FloatArray,
-    now: FloatArray,
-    *,
-    noise: float,
-    inverse_depth_noise: float,
-    rng: np.random.Generator,
-) -> RigidMotion:
-    """The motion of a random triple of points, or rest, that has the smallest robust cost over all
-    points.
-    """
-    x, y, rho = now[:, 0], now[:, 1], inverse_depth
-    m_x, m_y = rays[:, 0], rays[:, 1]
-    zero = np.zeros(len(x))
-    columns = np.array(
-        [
-            [-x * m_y, 1 + x * m_x, -m_y, rho, zero, -x * rho],
-            [-1 - y * m_y, y * m_x, m_x, zero, rho, -y * rho],
-        ]
-    )
-    moved = np.array([x - m_x, y - m_y])
-    triples = rng.integers(0, len(x), (_N_TRIPLES, 3))
-    systems = columns[:, :, triples].transpose(2, 0, 3, 1).reshape(_N_TRIPLES, 6, 6)
-    right = moved[:, triples].transpose(1, 0, 2).reshape(_N_TRIPLES, 6, 1)
-    transposed = systems.transpose(0, 2, 1)
-    solutions = np.linalg.solve(transposed @ systems + 1e-12 * np.eye(6), transposed @ right)[
-        :, :, 0
-    ]
-    solutions = np.concatenate([np.zeros((1, 6)), solutions])
-    error2 = ((solutions @ columns - moved[:, None]) ** 2).sum(axis=0)
-    depth_change = 1.0 + solutions[:, 5:] * rho  # the equations are multiplied by z' / z
-    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[
-        :, None
-    ] * inverse_depth_noise**2
-    best = solutions[int(np.argmin(np.minimum(error2 / variance, _MAX_DISTANCE2).sum(axis=1)))]
-    return RigidMotion(_rotation(best[:3]), best[3:])

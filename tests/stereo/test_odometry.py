@@ -11,8 +11,9 @@ from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ground_odometry import GroundOdometry, horizon_error
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
+from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
 from track_range.stereo.odometry.speed_filter import SpeedFilter
-from track_range.stereo.odometry.stereo_odometry import RigidMotion, StereoOdometry, fit_motion
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 
 NO_BOXES = np.zeros((0, 4))
 
@@ -274,3 +275,25 @@ def test_first_speed_of_a_large_step_needs_a_second_one():
     speeds = SpeedFilter()
     assert math.isnan(speeds.update(0.2, 0.2, 50.0, 0.5, 0.0)[0])
     assert math.isnan(speeds.update(0.4, 0.2, 20.0, 0.5, 0.0)[0])
+
+
+def test_errors_that_many_points_share_widen_the_offset():
+    """A shift of a part of the image, as by a rolling shutter, is no noise of single points."""
+    motion = RigidMotion(yawed(0.004), np.array([0.01, 0.0, -1.0]))
+    rays, rho, now = static_scene(motion)
+    shifted = now.copy()
+    shifted[:, 0] += 3 * NOISE * np.sign(np.sin(12 * rays[:, 1]) * rays[:, 0])
+    assert fitted(rays, rho, shifted).offset[1] > 1.3 * fitted(rays, rho, now).offset[1]
+
+
+def test_speeds_that_scatter_more_than_their_sigma_have_a_wider_one():
+    rng = np.random.default_rng(0)
+    errors_mps, calm, shaken = 0.2 * rng.normal(size=200), SpeedFilter(), SpeedFilter()
+    speeds_mps = np.array(
+        [shaken.update(k / 10, 0.1, 10 + error, 0.03, 0.0) for k, error in enumerate(errors_mps)]
+    )
+    calm_mps = np.array([calm.update(k / 10, 0.1, 10.0, 0.03, 0.0) for k in range(100)])
+    late_mps, sigma_mps = speeds_mps[20:].T
+    assert (np.abs(late_mps - 10) < 2 * sigma_mps).mean() > 0.8
+    assert 0.12 < np.median(sigma_mps) < 0.3
+    assert calm_mps[-1, 1] < 0.5 * np.median(sigma_mps)

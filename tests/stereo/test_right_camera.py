@@ -16,6 +16,8 @@ from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.change_filter import ChangeFilter
+from track_range.stereo.odometry.common_zoom import common_zoom
+from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
 from track_range.stereo.odometry.right_camera import (
     BOW,
     OFFSET,
@@ -26,7 +28,7 @@ from track_range.stereo.odometry.right_camera import (
     changes_of,
 )
 from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
-from track_range.stereo.odometry.stereo_odometry import RigidMotion, StereoOdometry, fit_motion
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 
 RIG = kitti_like_rig()
 UNKNOWN = math.nan, math.nan
@@ -224,3 +226,26 @@ def test_odometry_corrects_a_right_camera_that_is_hit():
     assert firm.notes == ()
     assert hit.right_camera.applied_px[OFFSET] == pytest.approx(expected_px, abs=0.2)
     assert after.speed_mps == pytest.approx(before.speed_mps, rel=0.02)
+
+
+def zoomed_points(zoom, *, zooms_disparity=True):
+    """Places from the centre of the image and disparities of static points, expected and seen after
+    a zoom.
+    """
+    rng = np.random.default_rng(0)
+    expected_px = rng.uniform((-300, -90), (300, 90), (120, 2))
+    disparity_px = rng.uniform(2, 20, 120)
+    grown = 1 + zoom
+    seen_px = expected_px * grown + 0.1 * rng.normal(size=(120, 2))
+    seen_disparity_px = disparity_px * (grown if zooms_disparity else 1.0)
+    return expected_px, seen_px, disparity_px, seen_disparity_px + 0.1 * rng.normal(size=120)
+
+
+@pytest.mark.parametrize("zoom", [0.01, 0.03, -0.03])
+def test_zoom_of_both_cameras_is_measured(zoom):
+    assert common_zoom(*zoomed_points(zoom)) == pytest.approx(zoom, abs=0.001)
+
+
+def test_growth_without_disparities_is_no_zoom():
+    assert common_zoom(*zoomed_points(0.03, zooms_disparity=False)) == 0.0
+    assert common_zoom(*zoomed_points(0.0)) == 0.0

@@ -69,9 +69,10 @@ class DoubtStage:
             )
             if check.update(seen):
                 self._doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
+        doubt = self._doubt.zoomed(ego.focal_change)
         is_in_doubt = self._doubt.scale is not None
         after = DriveScale() if is_in_doubt else scale.after(measured.evidence, time_s)
-        return self._doubt, replace(after, rig=self._rig)
+        return doubt, replace(after, rig=self._rig)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""

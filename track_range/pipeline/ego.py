@@ -99,8 +99,13 @@ class EgoStage:
             given=given,
             speed_ratio=None if given is None else self.given_speed.shown_ratio,
             trusts_given=trusts_given,
-            right_camera=None if self.pair_odometry is None else self.pair_odometry.right_camera,
         )
+        if self.pair_odometry is not None:
+            ego = replace(
+                ego,
+                right_camera=self.pair_odometry.right_camera,
+                focal_change=self.pair_odometry.focal_change,
+            )
         road = self.road_motion
         if road is None or not road.has_horizon:
             return ego

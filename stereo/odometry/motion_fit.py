@@ -1,0 +1,237 @@
+"""Motion of a pair between two frames, fitted to static points with inverse depths; steps 3 and 4
+of `stereo_odometry`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.robust_statistics import median_of
+
+# residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+_TUKEY = 4.685
+_N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
+# the same with a free offset of the inverse depths, while it changes by more than some sigmas
+_N_OFFSET_ROUNDS, _LARGE_OFFSET_SIGMAS = 5, 2.0
+# random triples of corners: of half static ones, one is all static with a probability of 99.5 %
+_N_TRIPLES = 40
+_CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
+# largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
+_MAX_DISTANCE2 = 9.0
+_N_CELLS = np.array([8, 4])  # columns and rows of cells whose points may have errors in common
+MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point leaves the image
+
+
+class RigidMotion(NamedTuple):
+    """Motion `now_from_before`: (3, 3) rotation R and (3,) translation t in metres."""
+
+    rotation: FloatArray
+    translation_m: FloatArray
+
+    def moved(self, rays: FloatArray, inverse_depth: FloatArray) -> FloatArray:
+        """(N, 3) R m + t rho of rays (N, 3) with inverse depths (N,) in 1/m: the points scaled by
+        rho.
+        """
+        return np.asarray(rays @ self.rotation.T + inverse_depth[:, None] * self.translation_m)
+
+    def moved_by(self, step: FloatArray) -> RigidMotion:
+        """The motion after a small change (6,) of rotation and translation."""
+        return RigidMotion(_rotation(step[:3]) @ self.rotation, self.translation_m + step[3:])
+
+
+AT_REST = RigidMotion(np.eye(3), np.zeros(3))
+
+
+class MotionFit(NamedTuple):
+    """A motion fitted to N points."""
+
+    motion: RigidMotion  # the motion
+    covariance: FloatArray  # (6, 6) of rotation and translation
+    # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
+    by_offset: FloatArray
+    # common error of all inverse depths that fits best, in 1/m, and its standard deviation
+    offset: tuple[float, float]
+    is_static: BoolArray  # (N,) which points agree with it
+    noise_factor: float  # ratio of the residuals to those expected, at least 1
+
+
+def fit_motion(
+    rays: FloatArray,
+    inverse_depth: FloatArray,
+    now: FloatArray,
+    *,
+    noise: float,
+    inverse_depth_noise: float,
+    rng: np.random.Generator,
+    expected_offset: float = 0.0,
+) -> MotionFit:
+    """Motion of the camera from N points with inverse depths.
+
+    `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1;
+    `inverse_depth` (N,) is rho in 1/m. The standard deviations are `noise` of p', rad, and
+    `inverse_depth_noise` of rho, 1/m; `rng` draws triples. `expected_offset` is the
+    common error of all rho, near which the one that fits best is sought.
+    """
+    motion = _of_triples(
+        rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng
+    )
+    points = _Points(rays, inverse_depth, now, noise, inverse_depth_noise)
+    for _ in range(_N_ROUNDS):
+        equations = points.equations(motion)
+        information = equations.information[:6, :6]
+        step = np.asarray(-np.linalg.solve(information, equations.gradient[:6]), np.float64)
+        motion = motion.moved_by(step)
+    by_offset = -np.linalg.solve(information, equations.information[:6, 6])
+    covariance = np.linalg.inv(information) * equations.spread2
+    is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
+    # the camera has not passed the point
+    is_static &= motion.moved(rays, inverse_depth)[:, 2] > MIN_RATIO
+    return MotionFit(
+        motion,
+        np.asarray(covariance, np.float64),
+        np.asarray(by_offset, np.float64),
+        _offset(points, motion, expected_offset),
+        np.asarray(is_static),
+        math.sqrt(equations.spread2),
+    )
+
+
+class _Equations(NamedTuple):
+    """Normal equations of rotation, translation and a common error of all inverse depths."""
+
+    information: FloatArray  # (7, 7)
+    scores: FloatArray  # (7, N) contributions to the gradient
+    distance2: FloatArray  # (N,) squared Mahalanobis distances
+    spread2: float  # ratio of the squared residuals to those expected, at least 1
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(7,) gradient."""
+        return np.asarray(self.scores.sum(axis=1))
+
+
+class _Points(NamedTuple):
+    """N points of a motion, as in `fit_motion`."""
+
+    rays: FloatArray
+    inverse_depth: FloatArray
+    now: FloatArray
+    noise: float
+    inverse_depth_noise: float
+
+    def equations(self, motion: RigidMotion, offset: float = 0.0) -> _Equations:
+        """The normal equations at a motion and an offset of the inverse depths."""
+        residual, jacobian, by_depth = _reprojection(
+            motion, self.rays, self.inverse_depth + offset, self.now
+        )
+        variance = self.noise**2 + self.inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
+        distance2 = (residual**2).sum(axis=0) / variance
+        spread2 = max(1.0, float(median_of(distance2)) / _CHI2_MEDIAN)
+        weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
+        whole = np.concatenate([jacobian, by_depth[:, None]], axis=1)
+        weighted = whole * weight
+        information = np.asarray((weighted @ whole.transpose(0, 2, 1)).sum(axis=0), np.float64)
+        information[:6, :6] += 1e-9 * np.trace(information[:6, :6]) * np.eye(6)
+        scores = np.asarray(np.einsum("ajn,an->jn", weighted, residual), np.float64)
+        return _Equations(information, scores, np.asarray(distance2), spread2)
+
+    @property
+    def cell(self) -> IntArray:
+        """(N,) cells of the image, whose points may have errors in common."""
+        xy = self.rays[:, :2] - np.min(self.rays[:, :2], axis=0)
+        largest = np.maximum(np.max(xy, axis=0), 1e-9)
+        place = np.asarray(_N_CELLS * xy / largest).astype(np.int64)
+        column, row = np.minimum(place, _N_CELLS - np.array([1, 1])).T
+        return np.asarray(_N_CELLS[1] * column + row)
+
+
+def _offset(points: _Points, motion: RigidMotion, offset: float) -> tuple[float, float]:
+    """The common error of all inverse depths that fits best, with the motion that fits it, and its
+    standard deviation; NaN = unknown. The search starts from a motion and an error.
+    """
+    sigma = math.nan
+    for _ in range(_N_OFFSET_ROUNDS):
+        equations = points.equations(motion, offset)
+        if not equations.information[6, 6] > 0:
+            return math.nan, math.nan
+        covariance = np.linalg.inv(equations.information)
+        step = -covariance @ equations.gradient
+        sigma = math.sqrt(max(covariance[6, 6], 0.0) * equations.spread2)
+        motion, offset = motion.moved_by(step[:6]), offset + float(step[6])
+        if abs(step[6]) < _LARGE_OFFSET_SIGMAS * sigma:
+            break
+    # the scatter of the cells (Liang and Zeger 1986): the errors of images that vibrate, or of a
+    # wrong lens, are common to many points
+    of_cell = np.zeros((int(_N_CELLS.prod()), 7))
+    np.add.at(of_cell, points.cell, equations.scores.T)
+    n_cells = int(np.count_nonzero(of_cell.any(axis=1)))
+    by_cell = (of_cell @ covariance[6]) ** 2
+    scatter = math.sqrt(float(by_cell.sum()) * n_cells / max(n_cells - 7, 1))
+    return offset, max(sigma, scatter)
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+
+
+def _reprojection(
+    motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
+
+    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
+    """
+    u_x, u_y, u_z = motion.rotation @ rays.T
+    t_x, t_y, t_z = motion.translation_m.tolist()
+    z = np.maximum(u_z + t_z * inverse_depth, MIN_RATIO)
+    x, y = (u_x + t_x * inverse_depth) / z, (u_y + t_y * inverse_depth) / z
+    zero = np.zeros(len(z))
+    by_x = [-x * u_y, u_z + x * u_x, -u_y, inverse_depth, zero, -x * inverse_depth]
+    by_y = [-u_z - y * u_y, y * u_x, u_x, zero, inverse_depth, -y * inverse_depth]
+    jacobian = np.array([by_x, by_y]) / z
+    by_depth = np.array([t_x - x * t_z, t_y - y * t_z]) / z
+    return np.array([x, y]) - now[:, :2].T, jacobian, by_depth
+
+
+def _of_triples(
+    rays: FloatArray,
+    inverse_depth: FloatArray,
+    now: FloatArray,
+    *,
+    noise: float,
+    inverse_depth_noise: float,
+    rng: np.random.Generator,
+) -> RigidMotion:
+    """The motion of a random triple of points, or rest, that has the smallest robust cost over all
+    points.
+    """
+    x, y, rho = now[:, 0], now[:, 1], inverse_depth
+    m_x, m_y = rays[:, 0], rays[:, 1]
+    zero = np.zeros(len(x))
+    columns = np.array(
+        [
+            [-x * m_y, 1 + x * m_x, -m_y, rho, zero, -x * rho],
+            [-1 - y * m_y, y * m_x, m_x, zero, rho, -y * rho],
+        ]
+    )
+    moved = np.array([x - m_x, y - m_y])
+    triples = rng.integers(0, len(x), (_N_TRIPLES, 3))
+    systems = columns[:, :, triples].transpose(2, 0, 3, 1).reshape(_N_TRIPLES, 6, 6)
+    right = moved[:, triples].transpose(1, 0, 2).reshape(_N_TRIPLES, 6, 1)
+    transposed = systems.transpose(0, 2, 1)
+    solutions = np.linalg.solve(transposed @ systems + 1e-12 * np.eye(6), transposed @ right)[
+        :, :, 0
+    ]
+    solutions = np.concatenate([np.zeros((1, 6)), solutions])
+    error2 = ((solutions @ columns - moved[:, None]) ** 2).sum(axis=0)
+    depth_change = 1.0 + solutions[:, 5:] * rho  # the equations are multiplied by z' / z
+    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[
+        :, None
+    ] * inverse_depth_noise**2
+    best = solutions[int(np.argmin(np.minimum(error2 / variance, _MAX_DISTANCE2).sum(axis=1)))]
+    return RigidMotion(_rotation(best[:3]), best[3:])
