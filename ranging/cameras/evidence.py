@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import Image
 from track_range.ranging.cameras.unknowns import Sum
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.alignment import Alignment
@@ -39,6 +40,7 @@ class SeenFrame:
     time_s: float
     lanes: LaneLines = field(default_factory=LaneLines)
     alignment: Alignment | None = None  # of the pair; None = that of its rig
+    image: Image | None = None  # the left one, (H, W, 3)
 
 
 class EvidenceSource(Protocol):

@@ -13,11 +13,11 @@ from typing import Any
 
 from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
+from track_range.ranging.cameras.motion_evidence import MotionEvidence
 from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
 from track_range.ranging.cameras.shape_evidence import ShapeEvidence
 from track_range.ranging.cameras.unknowns import (
-    KNOWN_FOCAL,
     USUAL_HEIGHT_M,
     CameraPriors,
     Kind,
@@ -81,8 +81,10 @@ class ScaleCheck:
         sources: list[EvidenceSource] = [self._sizes, self._speeds]
         if lane is not None:
             sources.append(LaneEvidence(camera, lane, height_m))
-        if isinstance(sizes, CuboidSizes) and priors[Unknown.FOCAL].sigma <= KNOWN_FOCAL:
-            sources.append(ShapeEvidence(camera, sizes))
+        if priors[Unknown.FOCAL].kind == "given":
+            sources.append(MotionEvidence(camera))
+            if isinstance(sizes, CuboidSizes):
+                sources.append(ShapeEvidence(camera, sizes))
         self._sources = sources
         self._due_s = self._since_s = -math.inf
         self._first_s = math.inf  # time of the first frame

@@ -12,6 +12,7 @@ from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import CameraPriors
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.drive_scale import DriveScale
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks
 
@@ -50,7 +51,7 @@ class DoubtStage:
         ego: Ego,
         lanes: LaneLines | None,
         scale: DriveScale,
-        time_s: float,
+        frame: Frame,
     ) -> tuple[Doubt, DriveScale]:
         """The doubt after a frame, and the scale of the drive for the next frame.
 
@@ -63,15 +64,16 @@ class DoubtStage:
                 by_size,
                 measured.by_rig,
                 ego,
-                time_s,
+                frame.time_s,
                 lanes or LaneLines(),
                 measured.alignment,
+                frame.left,
             )
             if check.update(seen):
                 self._doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
         doubt = self._doubt.zoomed(ego.focal_change)
         is_in_doubt = self._doubt.scale is not None
-        after = DriveScale() if is_in_doubt else scale.after(measured.evidence, time_s)
+        after = DriveScale() if is_in_doubt else scale.after(measured.evidence, frame.time_s)
         return doubt, replace(after, rig=self._rig)
 
     def notes(self) -> tuple[str, ...]:

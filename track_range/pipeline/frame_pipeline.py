@@ -84,7 +84,7 @@ class FramePipeline:
         doubt, scale = self.doubt, self.scale
         if not image.is_repeated:
             with stage("doubt"):
-                doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, time_s)
+                doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, frame)
             measured = measured.at_scale(scale.rig)
         with stage("fuse"):
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)

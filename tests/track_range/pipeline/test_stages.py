@@ -142,7 +142,7 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
     doubts = []
     for k in range(20):
         ego = Ego(motion=EgoMotion())
-        doubt, scale = stage.update(tracks, frame_ranges, ego, None, scale, 0.1 * k)
+        doubt, scale = stage.update(tracks, frame_ranges, ego, None, scale, frame(0.1 * k))
         doubts.append(doubt)
     assert doubts[0].scale is None
     assert doubts[0].shared_sigma["stereo"] == pytest.approx(0.03, rel=0.1)
