@@ -59,6 +59,11 @@ class MotionFit(NamedTuple):
     is_static: BoolArray  # (N,) which points agree with it
     noise_factor: float  # ratio of the residuals to those expected, at least 1
 
+    @property
+    def rotation_rad(self) -> FloatArray:
+        """(3,) rotation vector: pitch, yaw and roll."""
+        return np.asarray(cv2.Rodrigues(self.motion.rotation)[0].ravel(), np.float64)
+
 
 def fit_motion(
     rays: FloatArray,

@@ -55,6 +55,7 @@ from track_range.stereo.odometry.motion_fit import (
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
+from track_range.stereo.odometry.vibration import Vibration
 
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
@@ -181,6 +182,7 @@ class StereoOdometry:
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
         self._right = RightCameraMonitor(rig)
+        self._vibration = Vibration()
         self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()
         self._motion = AT_REST
@@ -221,6 +223,7 @@ class StereoOdometry:
         self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
         if before is None:
             return EgoMotion()
+        self._vibration.add(frame.time_s, None if fit is None else fit.rotation_rad)
         if fit is not None:
             speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, moved.alignment)
             speed_mps += self._right.missed_offset_px * self._by_offset_px(fit) / dt_s
@@ -229,7 +232,7 @@ class StereoOdometry:
                 filtered = self._filter.update(
                     frame.time_s, dt_s, speed_mps, sigma_mps, systematic_mps
                 )
-                yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
+                yaw_rad = -float(fit.rotation_rad[1])
                 return EgoMotion(*filtered, yaw_rad / dt_s, abs(speed_mps) <= _MAX_STILL_MPS)
         # without a measurement: the predicted speed, for a short time
         return EgoMotion(*self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan))
@@ -237,11 +240,12 @@ class StereoOdometry:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
+        notes = (*self._right.notes, *self._vibration.notes(self._rig.left.fx_px))
         if self._focal_factor == 1.0:
-            return self._right.notes
+            return notes
         pct = 100 * (self._focal_factor - 1)
         return (
-            *self._right.notes,
+            *notes,
             f"The focal length of both cameras changed by {pct:+.1f} % at about "
             f"{self._zoomed_s:.1f} s, as if they zoomed or focused: this is part of the sigma of "
             "every distance. Fix zoom and focus.",
