@@ -32,17 +32,16 @@ class RightCamera:
         default_factory=lambda: changes_of(np.zeros(5))
     )  # pitch, roll, zoom, offset and bow in px
 
-    @property
-    def applied_px(self) -> FloatArray:
-        """(5,) the changes that are significant; others are 0."""
-        mean, sigma, _ = self.change
-        is_clear = (np.abs(mean) > _MIN_SIGMAS * sigma) & (np.abs(mean) > _MIN_CHANGE_PX)
-        return np.where(is_clear, mean, 0.0)
+    # (5,) the changes that are significant; others are 0
+    applied_px: FloatArray = field(init=False)
+    is_warped: bool = field(init=False)  # whether right images are warped
 
-    @property
-    def is_warped(self) -> bool:
-        """Whether right images are warped."""
-        return bool((np.abs(self.applied_px[:BOW]) > _WARPED_PX).any())
+    def __post_init__(self) -> None:
+        mean, sigma, _ = self.change
+        is_clear = np.abs(mean) > np.maximum(_MIN_SIGMAS * sigma, _MIN_CHANGE_PX)
+        applied_px = np.where(is_clear, mean, 0.0)
+        object.__setattr__(self, "applied_px", applied_px)
+        object.__setattr__(self, "is_warped", bool(np.abs(applied_px[:BOW]).max() > _WARPED_PX))
 
     @property
     def matrix(self) -> FloatArray:

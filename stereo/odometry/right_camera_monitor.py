@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import mad_sigma
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.change_filter import ChangeFilter, Changes
@@ -214,11 +214,11 @@ def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
     """(P,) parameters of the values (N,) by the design (N, P), their covariance, and the fraction
     of the values that agree.
     """
-    centre = float(np.median(values))
-    residual = values - centre
+    residual = values - median_of(values)
     ridge = 1e-6 * len(values) * np.eye(design.shape[1])
     for _ in range(_N_ROUNDS):
-        scale = max(mad_sigma(residual), _NEAR_PX)
+        scatter = MAD_TO_SIGMA * float(median_of(np.abs(residual - median_of(residual))))
+        scale = max(scatter, _NEAR_PX)
         weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale)) ** 2)
         information = (design * weight[:, None]).T @ design + ridge
         solution = np.linalg.solve(information, design.T @ (weight * values))

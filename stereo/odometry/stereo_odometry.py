@@ -33,6 +33,7 @@ from track_range.foundation.arrays import (
     IntArray,
     check_shape,
 )
+from track_range.foundation.robust_statistics import median_of
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
     FlowFrame,
@@ -286,7 +287,7 @@ class StereoOdometry:
             frame.small, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start
         )
         disparity_px, row_px = (corners - matches).astype(np.float64).T
-        centre_px = float(np.median(row_px[is_matched])) if is_matched.any() else 0.0
+        centre_px = float(median_of(row_px[is_matched])) if is_matched.any() else 0.0
         if abs(centre_px) < _MAX_ROW_PX / 2:
             centre_px = 0.0
         is_matched &= np.abs(row_px - centre_px) <= _MAX_ROW_PX
