@@ -40,6 +40,7 @@ _STEADY_FRACTION = 0.6
 _N_USUAL, _MIN_USUAL, _LARGE_FRACTION = 8, 3, 0.25
 _N_IMAGES, _N_CYCLES = 90, 8  # latest new images, and repetitions among them, that show a rate
 _MIN_CYCLES = 3  # repetitions from which there is a rate
+_N_UNSURE = 20  # images after a repetition in which others would follow, if there were a pattern
 _REGULAR = 1.15  # largest spread of frame times about the rate, in frame intervals
 # Growth of the change with the time between frames, as an exponent: it is 0.4 to 1 for images that
 # were taken at the times of their frames.
@@ -55,6 +56,8 @@ class ImageTime(NamedTuple):
 
     time_s: float  # moment of the image; of a repetition, the time of its frame
     is_repeated: bool = False  # whether it is the last new image once more
+    # whether the time between new images is known: not after a repetition until a rate shows
+    is_sure: bool = True
 
 
 class _NewImage(NamedTuple):
@@ -101,7 +104,7 @@ class ImageTimes:
         self._usual.append((grey, block_grey))
         self._images.append(_NewImage(time_s, grey, self._n_row))
         self._end_row()
-        return ImageTime(self._moment_s())
+        return self._moment()
 
     def _start(self, small: Image, time_s: float) -> None:
         self._small = small
@@ -134,14 +137,16 @@ class ImageTimes:
             self._periods[self._n_since - 1] += 1
         self._n_row, self._n_since = 0, 1
 
-    def _moment_s(self) -> float:
+    def _moment(self) -> ImageTime:
         """Moment of the last new image: at the rate of the images, if they have one."""
         images = list(self._images)
         frame_s, longest = images[-1].frame_s, max(image.n_repeated for image in images)
+        if not longest:
+            return ImageTime(frame_s)
         # images of equal places in the pattern: those after the longest rows of repetitions
         after = [i for i, image in enumerate(images) if image.n_repeated == longest][-_N_CYCLES:]
-        if not longest or len(after) < _MIN_CYCLES:
-            return frame_s
+        if len(after) < _MIN_CYCLES:
+            return ImageTime(frame_s, is_sure=len(images) - after[0] > _N_UNSURE)
         first, last = after[0], after[-1]
         times_s = np.array([image.frame_s for image in images])
         step_s = (times_s[last] - times_s[first]) / (last - first)
@@ -149,8 +154,8 @@ class ImageTimes:
         spread_s = float(np.ptp((times_s - moments_s)[first:]))
         is_regular = spread_s <= _REGULAR * float(np.nanmedian(self._steps_s))
         if not is_regular or not _changes_equally(images[first:]):
-            return frame_s
-        return float(moments_s[-1])
+            return ImageTime(frame_s)
+        return ImageTime(float(moments_s[-1]))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -106,3 +106,18 @@ def test_images_of_another_size_start_anew():
     for k in range(10):
         times.update(image(6.0 * k), k / 10)
     assert times.update(image(54.0)[:120], 1.0) == ImageTime(1.0)
+
+
+def test_times_are_unsure_from_a_repetition_until_the_rate_shows():
+    _, found = shown([6.0 * ((5 * k + 4) // 6) for k in range(40)], fps=30.0)
+    # the third repetition is frame 17
+    assert [k for k, image in enumerate(found) if not image.is_sure] == [
+        k for k in range(6, 18) if k % 6 != 5
+    ]
+
+
+def test_times_are_sure_soon_after_a_single_repetition():
+    numbers = [*range(10), 9, *range(11, 50)]
+    _, found = shown([6.0 * number for number in numbers], fps=30.0)
+    unsure = [k for k, image in enumerate(found) if not image.is_sure]
+    assert (unsure[0], len(unsure)) == (11, 20)

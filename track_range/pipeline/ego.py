@@ -65,13 +65,14 @@ class EgoStage:
         *,
         trusts_given: bool = True,
         rig_scale: RigScale = CALIBRATED,
+        has_sure_time: bool = True,
     ) -> Ego:
         """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are
         not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage
         measures it. A given speed is used if it is trusted. `rig_scale` corrects what the pair
-        measures.
+        measures. A given speed is not compared with speeds of an unsure time.
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
@@ -88,10 +89,10 @@ class EgoStage:
             scaled = given if given is not None and trusts_given and not is_measured else motion
             self.camera_height.update(frame.time_s, scaled, by_road)
             height_m = self.camera_height.height_m
-        shown = by_road, (0.0, _HEIGHT_SIGMA if self.camera_height is None else _USUAL_SIGMA)
-        if by_pair is not None:
-            shown = by_pair, (-rig_scale.log_factor, min(_RIG_SIGMA + rig_scale.sigma, 1.0))
-        used = None if given is None else self._weighed(frame.time_s, given, *shown, known)
+        used = given
+        if given is not None:
+            shown = (by_pair, by_road) if has_sure_time else (None, None)
+            used = self._weighed(frame.time_s, given, *shown, rig_scale, known)
         ego = Ego(
             motion=_with_given(motion, used, trusts_given=trusts_given),
             by_pair=by_pair,
@@ -118,14 +119,19 @@ class EgoStage:
         self,
         time_s: float,
         given: EgoMotion,
-        measured: EgoMotion | None,
-        scale: tuple[float, float],
+        by_pair: EgoMotion | None,
+        by_road: EgoMotion | None,
+        rig_scale: RigScale,
         known: EgoMotion | None,
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
+        measured = by_road
+        scale = 0.0, _HEIGHT_SIGMA if self.camera_height is None else _USUAL_SIGMA
+        if self.pair_odometry is not None:
+            measured, scale = by_pair, (-rig_scale.log_factor, _RIG_SIGMA + rig_scale.sigma)
+        scale = scale[0], min(scale[1], 1.0)
         table = self.speed if known is None else None
-        measured = measured or EgoMotion()
-        return self.given_speed.update(time_s, given, measured, scale, table=table)
+        return self.given_speed.update(time_s, given, measured or EgoMotion(), scale, table=table)
 
     def predicted(
         self, time_s: float, known: EgoMotion | None = None, *, trusts_given: bool = True

@@ -79,7 +79,7 @@ class FramePipeline:
             seen = self._predicted(frame, known_ego)
         else:
             shown = detected._replace(frame=replace(frame, time_s=time_s))
-            seen = self._measured(shown, known_ego)
+            seen = self._measured(shown, known_ego, has_sure_time=image.is_sure)
         tracks, ego, measured = seen
         doubt, scale = self.doubt, self.scale
         if not image.is_repeated:
@@ -114,7 +114,9 @@ class FramePipeline:
             candidates=candidates,
         )
 
-    def _measured(self, detected: Detected, known_ego: EgoMotion | None) -> _Seen:
+    def _measured(
+        self, detected: Detected, known_ego: EgoMotion | None, *, has_sure_time: bool
+    ) -> _Seen:
         """What a new image shows."""
         frame, lanes, detections, _ = detected
         with self.clock.stage("track"):
@@ -126,6 +128,7 @@ class FramePipeline:
                 known_ego,
                 trusts_given=self.doubt.trusts_speed,
                 rig_scale=self.scale.rig,
+                has_sure_time=has_sure_time,
             )
         if ego.right_camera is not None:
             frame = ego.right_camera.corrected(frame)
