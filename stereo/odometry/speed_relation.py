@@ -21,7 +21,7 @@ _SPAN_S, _STEP_S = 30.0, 0.095  # latest samples that are used, and the time bet
 _UNKNOWN_MPS2 = 1.0  # usual acceleration before the first measurement
 _NOISE_FRACTION = 0.02  # of both speeds, by roads that are not plane and slopes of axes
 _MIN_MPS = 1.0  # smallest speeds that are compared: a receiver at rest may show anything
-_MIN_S = 1.0  # of samples
+_MIN_S, _MAX_STEP_S, _MIN_SAMPLES = 1.0, 0.2, 3  # time of all samples, and largest one of each
 _OUTLIER_SIGMA, _N_ROUNDS = 3.0, 3
 _MIN_VARIANCE = 1e-6
 
@@ -73,10 +73,12 @@ class SpeedRelation:
 
     def fit(self) -> RelationFit | None:
         """The relation by all samples; None = too few."""
-        if len(self._samples) < 3 or self._samples[-1][0] - self._samples[0][0] < _MIN_S:
+        if len(self._samples) < _MIN_SAMPLES:
             return None
         t, given, measured, known_variance = np.array(self._samples).T
-        step_s = np.minimum(np.gradient(t), _CORRELATED_S)
+        step_s = np.minimum(np.gradient(t), _MAX_STEP_S)
+        if step_s.sum() < _MIN_S:
+            return None
         at_s = t - LAGS_S[:, None]
         m = np.interp(at_s, t, measured)
         outside_s = np.maximum(t[0] - at_s, 0.0) + np.maximum(at_s - t[-1], 0.0)
