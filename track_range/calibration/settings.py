@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.foundation.schemas.options import Options, option
+from track_range.recording.speed_source import AUTO
 from track_range.recording.video.layouts import LayoutOption
 
 _ROAD = "From a drive, without a board"  # heading of the options of this calibration
@@ -231,6 +232,16 @@ class DriveInputs(Options):
             "standard deviations this one continues."
         ),
     ] = None
+    ego_speed: Annotated[
+        str,
+        option(
+            "Speed of the camera, which shows the focal length on a straight road: from GPS records "
+            "in the videos or in files beside them (auto), unknown (off), or of a single recording "
+            "a constant in km/h, a file, or KITTI's oxts folder.",
+            words=("auto", "off"),
+            metavar="KMH|FILE|DIR",
+        ),
+    ] = AUTO
     out: Annotated[
         Path | None,
         option("Calibration file to write, rig.yaml (default: the estimate is only printed)."),

@@ -85,12 +85,12 @@ def open_run(
         else:
             boxes = boxes_of(detector)
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
+        speed = open_speed(settings.ego_speed, recording)
         if detector is None:  # an object may depend on the order of the frames
-            recording = _with_estimate(recording, settings, box_source, shapes, progress)
+            recording = _with_estimate(recording, settings, box_source, shapes, progress, speed)
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
-        speed = open_speed(settings.ego_speed, recording)
         region = settings.region or _region_of(speed.track)
         pipeline = open_pipeline(
             settings,
@@ -121,6 +121,7 @@ def _with_estimate(
     boxes: BoxSource,
     shapes: SizeModel,
     progress: StepProgress,
+    speed: SpeedSource,
 ) -> Recording:
     """The recording with its unknown focal length and distortion estimated from its images, unless
     it is live.
@@ -129,7 +130,7 @@ def _with_estimate(
         return recording
     known = KnownMeasurements(objects=known_metres(settings.known_distance, (), ()))
     pre_pass = PrePass(detect=boxes.detect, sizes=shapes, known=known, progress=progress)
-    camera = pre_pass.camera_of([DriveVideo.of_recording(recording)])
+    camera = pre_pass.camera_of([DriveVideo.of_recording(recording, speed.ego)])
     return recording.with_camera(camera.estimate)
 
 

@@ -5,13 +5,21 @@
 import json
 import math
 import shutil
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from track_range.calibration.drive.drive_video import DriveVideo
-from track_range.calibration.drive.pre_pass import thinned, undistorted, with_motion
+from track_range.calibration.drive.pre_pass import (
+    DriveCamera,
+    MountedCamera,
+    thinned,
+    undistorted,
+    with_motion,
+    with_speed,
+)
 from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import video_name
@@ -117,6 +125,28 @@ def test_part_that_was_asked_for(tmp_path):
         RecordingOptions(start_s=2.0, duration_s=3.0),
     )
     assert part.parts_s() == [(2.0, 3.0)]
+
+
+def test_speed_gives_the_focal_length_by_hand():
+    fit = SimpleNamespace(height_m=1.25, height_sigma_m=0.05)
+    scene = SimpleNamespace(estimate=usual())
+    before = DriveCamera(estimate=usual(), shapes=scene, scene=SceneBoxes(), n_frames=1)
+    mounted = with_speed(MountedCamera(before, usual(), fit), 1250.0, 0.03)
+    estimate = mounted.drive_camera.estimate
+    # 1250 px m / 1.25 m, and sqrt(0.03^2 + 0.04^2 + 0.06^2) = 0.078
+    assert estimate.focal_px == pytest.approx(1000, rel=0.02)
+    assert 0.07 < estimate.sigma < 0.1
+    assert estimate.leading.kind == "speed"
+    assert "from the speed of the camera" in estimate.sentence
+
+
+def test_straight_parts_are_read_where_a_speed_is_given(tmp_path):
+    turning = write_video(tmp_path / "turn.mp4", [0] * 120 + [-4] * 60 + [0] * 120)
+    assert len(turning.parts_s()) == 1
+    assert turning.parts_s()[0][1] is not None
+    assert turning.with_speed("36").parts_s() == [(0.0, None)]
+    assert turning.with_speed("36").speed.at(3.0) == pytest.approx(10.0)
+    assert turning.with_speed("auto").speed is None
 
 
 @pytest.mark.slow

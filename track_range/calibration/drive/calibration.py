@@ -27,6 +27,7 @@ from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.cameras.camera_fit import CameraFit
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.sources.names import source_of, video_name
+from track_range.recording.speed_source import AUTO, OFF
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.rig import Mounting
@@ -148,6 +149,12 @@ def calibrate_from_drives(
                 f"{w}x{h} px; recordings of one camera have one size, so calibrate each apart."
             )
     known.check(first)
+    if settings.ego_speed not in (AUTO, OFF) and len(drives) > 1:
+        raise UsageError(
+            f"--ego-speed {settings.ego_speed}: expected auto or off for several recordings, whose "
+            "speeds are beside them; calibrate one recording, and continue from it with --rig."
+        )
+    drives = [drive.with_speed(settings.ego_speed) for drive in drives]
     pre_pass = PrePass(
         detect=open_detect(),
         sizes=load_curves(settings.curves, "europe"),

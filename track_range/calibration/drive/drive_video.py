@@ -10,16 +10,18 @@ from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.recording import Recording, open_recording
 from track_range.recording.sources.names import VideoName, source_of
 from track_range.recording.sources.open_video import open_video
+from track_range.recording.speed_source import open_speed
 from track_range.recording.video.options import DEFAULTS, RecordingOptions
 from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.self_calibration.turns import turning_spans
 
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0
 # Length in which turns are sought: decoding an hour would take minutes. Time between the images, and
 # the smallest turn after which no other part is read.
-_SCANNED_S, _SCAN_S, _MIN_TURN_DEG = 180.0, 0.25, 15.0
+_SCANNED_S, _SCAN_S, _MIN_TURN_DEG = 180.0, 0.25, 20.0
 # starts of the parts of a longer recording, as fractions of it
 _PARTS = (0.0, 0.5, 0.85)
 
@@ -36,6 +38,7 @@ class DriveVideo:
     guesses: tuple[FocalGuess, ...]  # of the focal length, from outside the images
     # how it is opened; `start_s` and `duration_s` are the part that may be read
     options: RecordingOptions = DEFAULTS
+    speed: EgoSpeed | None = None  # of the camera, from outside the images; None = unknown
 
     @classmethod
     def of(cls, name: VideoName, camera_model: str | None = None) -> "DriveVideo":
@@ -50,9 +53,9 @@ class DriveVideo:
             return cls(name, reader.shown_size_px, duration_s, guesses)
 
     @classmethod
-    def of_recording(cls, recording: Recording) -> "DriveVideo":
+    def of_recording(cls, recording: Recording, speed: EgoSpeed | None = None) -> "DriveVideo":
         """The drive of the left or only camera of an opened recording without a calibration, which
-        is opened again.
+        is opened again; `speed` is that of the camera, if it is given.
         """
         video, options = recording.videos[0], recording.options
         duration_s = (video.n_frames or 0) / video.fps if video.fps else 0.0
@@ -62,7 +65,13 @@ class DriveVideo:
             duration_s,
             recording.calibration.guesses,
             replace(options, topics=(), stereo_layout=None, start_utc=None),
+            speed,
         )
+
+    def with_speed(self, setting: str) -> "DriveVideo":
+        """The drive with the speed of a setting of `open_speed`; its errors."""
+        with self.opened(0.0, None) as recording:
+            return replace(self, speed=open_speed(setting, recording).ego)
 
     def parts_s(self) -> list[tuple[float, float | None]]:
         """Start and length of each part that is read, None = to the end: those with the largest
@@ -70,8 +79,8 @@ class DriveVideo:
         """
         start_s, given_s = self.options.start_s, self.options.duration_s
         length_s = self.duration_s if given_s is None else min(given_s, self.duration_s or given_s)
-        if 0 < length_s <= _PART_S:
-            return [(start_s, given_s)]
+        if 0 < length_s <= (_PART_S if self.speed is None else _WHOLE_S):
+            return [(start_s, given_s)]  # straight parts, too, show the scale of a given speed
         with self.opened(start_s, min(length_s or _SCANNED_S, _SCANNED_S)) as recording:
             images = ((frame.time_s, frame.left) for frame in every_step(_SCAN_S, recording.frames))
             turns = turning_spans(images, span_s=_PART_S, min_turn_deg=_MIN_TURN_DEG)

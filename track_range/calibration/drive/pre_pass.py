@@ -6,6 +6,7 @@
 `track-range calibrate` and every run of a recording without a calibration call it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -47,6 +48,8 @@ _UNKNOWN_SIGMA = 0.15
 # of a focal length from motion above which the motion does not separate it from the distortion
 _LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
+# of the logarithm of the sizes of the road users of a drive, of an unknown region
+_SIZES_SIGMA = 0.06
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
 
@@ -97,10 +100,25 @@ class PrePass:
         """
         if self.known.are_given:
             return self.mounted_camera_of(drives).drive_camera
+        if any(drive.speed is not None for drive in drives):
+            return self._mounted(drives).drive_camera
         return self._evaluated(drives[0], self._seen(drives, has_horizon=False))
 
     def mounted_camera_of(self, drives: Sequence[DriveVideo]) -> MountedCamera:
-        """The camera with its height and pitch; the same errors."""
+        """The camera with its height and pitch; the same errors, and UsageError if the height is
+        impossible.
+        """
+        mounted = self._mounted(drives)
+        low, high = _CAMERA_HEIGHT_M
+        if not low <= mounted.fit.height_m <= high:
+            raise UsageError(
+                f"expected measurements that give a camera height of {low:g} to {high:g} m, found "
+                f"{mounted.fit.height_m:.2f} m; check the boxes, the rows of lanes, and the "
+                "distances in metres."
+            )
+        return mounted
+
+    def _mounted(self, drives: Sequence[DriveVideo]) -> MountedCamera:
         first = drives[0]
         self.known.check(first)
         objects = known_objects(self.known.objects, first, self.detect)
@@ -113,7 +131,10 @@ class PrePass:
             scene=drive_camera.scene,
             scene_noise=drive_camera.shapes.relative_noise,
         )
-        return self._fitted(drive_camera, measured)
+        mounted = self._fitted(drive_camera, measured)
+        if (height := view.heights.height_m) is None:
+            return mounted
+        return with_speed(mounted, view.focal_px * height[0], height[1] / height[0])
 
     def _seen(self, drives: Sequence[DriveVideo], *, has_horizon: bool) -> RoadEvidence:
         """What the images of the drives show."""
@@ -122,7 +143,9 @@ class PrePass:
             for drive in drives:
                 for start_s, duration_s in drive.parts_s():
                     with drive.opened(start_s, duration_s) as recording:
-                        view.add(recording.camera, recording.frames, self.detect, advance)
+                        view.add(
+                            recording.camera, recording.frames, self.detect, advance, drive.speed
+                        )
         return view
 
     def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
@@ -130,7 +153,7 @@ class PrePass:
         size_px = drive.size_px
         estimate = CameraEstimate(size_px=size_px, sources=self._outside_sources(drive))
         motion = view.motion_estimate()
-        if motion is not None and motion.sigma < _UNKNOWN_SIGMA:
+        if motion is not None:
             estimate = with_motion(estimate, motion)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
@@ -157,21 +180,12 @@ class PrePass:
         return tuple(source_of_guess(guess, kind, width_px) for kind, guess in kinds)
 
     def _fitted(self, drive_camera: DriveCamera, measured: CameraMeasurements) -> MountedCamera:
-        """The camera with its height and pitch, and with the user's measurements as a source;
-        UsageError if the height is impossible.
-        """
+        """The camera with its height and pitch, and with the user's measurements as a source."""
         height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
         if self.known.camera_height_m is not None:
             height = self.known.camera_height_m, _MEASURED_HEIGHT_SIGMA_M
         before = drive_camera.estimate
         fit = fit_camera(before.size_px, before.guess, self.sizes, measured, height=height)
-        low, high = _CAMERA_HEIGHT_M
-        if not low <= fit.height_m <= high:
-            raise UsageError(
-                f"expected measurements that give a camera height of {low:g} to {high:g} m, found "
-                f"{fit.height_m:.2f} m; check the boxes, the rows of lanes, and the distances in "
-                "metres."
-            )
         known = _known_source(fit, before) if self.known.are_given else None
         if known is not None:
             estimate = replace(before, sources=(*before.sources, known))
@@ -194,7 +208,7 @@ def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
 
 
 def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimate:
-    """The estimate with the evidence of the motion of the static scene."""
+    """The estimate with the evidence of the motion of the static scene, where it shows any."""
     minutes, seconds = divmod(round(motion.span_s[0]), 60)
     source = f"the turn at {minutes}:{seconds:02}"
     if motion.turn_deg < _TURN_DEG:
@@ -203,10 +217,26 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimat
     by_motion = source_of_curve(
         "motion", source, focal_px, motion.log_likelihood, before.size_px[0]
     )
+    sigma = CameraEstimate(size_px=before.size_px, sources=(by_motion,)).sigma
+    if sigma > _UNKNOWN_SIGMA:
+        return before
     estimate = replace(before, sources=(*before.sources, by_motion))
-    if motion.sigma > _LENS_SIGMA:
+    if sigma > _LENS_SIGMA:
         return estimate
     return replace(estimate, k1=motion.k1, k1_sigma=motion.k1_sigma)
+
+
+def with_speed(mounted: MountedCamera, product_px_m: float, sigma: float) -> MountedCamera:
+    """The camera with a given speed: the motion of the road shows the product of focal length and
+    camera height, with the relative standard deviation `sigma`, and the contact points and sizes of
+    road users the height.
+    """
+    fit, estimate = mounted.fit, mounted.drive_camera.estimate
+    sigma = math.hypot(sigma, fit.height_sigma_m / fit.height_m, _SIZES_SIGMA)
+    guess = FocalGuess(product_px_m / fit.height_m, sigma, "the speed of the camera")
+    by_speed = source_of_guess(guess, "speed", estimate.size_px[0])
+    estimate = replace(estimate, sources=(*estimate.sources, by_speed))
+    return replace(mounted, drive_camera=replace(mounted.drive_camera, estimate=estimate))
 
 
 def thinned(boxes: SceneBoxes) -> SceneBoxes:

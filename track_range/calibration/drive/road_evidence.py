@@ -6,6 +6,7 @@ the ego lane, where they meet, and from the direction of travel (epipole), which
 road.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,6 +17,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.ranging.cameras.camera_fit import HEIGHT_M
 from track_range.ranging.cameras.measurements import (
     HorizonRow,
     SceneBoxes,
@@ -23,6 +25,10 @@ from track_range.ranging.cameras.measurements import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_height import CameraHeight
+from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
 from track_range.tracking.registry import create_tracker
@@ -43,12 +49,15 @@ class RoadEvidence:
     """The evidence so far."""
 
     has_horizon: bool  # whether the row of the horizon is sought
+    focal_px: float = math.nan  # of the approximate camera
     n_frames: int = 0
     # of tracks, not hidden by others, by frame
     boxes: list[SceneBoxes] = field(default_factory=list)
     lane_rows: list[float] = field(default_factory=list)  # rows of the horizon from lanes, px
     travel_rows: list[float] = field(default_factory=list)  # rows of the direction of travel, px
     motion: SceneMotion | None = None  # of the static scene in all parts; None = none was added
+    # height of the camera by the given speed, at the approximate focal length
+    heights: CameraHeight = field(default_factory=lambda: CameraHeight(HEIGHT_M))
     _n_parts: int = 0
 
     def add(
@@ -57,21 +66,24 @@ class RoadEvidence:
         frames: Iterable[Frame],
         detect: Callable[[Frame], Detections],
         advance: Callable[[int, int | None], None],
+        speed: EgoSpeed | None = None,
     ) -> None:
-        """Add a part of a video of an approximate camera; `advance` is called with the number of
-        frames so far.
+        """Add a part of a video of an approximate camera, perhaps with its given speed; `advance` is
+        called with the number of frames so far.
         """
         tracker, lanes, travel = (
             create_tracker("deepsort"),
             EdgeLaneFinder(),
             ImageMotionEstimator(camera),
         )
+        self.focal_px = camera.fx_px
         if self.motion is None:
             self.motion = SceneMotion(camera.size_px, start_px=camera.fx_px)
         # parts of several videos follow each other with a gap
         base_s = self._n_parts * _PART_GAP_S
         self._n_parts += 1
         detections, detected_s = Detections.empty(), -np.inf
+        road = None if speed is None else GroundOdometry(camera, HEIGHT_M)
         for frame in every_step(STEP_S, frames):
             if frame.time_s - detected_s > DETECTION_S - TIME_EPSILON_S:
                 detections, detected_s = detect(frame), frame.time_s
@@ -80,6 +92,10 @@ class RoadEvidence:
                 ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
                 self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
             self.motion.add(frame.left, base_s + frame.time_s, detections.xyxy_px)
+            if road is not None and speed is not None:
+                known = EgoMotion(speed_mps=speed.at(frame.time_s))
+                by_road = road.update(frame, detections.xyxy_px)
+                self.heights.update(base_s + frame.time_s, known, by_road)
             if self.has_horizon:
                 if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
                     self.lane_rows.append(row[0])
