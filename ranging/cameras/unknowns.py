@@ -68,7 +68,7 @@ _SIZES_SIGMA = 0.026, 0.055
 # by any factor; boards have squares of all sizes
 _WRONG: tuple[tuple[float, float], ...] = (0.25, 0.015), (1.5, 0.005)
 _WRONG_BASELINE = (0.25, 0.03), (1.5, 0.02)
-_WRONG_OFFSET = ((4.0, 0.15),)  # px: a camera that was hit, or videos cropped after the calibration
+_WRONG_OFFSET = ((4.0, 0.05),)  # px: a camera that was hit, or videos cropped after the calibration
 # wrong clocks are rare: they are those of conversions
 _WRONG_CLOCK = ((0.3, 0.003),)
 # of one mistake of `MISTAKES`, and of one of the clock

@@ -292,7 +292,7 @@ def test_scale_is_not_known_without_evidence():
     assert check_of(2.0, n=1).rig_scale.is_known
 
 
-def pair_check(offset_px, *, residual_px=0.5, is_assumed=False, seed=0, n=24):
+def pair_check(offset_px, *, residual_px=0.5, is_assumed=False, seed=0, n=40):
     """The check of a single pair with `n` cars, whose disparities are too small by `offset_px`."""
     rng = np.random.default_rng(seed)
     rig = StereoRig.rectified(CAMERA, 0.5)
@@ -334,8 +334,8 @@ def test_vergence_of_a_single_pair_is_found_by_the_sizes_of_near_and_far_cars(
         errors.append(np.median(np.abs(ranges.distance_m / true_m - 1)))
         within.append(np.mean(np.abs(ranges.distance_m - true_m) < 2 * sigma_m))
     assert np.median(errors) < 0.08  # about 15 % without the correction
-    # a rig is rarely so wrong, which half of these pairs cannot exclude
-    assert np.mean(within) > (0.9 if is_assumed else 0.65)
+    # a rig is rarely so wrong, which some of these pairs cannot exclude
+    assert np.mean(within) > (0.9 if is_assumed else 0.75)
 
 
 def test_measured_alignment_is_not_corrected_by_sizes():
