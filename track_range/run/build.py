@@ -86,7 +86,9 @@ def open_pipeline(
         context, flow, ego_speed, measures_speed=measures_speed, yaw_deg=calibration.view.yaw_deg
     )
     priors = _camera_priors(context, calibration)
-    check = _scale_check(context, priors, settings.lane_width_m) if is_ahead else None
+    check = None
+    if is_ahead:
+        check = _scale_check(context, priors, calibration, settings.lane_width_m)
     warning = CollisionWarning(settings.warning_settings) if is_ahead else None
     camera = calibration.camera
     return FramePipeline(
@@ -181,12 +183,18 @@ def _camera_priors(context: MethodContext, calibration: RecordingCalibration) ->
 
 
 def _scale_check(
-    context: MethodContext, priors: CameraPriors, lane_width_m: float | None
+    context: MethodContext,
+    priors: CameraPriors,
+    calibration: RecordingCalibration,
+    lane_width_m: float | None,
 ) -> ScaleCheck:
+    # disparities of a calibrated pair that the user wants as they are
+    alignment = calibration.alignment
+    is_off = alignment is not None and alignment.is_off and calibration.kind == "rig"
     return ScaleCheck(
         context.camera,
         priors,
-        rig=context.rig,
+        rig=None if is_off else context.rig,
         lane=usual_width(context.region, lane_width_m),
         sizes=context.size_model,
         road_height_m=_road_height_m(context),

@@ -155,10 +155,10 @@ def test_a_pair_without_a_rig_is_aligned_by_its_motion() -> None:
     recorded = drive_after_a_stop(4.0)[60:]
     aligner = PairAligner(without_rig(SLOW_RIG), RECORDED)
     looked(aligner, recorded)
-    alignment = next(aligner.frames(recorded)).alignment
+    alignment = aligner.calibration.alignment
     assert alignment is not None
-    assert alignment.offset_px + alignment.shift_px == pytest.approx(-4.0, abs=0.3)
-    assert alignment.residual_px < 0.5
+    assert alignment.applied.offset_px == pytest.approx(-4.0, abs=0.3)
+    assert alignment.applied.residual_px < 0.5
 
 
 def test_images_of_other_scenes_without_a_rig_are_not_matched() -> None:

@@ -14,6 +14,8 @@ from track_range.stereo.alignment.health import RigHealth, Window
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 
+_OFF = "off, as requested"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairAlignment:
@@ -102,6 +104,11 @@ class PairAlignment:
         windows = () if self.drifting is None else self.drifting.windows
         return RigHealth(self.rig, self.measured, self.applied, windows)
 
+    @property
+    def is_off(self) -> bool:
+        """Whether the user wants no correction."""
+        return self.measured.source == _OFF
+
     def summary(self) -> dict[str, Any]:
         """The section `alignment` of summary.json."""
         measured = self.measured
@@ -133,7 +140,7 @@ def given_alignment(
     if isinstance(align, Alignment):
         return PairAlignment(measured=align, is_applied=True, rig=rig)
     if align == "off":
-        unmeasured = replace(rig.unaligned, source="off, as requested")
+        unmeasured = replace(rig.unaligned, source=_OFF)
         return PairAlignment(measured=unmeasured, is_applied=False, rig=rig)
     return (
         None
