@@ -36,6 +36,9 @@ class Doubt:
     odometry_sigma: float = 0.0
     given_sigma: float = 0.0
     closing_sigma: float = 0.0  # the same of closing speeds: of the fused distance and the times
+    # height of the camera above the road and its standard deviation, as the drive shows it; None =
+    # as assumed
+    height_m: tuple[float, float] | None = None
 
     @property
     def trusts_speed(self) -> bool:

@@ -43,6 +43,10 @@ _FREE_SIGMA = 3.0  # of a baseline that is not known at all
 # what lengths by a pair and its baseline depend on
 _RIG_LENGTHS: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 _RIG: Sum = {Unknown.BASELINE: 1.0}
+# heights by the speeds of a pair and of the road, and by a given speed and that of the road
+_RIG_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.BASELINE: 1.0}
+_ROAD_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0}
+_MAX_HEIGHT_SIGMA = 0.05  # relative, of a height by a drive that is used
 _MAX_RIG_SIGMA = 0.2  # of one of them, at which distances by size are better
 _MIN_OFFSET_PX = 1.0  # of the disparities, of which the user is told
 _INTERVAL_S = 0.5  # between two evaluations, at most
@@ -135,6 +139,24 @@ class ScaleCheck:
             rig.left.fx_px * rig.baseline_m,
             centre=-cameras.covariance_of(of, _RIG_LENGTHS) / variance,
         )
+
+    @property
+    def height_m(self) -> tuple[float, float] | None:
+        """Height of the camera above the road and its standard deviation, with which distances by
+        the road have the scale of all others; None = it is given, or not known well.
+        """
+        assumed = self.priors[Unknown.HEIGHT]
+        if assumed.kind == "given":
+            return None
+        has_rig = Unknown.BASELINE in self.priors
+        of = _RIG_HEIGHT if has_rig else _ROAD_HEIGHT
+        mean = self.cameras.correction(of)
+        sigma = self.cameras.sigma_of(of, mean)
+        rig = self.rig_scale
+        if sigma > _MAX_HEIGHT_SIGMA or not rig.is_known:
+            return None
+        height_m = assumed.value * math.exp(mean - rig.log_factor)
+        return height_m, sigma * height_m
 
     def update(self, seen: SeenFrame) -> bool:
         """Add a frame; True = the posterior and the doubt are new."""

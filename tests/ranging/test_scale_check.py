@@ -351,3 +351,14 @@ def test_disparities_without_an_offset_are_hardly_changed():
         assert abs(check.rig_scale.offset.px) < 1.0
         assert np.median(np.abs(ranges.distance_m / true_m - 1)) < 0.03
         assert check.notes[0].startswith("The baseline")
+
+
+@pytest.mark.parametrize("height_m", [1.1, 2.0])
+def test_height_of_the_camera_by_speeds(height_m):
+    """By stereo odometry, and by a given speed; not by sizes alone, nor where it is given."""
+    for given in ({}, {"rig": None, "speed": 1.0}):
+        shown_m, sigma_m = check_of(true_height_m=height_m, true_mps=12.0, **given).height_m
+        assert abs(shown_m - height_m) < 2.5 * sigma_m
+        assert sigma_m < 0.05 * height_m
+    assert check_of(true_height_m=height_m).height_m is None
+    assert check_of(true_height_m=height_m, true_mps=12.0, height_m=height_m).height_m is None

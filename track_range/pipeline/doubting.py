@@ -70,7 +70,8 @@ class DoubtStage:
                 frame.left,
             )
             if check.update(seen):
-                self._doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
+                doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
+                self._doubt = replace(doubt, height_m=check.height_m)
         doubt = self._doubt.zoomed(ego.focal_change)
         is_in_doubt = self._doubt.scale is not None
         after = DriveScale() if is_in_doubt else scale.after(measured.evidence, frame.time_s)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import (
     Ego,
     EgoMotion,
@@ -34,7 +33,7 @@ class EgoStage:
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
     # whether the speed of `road_motion` is used: the height of the camera is known
     has_road_scale: bool = False
-    camera_height: CameraHeight | None = None  # from a known speed, where it is not given
+    is_height_given: bool = False  # the height of the camera of `road_motion`
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`
     given_speed: GivenSpeed = field(default_factory=GivenSpeed)  # against that of the images
     # motion in the last frame that was measured, and its time
@@ -66,13 +65,15 @@ class EgoStage:
         trusts_given: bool = True,
         rig_scale: RigScale = CALIBRATED,
         has_sure_time: bool = True,
+        height_m: tuple[float, float] | None = None,
     ) -> Ego:
         """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are
         not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage
         measures it. A given speed is used if it is trusted. `rig_scale` corrects what the pair
-        measures. A given speed is not compared with speeds of an unsure time.
+        measures; `height_m` is the height of the camera by the drive and its standard deviation,
+        None = as assumed. A given speed is not compared with speeds of an unsure time.
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
@@ -83,12 +84,6 @@ class EgoStage:
             motion = EgoMotion(yaw_rad_s=self._yaw_rad_s(frame, xyxy_px))
         self._last = frame.time_s, motion
         given = self._given(frame.time_s, known)
-        height_m = None
-        if by_road is not None and self.camera_height is not None:
-            is_measured = math.isfinite(motion.speed_mps)
-            scaled = given if given is not None and trusts_given and not is_measured else motion
-            self.camera_height.update(frame.time_s, scaled, by_road)
-            height_m = self.camera_height.height_m
         used = given
         if given is not None:
             shown = (by_pair, by_road) if has_sure_time else (None, None)
@@ -126,7 +121,7 @@ class EgoStage:
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
         measured = by_road
-        scale = 0.0, _HEIGHT_SIGMA if self.camera_height is None else _USUAL_SIGMA
+        scale = 0.0, _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         if self.pair_odometry is not None:
             measured, scale = by_pair, (-rig_scale.log_factor, _RIG_SIGMA + rig_scale.sigma)
         scale = scale[0], min(scale[1], 1.0)

@@ -129,6 +129,7 @@ class FramePipeline:
                 trusts_given=self.doubt.trusts_speed,
                 rig_scale=self.scale.rig,
                 has_sure_time=has_sure_time,
+                height_m=self.doubt.height_m,
             )
         if ego.right_camera is not None:
             frame = ego.right_camera.corrected(frame)

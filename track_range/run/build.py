@@ -31,7 +31,6 @@ from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
@@ -164,7 +163,7 @@ def _ego_stage(
         pair_odometry=pair_odometry,
         road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
         has_road_scale=measures_speed and ego_speed is None and is_height_known,
-        camera_height=None if is_height_known else CameraHeight(road_height_m),
+        is_height_given=is_height_known,
     )
 
 
