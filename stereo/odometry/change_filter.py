@@ -21,7 +21,7 @@ from track_range.foundation.arrays import FloatArray
 _FIRM, _LOOSE, _HIT_PX = 0.005, 0.4, 5.0
 # probability of each motion (column) in the frame after each motion (row)
 _NEXT = np.array(
-    [[1 - 1.1e-3, 1e-3, 1e-4], [0.05, 0.949, 1e-3], [0.7, 0.29, 0.01]],
+    [[1 - 1.1e-3, 1e-3, 1e-4], [0.01, 0.989, 1e-3], [0.7, 0.29, 0.01]],
 )
 _LASTING_S = 1.0  # time constant of lasting errors
 _MIN_STEP_SIGMAS = 4.0  # of a step that noise does not explain
