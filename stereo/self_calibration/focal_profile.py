@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.self_calibration.common_errors import LensCovariance, lens_covariance
 from track_range.stereo.self_calibration.radial_lens import (
     CX,
     CY,
@@ -39,11 +40,14 @@ _ROUNDS = ((2.0, 6.0), (3.0, 4.5))
 _LAST_SIGMAS = 4.0
 # distances in log f from the best one at which the cost is computed, until it is so much higher
 _DISTANCES, _ENOUGH_COST = (0.03, 0.06, 0.12, 0.24, 0.48, 0.96), 150.0
-_START_NOISE_PX = (0.5, 0.25)  # of the first two fits of a scene
-_FIRST_LIMIT = 8.0  # largest residual of a point, in sigmas, after them
+_START_NOISE_PX, _START_STEPS = (0.5, 0.25), (14, 8)  # of the two fits of a scene at its start
+_MAX_NOISE_PX = 0.9  # of a usable scene at the start
+# largest noise of a scene, relative to the median scene: others have a wrong motion
+_MAX_NOISE_RATIO = 1.6
 _MIN_STATIC_FRACTION = 0.4  # of the points of a scene
-_MAX_NOISE_PX = 0.6  # of a usable scene
 _MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
+# decreases of the cost at which rounds of the selection, the last fit, and fits beside it end
+_ROUND_GAIN, _LAST_GAIN, _PROFILE_GAIN = 0.5, 0.01, 0.3
 # prior sigma of k1, and of the principal point as a fraction of the image width
 _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
 FOCAL_RANGE = (0.3, 3.5)  # of the focal length, in image widths
@@ -67,24 +71,28 @@ def observed_points(numbers: Sequence[np.ndarray], xy_px: Sequence[FloatArray]) 
 def started_scene(
     observed: Observed, lens: RadialLens, span_s: tuple[float, float]
 ) -> SceneBundle | None:
-    """The scene of some observations at an assumed lens; None if its points do not fit it."""
+    """The scene of some observations at an assumed lens; None if no motion fits its points.
+
+    All points stay, since at a wrong focal length many static ones do not fit.
+    """
     fixed = LensPrior(lens.parameters, np.zeros(N_PARAMETERS))
     scene = SceneBundle.at_start(observed, lens, _START_NOISE_PX[0], span_s)
     try:
-        for noise_px in _START_NOISE_PX:
-            fit = fit_scenes(
-                [replace(scene, noise_px=noise_px)], lens, fixed, cauchy_sigmas=2.0, max_steps=20
-            )
+        for noise_px, max_steps in zip(_START_NOISE_PX, _START_STEPS, strict=True):
+            noisy = replace(scene, noise_px=noise_px)
+            fit = fit_scenes([noisy], lens, fixed, cauchy_sigmas=2.0, max_steps=max_steps)
             scene = fit.scenes[0]
     except np.linalg.LinAlgError:
         return None
-    return _selected(scene.with_noise(lens), lens, _FIRST_LIMIT)
+    scene = scene.with_noise(lens)
+    return scene if scene.noise_px < _MAX_NOISE_PX else None
 
 
 class FocalProfile(NamedTuple):
     """The best fit, and -2 log likelihood at some logarithms of the focal length."""
 
     fit: SceneFit
+    covariance: LensCovariance  # of the lens
     log_focal: FloatArray  # (G,) ascending
     cost: FloatArray  # (G,) above that of the best one
 
@@ -103,13 +111,18 @@ def focal_profile(
     limits = np.log(np.array(FOCAL_RANGE) * width_px)
     prior = LensPrior(mean, sigma, (float(limits[0]), float(limits[1])))
     for cauchy_sigmas, limit in _ROUNDS:
-        fit = fit_scenes(scenes, lens, prior, cauchy_sigmas=cauchy_sigmas)
+        fit = fit_scenes(scenes, lens, prior, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN)
         lens = fit.lens
-        selected = [_selected(scene.with_noise(lens), lens, limit) for scene in fit.scenes]
+        noisy = [scene.with_noise(lens) for scene in fit.scenes]
+        max_noise_px = _MAX_NOISE_RATIO * float(np.median([scene.noise_px for scene in noisy]))
+        selected = [
+            _selected(scene, lens, limit) for scene in noisy if scene.noise_px < max_noise_px
+        ]
         scenes = [scene for scene in selected if scene is not None]
         if not scenes:
             return None
-    best = fit_scenes(scenes, lens, prior, cauchy_sigmas=_LAST_SIGMAS, min_gain=1e-3)
+    best = fit_scenes(scenes, lens, prior, cauchy_sigmas=_LAST_SIGMAS, min_gain=_LAST_GAIN)
+    covariance = lens_covariance(best.scenes, best.lens, prior, _LAST_SIGMAS)
     fits = [best]
     for side in (-1, 1):
         near = best
@@ -124,7 +137,7 @@ def focal_profile(
     fits.sort(key=lambda fit: float(fit.lens.parameters[LOG_FOCAL]))
     log_focal = np.array([fit.lens.parameters[LOG_FOCAL] for fit in fits])
     cost = np.array([fit.cost for fit in fits])
-    return FocalProfile(fits[int(cost.argmin())], log_focal, cost - cost.min())
+    return FocalProfile(best, covariance, log_focal, cost - cost.min())
 
 
 def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
@@ -135,17 +148,18 @@ def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
     is_fixed = np.arange(N_PARAMETERS) == LOG_FOCAL
     fixed = LensPrior(prior.mean, np.where(is_fixed, 0.0, prior.sigma))
     return fit_scenes(
-        scenes, near.lens.moved(step), fixed, cauchy_sigmas=_LAST_SIGMAS, max_steps=15
+        scenes,
+        near.lens.moved(step),
+        fixed,
+        cauchy_sigmas=_LAST_SIGMAS,
+        max_steps=8,
+        min_gain=_PROFILE_GAIN,
     )
 
 
 def _selected(scene: SceneBundle, lens: RadialLens, limit: float) -> SceneBundle | None:
     """The scene with the points whose residuals are below the limit in sigmas; None with too few."""
     is_static = scene.largest_error_px(lens) < limit * max(scene.noise_px, _MIN_LIMIT_NOISE_PX)
-    if (
-        is_static.sum() < MIN_POINTS
-        or is_static.mean() < _MIN_STATIC_FRACTION
-        or scene.noise_px > _MAX_NOISE_PX
-    ):
+    if is_static.sum() < MIN_POINTS or is_static.mean() < _MIN_STATIC_FRACTION:
         return None
     return scene.only_points(is_static).with_noise(lens)

@@ -55,6 +55,14 @@ class Observed(NamedTuple):
         rows, number = is_used[self.point], np.cumsum(is_used) - 1
         return Observed(self.frame[rows], number[self.point[rows]], self.xy_px[rows])
 
+    def median_flow_px(self, frame: int) -> FloatArray:
+        """(2,) median flow to a frame from the one before; 0 with too few common points."""
+        before, now = self.frame == frame - 1, self.frame == frame
+        _, i, j = np.intersect1d(self.point[before], self.point[now], return_indices=True)
+        if len(i) < _MIN_COMMON:
+            return np.zeros(2)
+        return np.asarray(np.median(self.xy_px[now][j] - self.xy_px[before][i], axis=0))
+
 
 @dataclass(frozen=True, slots=True)
 class SceneBundle:
@@ -76,14 +84,17 @@ class SceneBundle:
         noise_px: float,
         span_s: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
-        """A drive straight ahead past equally distant points, turned as the median flow turns."""
+        """A drive with a constant speed along the axis past equally distant points, turned as the
+        median flow turns.
+        """
         n_frames, n_points = int(observed.frame.max()) + 1, int(observed.point.max()) + 1
         rotation = np.tile(np.eye(3), (n_frames, 1, 1))
+        position, translation = np.zeros(3), np.zeros((n_frames, 3))
         for frame in range(1, n_frames):
-            step = _median_turn(observed, frame, lens.focal_px)
-            rotation[frame] = cv2.Rodrigues(step)[0] @ rotation[frame - 1]
-        translation = np.zeros((n_frames, 3))
-        translation[:, 2] = -np.linspace(0.0, 1.0, n_frames)
+            dx, dy = observed.median_flow_px(frame) / lens.focal_px
+            rotation[frame] = cv2.Rodrigues(np.array([-dy, dx, 0.0]))[0] @ rotation[frame - 1]
+            position = position + rotation[frame][2] / (n_frames - 1)
+            translation[frame] = -rotation[frame] @ position
         order = np.lexsort((observed.frame, observed.point))
         first = order[np.searchsorted(observed.point[order], np.arange(n_points))]
         seen = lens.directions(observed.xy_px[first])
@@ -276,16 +287,16 @@ def _step(
 ) -> tuple[tuple[SceneBundle, ...], RadialLens]:
     """Scenes and lens after a damped Gauss-Newton step."""
     parts = [
-        _shared_equations(scene, part, cauchy_sigmas, damping)
+        shared_equations(scene, part, cauchy_sigmas, damping)
         for scene, part in zip(scenes, linear, strict=True)
     ]
-    information = np.sum([shared.information for shared, _ in parts], axis=0)
-    right_side = np.sum([shared.right_side for shared, _ in parts], axis=0)
+    information = np.sum([shared.information for shared, *_ in parts], axis=0)
+    right_side = np.sum([shared.right_side for shared, *_ in parts], axis=0)
     right_side = right_side - prior.information * (lens.parameters - prior.mean)
     damped = information + np.diag(prior.information + damping * np.diag(information))
     step = _limited_step(damped, right_side, lens, prior)
     moved = []
-    for scene, (shared, blocks) in zip(scenes, parts, strict=True):
+    for scene, (shared, blocks, _) in zip(scenes, parts, strict=True):
         x = shared.unknowns(step)
         stretched = scene.stretched(float(step[LOG_FOCAL]))
         moved.append(stretched.moved(x[: len(shared.poses)], blocks.points(x)))
@@ -313,9 +324,12 @@ def _limited_step(
     return step
 
 
-def _shared_equations(
+def shared_equations(
     scene: SceneBundle, linear: Linear, cauchy_sigmas: float, damping: float
-) -> tuple[SharedEquations, PointBlocks]:
+) -> tuple[SharedEquations, PointBlocks, FloatArray]:
+    """The equations of the lens from a scene, its points, and the (N,) inverse variances of the
+    observations.
+    """
     weight = cauchy_weights(linear.residual, cauchy_sigmas * scene.noise_px) / scene.noise_px**2
     frame, point, _ = scene.observed
     n_frames = len(scene.rotation)
@@ -329,14 +343,4 @@ def _shared_equations(
         ridge=_POINT_RIDGE,
     )
     poses = pose_equations(frame, linear, weight, n_frames=n_frames)
-    return poses.damped(damping).without(blocks).of_shared(), blocks
-
-
-def _median_turn(observed: Observed, frame: int, focal_px: float) -> FloatArray:
-    """(3,) rotation vector of a frame from the one before, whose flow is the median flow."""
-    before, now = observed.frame == frame - 1, observed.frame == frame
-    _, i, j = np.intersect1d(observed.point[before], observed.point[now], return_indices=True)
-    if len(i) < _MIN_COMMON:
-        return np.zeros(3)
-    dx, dy = np.median(observed.xy_px[now][j] - observed.xy_px[before][i], axis=0) / focal_px
-    return np.array([-dy, dx, 0.0])
+    return poses.damped(damping).without(blocks).of_shared(), blocks, weight

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.self_calibration.common_errors import pattern_sigma
 from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
 from track_range.stereo.self_calibration.focal_profile import (
     FOCAL_RANGE,
@@ -22,14 +23,13 @@ from track_range.stereo.self_calibration.focal_profile import (
     observed_points,
     started_scene,
 )
-from track_range.stereo.self_calibration.radial_lens import RadialLens
-from track_range.stereo.self_calibration.scene_bundle import SceneBundle
+from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, RadialLens
+from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
 _MIN_KEYFRAMES = 6
+_MAX_PARTS = 5  # scenes that are used, those with the largest turns
 _N_GRID = 400  # focal lengths of the likelihood
-# Information of the tracked points that is left when their errors are correlated.
-_CORRELATED = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ class SceneMotion:
         self._tracks = CornerTracks(size_px)
         self._scale = 2.0**self._tracks.n_halved
         self._keyframes: list[KeyPoints] = []
-        self._scenes: list[SceneBundle] = []
+        self._parts: list[_Part] = []
 
     def add(self, image: Image, time_s: float, xyxy_px: FloatArray) -> None:
         """Add the next image, (H, W) grey or (H, W, 3) BGR, with boxes (N, 4) of its road users."""
@@ -88,13 +88,13 @@ class SceneMotion:
 
     def estimate(self) -> MotionEstimate | None:
         """The estimate from the images so far; None if nothing was tracked."""
-        scenes = [*self._scenes, *self._scene_of(self._keyframes)]
+        parts = _largest_turns([*self._parts, *_part_of(self._keyframes)])
+        started = [part.started(self._start) for part in parts]
+        scenes = [scene for scene in started if scene is not None]
         if not scenes:
             return None
         profile = focal_profile(scenes, self._start, self._width_px)
-        if profile is None:
-            return None
-        return self._estimate(profile)
+        return None if profile is None else self._estimate(profile)
 
     @property
     def _width_px(self) -> int:
@@ -106,29 +106,18 @@ class SceneMotion:
         return RadialLens.of_focal_length(self._start_px / self._scale, (width_px, height_px))
 
     def _close(self) -> None:
-        self._scenes.extend(self._scene_of(self._keyframes))
-
-    def _scene_of(self, keyframes: Sequence[KeyPoints]) -> list[SceneBundle]:
-        """The scene of some keyframes, or none."""
-        if len(keyframes) < _MIN_KEYFRAMES:
-            return []
-        numbers = [key_points.number for key_points in keyframes]
-        observed = observed_points(numbers, [key_points.xy_px for key_points in keyframes])
-        if observed is None:
-            return []
-        span_s = keyframes[0].time_s, keyframes[-1].time_s
-        scene = started_scene(observed, self._start, span_s)
-        return [] if scene is None else [scene]
+        self._parts = _largest_turns([*self._parts, *_part_of(self._keyframes)])
 
     def _estimate(self, profile: FocalProfile) -> MotionEstimate:
         lowest, highest = np.log(np.array(FOCAL_RANGE) * self._width_px).tolist()
         log_focal = np.linspace(lowest, highest, _N_GRID)
-        log_likelihood = -interpolated(profile, log_focal) / (2 * _CORRELATED)
+        log_likelihood = -interpolated(profile, log_focal) / (2 * _widening(profile))
         weight = np.exp(log_likelihood - log_likelihood.max())
         weight /= weight.sum()
         mean = float(weight @ log_focal)
         sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
         lens = profile.fit.lens
+        sigma_of = np.sqrt(np.diag(profile.covariance.common))
         _, k1, _, cx_px, cy_px = lens.parameters.tolist()
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
@@ -137,13 +126,60 @@ class SceneMotion:
             focal_px=math.exp(mean) * self._scale,
             sigma=sigma,
             k1=k1,
-            k1_sigma=0.008,
+            k1_sigma=float(sigma_of[K1]),
             centre_px=(cx_px * self._scale, cy_px * self._scale),
-            centre_sigma_px=0.004 * self._size_px[0],
+            centre_sigma_px=float(sigma_of[CX:].max()) * self._scale,
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
         )
+
+
+@dataclass(slots=True)
+class _Part:
+    """The observations of some seconds; the scene is started when it is first needed."""
+
+    observed: Observed
+    span_s: tuple[float, float]
+    turn_px: float  # range of the sums of the median flow
+    scene: SceneBundle | None = None
+    is_started: bool = False
+
+    def started(self, lens: RadialLens) -> SceneBundle | None:
+        """The scene at the start of the fit; None if no motion fits its points."""
+        if not self.is_started:
+            self.scene = started_scene(self.observed, lens, self.span_s)
+            self.is_started = True
+        return self.scene
+
+
+def _part_of(keyframes: Sequence[KeyPoints]) -> list[_Part]:
+    """The part of some keyframes, or none if there are too few."""
+    if len(keyframes) < _MIN_KEYFRAMES:
+        return []
+    observed = observed_points(
+        [key_points.number for key_points in keyframes],
+        [key_points.xy_px for key_points in keyframes],
+    )
+    if observed is None:
+        return []
+    flow_px = np.stack([observed.median_flow_px(frame) for frame in range(1, len(keyframes))])
+    moved_px = np.concatenate([np.zeros((1, 2)), np.cumsum(flow_px, axis=0)])
+    span_s = keyframes[0].time_s, keyframes[-1].time_s
+    return [_Part(observed, span_s, float(np.ptp(moved_px, axis=0).max()))]
+
+
+def _largest_turns(parts: Sequence[_Part]) -> list[_Part]:
+    """The parts with the largest turns, in the order of time."""
+    turned = sorted(parts, key=lambda part: part.turn_px)[-_MAX_PARTS:]
+    return sorted(turned, key=lambda part: part.span_s)
+
+
+def _widening(profile: FocalProfile) -> float:
+    """Variance of the focal length with common errors of the points, over that without."""
+    independent, common = (part[LOG_FOCAL, LOG_FOCAL] for part in profile.covariance)
+    pattern = pattern_sigma(profile.fit.scenes, profile.fit.lens) ** 2
+    return float((max(independent, common) + pattern) / independent)
 
 
 def interpolated(profile: FocalProfile, log_focal: FloatArray) -> FloatArray:
