@@ -103,41 +103,41 @@ def focal_profile(
     """The profile of scenes that were started with `lens`; None if their points contradict one
     another.
     """
-    sigma = np.zeros(N_PARAMETERS)
-    sigma[LOG_FOCAL], sigma[K1] = _LOG_FOCAL_SIGMA, _K1_SIGMA
-    sigma[[CX, CY]] = _CENTRE_SIGMA * width_px
-    mean = np.zeros(N_PARAMETERS)
-    mean[LOG_FOCAL] = np.log(width_px)
-    limits = np.log(np.array(FOCAL_RANGE) * width_px)
-    prior = LensPrior(mean, sigma, (float(limits[0]), float(limits[1])))
+    prior = _lens_prior(width_px)
     for cauchy_sigmas, limit in _ROUNDS:
         fit = fit_scenes(scenes, lens, prior, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN)
-        lens = fit.lens
-        noisy = [scene.with_noise(lens) for scene in fit.scenes]
-        max_noise_px = _MAX_NOISE_RATIO * float(np.median([scene.noise_px for scene in noisy]))
-        selected = [
-            _selected(scene, lens, limit) for scene in noisy if scene.noise_px < max_noise_px
-        ]
-        scenes = [scene for scene in selected if scene is not None]
+        scenes, lens = _selected(fit, limit), fit.lens
         if not scenes:
             return None
     best = fit_scenes(scenes, lens, prior, cauchy_sigmas=_LAST_SIGMAS, min_gain=_LAST_GAIN)
     covariance = lens_covariance(best.scenes, best.lens, prior, _LAST_SIGMAS)
-    fits = [best]
-    for side in (-1, 1):
-        near = best
-        for distance in _DISTANCES:
-            log_focal = best.lens.parameters[LOG_FOCAL] + side * distance
-            if not limits[0] <= log_focal <= limits[1]:
-                break
-            near = _at_focal(near, log_focal, prior)
-            fits.append(near)
-            if near.cost > best.cost + _ENOUGH_COST:
-                break
-    fits.sort(key=lambda fit: float(fit.lens.parameters[LOG_FOCAL]))
+    below, above = (_fits_beside(best, side, prior) for side in (-1, 1))
+    fits = [*reversed(below), best, *above]
     log_focal = np.array([fit.lens.parameters[LOG_FOCAL] for fit in fits])
     cost = np.array([fit.cost for fit in fits])
     return FocalProfile(best, covariance, log_focal, cost - cost.min())
+
+
+def _lens_prior(width_px: int) -> LensPrior:
+    mean, sigma = np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS)
+    mean[LOG_FOCAL], sigma[LOG_FOCAL] = np.log(width_px), _LOG_FOCAL_SIGMA
+    sigma[K1] = _K1_SIGMA
+    sigma[[CX, CY]] = _CENTRE_SIGMA * width_px
+    low, high = np.log(np.array(FOCAL_RANGE) * width_px).tolist()
+    return LensPrior(mean, sigma, (low, high))
+
+
+def _fits_beside(best: SceneFit, side: int, prior: LensPrior) -> list[SceneFit]:
+    """Fits at smaller (`side` -1) or larger (1) focal lengths, until the cost is much higher."""
+    fits, near = list[SceneFit](), best
+    for distance in _DISTANCES:
+        log_focal = float(best.lens.parameters[LOG_FOCAL]) + side * distance
+        low, high = prior.log_focal_range
+        if not low <= log_focal <= high or near.cost > best.cost + _ENOUGH_COST:
+            break
+        near = _at_focal(near, log_focal, prior)
+        fits.append(near)
+    return fits
 
 
 def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
@@ -157,9 +157,17 @@ def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
     )
 
 
-def _selected(scene: SceneBundle, lens: RadialLens, limit: float) -> SceneBundle | None:
-    """The scene with the points whose residuals are below the limit in sigmas; None with too few."""
-    is_static = scene.largest_error_px(lens) < limit * max(scene.noise_px, _MIN_LIMIT_NOISE_PX)
-    if is_static.sum() < MIN_POINTS or is_static.mean() < _MIN_STATIC_FRACTION:
-        return None
-    return scene.only_points(is_static).with_noise(lens)
+def _selected(fit: SceneFit, limit: float) -> list[SceneBundle]:
+    """The scenes whose motion was found, with the points whose residuals are below the limit in
+    sigmas.
+    """
+    scenes = [scene.with_noise(fit.lens) for scene in fit.scenes]
+    usual_px = float(np.median([scene.noise_px for scene in scenes]))
+    selected = []
+    for scene in scenes:
+        max_error_px = limit * max(scene.noise_px, _MIN_LIMIT_NOISE_PX)
+        is_static = scene.largest_error_px(fit.lens) < max_error_px
+        has_motion = scene.noise_px < _MAX_NOISE_RATIO * usual_px
+        if has_motion and is_static.sum() >= MIN_POINTS and is_static.mean() > _MIN_STATIC_FRACTION:
+            selected.append(scene.only_points(is_static).with_noise(fit.lens))
+    return selected

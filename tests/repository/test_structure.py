@@ -23,7 +23,7 @@ MOST_STATEMENTS = {
     # each lens a file (50); lengths and matrices that contradict one another are refused, and two
     # lenses of one name of Kalibr (93); errors of packages have a kind (4); repeated images and their
     # moments (135); pairs with an assumed baseline (8); self-calibration from the motion of the
-    # static scene (590); a right camera that moves is followed in every frame, by a filter, its
+    # static scene (740); a right camera that moves is followed in every frame, by a filter, its
     # measurements and the correction of its images, a zoom of both
     # cameras, and vibration (507)
     # a given speed beside the images, by ratio, delay and moment (172)
