@@ -8,12 +8,14 @@ the focal length and the depth of everything are interchangeable, and the likeli
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.self_calibration.common_errors import pattern_sigma
 from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
 from track_range.stereo.self_calibration.focal_profile import (
@@ -23,7 +25,7 @@ from track_range.stereo.self_calibration.focal_profile import (
     observed_points,
     started_scene,
 )
-from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, RadialLens
+from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, Family, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
@@ -33,6 +35,9 @@ _MAX_PARTS = 5  # scenes that are used, those with the largest turns
 # the smallest sigma, for which the errors of simulated drives (seeds 700 to 711) are within 1 and 2
 # sigma as often as normal ones.
 _COMMON_FACTOR, _LEAST_SIGMA = 2.0, 0.008
+_LEAST_K1_SIGMA = 0.002
+# the same of the principal point, the smallest sigma as a fraction of the image width
+_CENTRE_FACTOR, _LEAST_CENTRE_SIGMA = 3.0, 0.008
 _N_GRID = 400  # focal lengths of the likelihood
 
 
@@ -48,13 +53,28 @@ class MotionEstimate:
     log_likelihood: FloatArray  # (G,) 0 at the best one
     focal_px: float  # mean of the likelihood over the logarithm
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
-    k1: float  # first radial coefficient, as OpenCV's
+    k1: float  # first radial coefficient: OpenCV's, or of the equidistant family Kannala and Brandt's
     k1_sigma: float
     centre_px: tuple[float, float]  # principal point from the centre of the image
     centre_sigma_px: float
     turn_deg: float  # largest change of the heading in a scene
     span_s: tuple[float, float]  # first and last time of that scene
     n_points: int  # tracked static points
+    k2: float = 0.0  # second coefficient; 0 unless the lens needs it
+    family: Family = "pinhole"  # of the lens: what k1 and k2 mean
+
+    def camera(self, size_px: tuple[int, int]) -> PinholeCamera:
+        """The camera of the images, of `size_px` = (width, height), with its distortion."""
+        ideal = PinholeCamera.of_focal_length(self.focal_px, size_px)
+        cx_px, cy_px = self.centre_px
+        lens = PINHOLE if self.family == "pinhole" else KANNALA_BRANDT
+        return replace(
+            ideal,
+            cx_px=ideal.cx_px + cx_px,
+            cy_px=ideal.cy_px + cy_px,
+            distortion=(self.k1, self.k2, 0.0, 0.0),
+            lens=lens,
+        )
 
 
 class SceneMotion:
@@ -122,7 +142,7 @@ class SceneMotion:
         sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
         lens = profile.fit.lens
         sigma_of = np.sqrt(np.diag(profile.covariance.common))
-        _, k1, _, cx_px, cy_px = lens.parameters.tolist()
+        _, k1, k2, cx_px, cy_px = lens.parameters.tolist()
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
             log_focal=log_focal + math.log(self._scale),
@@ -130,12 +150,17 @@ class SceneMotion:
             focal_px=math.exp(mean) * self._scale,
             sigma=sigma,
             k1=k1,
-            k1_sigma=float(sigma_of[K1]),
+            k1_sigma=math.hypot(_COMMON_FACTOR * sigma_of[K1], _LEAST_K1_SIGMA),
             centre_px=(cx_px * self._scale, cy_px * self._scale),
-            centre_sigma_px=float(sigma_of[CX:].max()) * self._scale,
+            centre_sigma_px=math.hypot(
+                _CENTRE_FACTOR * float(sigma_of[CX:].max()) * self._scale,
+                _LEAST_CENTRE_SIGMA * self._size_px[0],
+            ),
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
+            k2=k2,
+            family=lens.family,
         )
 
 

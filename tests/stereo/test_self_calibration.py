@@ -148,5 +148,31 @@ def test_moving_points_are_rejected() -> None:
     assert found.n_points < 0.95 * estimate(keyframes(n_points=400)).n_points
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("family", "focal_px", "k1", "k2"),
+    [
+        ("pinhole", 800.0, -0.1, 0.0),
+        ("pinhole", 700.0, -0.3, 0.08),
+        ("equidistant", 600.0 / np.radians(55.0), 0.02, -0.005),
+    ],
+)
+def test_distorted_and_wide_lenses_are_recognised(
+    family: Family, focal_px: float, k1: float, k2: float
+) -> None:
+    """The radial distortion is right to 2 px up to the edge, also of a lens of 110 degrees."""
+    lens = RadialLens(np.array([np.log(focal_px), k1, k2, 0.0, 0.0]), LENS.centre_px, family)
+    found = estimate(keyframes(lens, n_points=500, noise_px=0.1))
+    assert found.family == family
+    assert found.focal_px == pytest.approx(focal_px, rel=0.01)
+    angle = np.linspace(0.0, 0.9, 50)
+    direction = np.column_stack([np.sin(angle), np.zeros(50), np.cos(angle)])
+    true_px = lens.project(direction)[0][:, 0] - lens.centre_px[0]
+    found_px = found.camera(SIZE_PX).recorded_px(direction)[:, 0] - lens.centre_px[0]
+    is_seen = true_px < 600.0
+    shift_px = found.centre_px[0]
+    assert np.abs(found_px - shift_px - true_px)[is_seen].max() < 2.0
+
+
 def test_nothing_without_images() -> None:
     assert SceneMotion(SIZE_PX, start_px=900.0).estimate() is None
