@@ -76,7 +76,7 @@ class GivenSpeed:
             return given
         sigmas_mps = given.speed_sigma_mps, measured.speed_sigma_mps
         self._samples.add(time_s, given.speed_mps, measured.speed_mps, sigmas_mps)
-        if time_s >= self._due_s:
+        if time_s >= self._due_s or self.shown_ratio is None:
             self._due_s = time_s + _INTERVAL_S
             self._fit(scale, table)
         read = self._read(time_s, given, table)

@@ -21,7 +21,7 @@ _SPAN_S, _STEP_S = 30.0, 0.095  # latest samples that are used, and the time bet
 _UNKNOWN_MPS2 = 1.0  # usual acceleration before the first measurement
 _NOISE_FRACTION = 0.02  # of both speeds, by roads that are not plane and slopes of axes
 _MIN_MPS = 1.0  # smallest speeds that are compared: a receiver at rest may show anything
-_MIN_S, _MAX_STEP_S, _MIN_SAMPLES = 1.0, 0.2, 3  # time of all samples, and largest one of each
+_MIN_S, _MAX_STEP_S, _MIN_SAMPLES = 0.75, 0.2, 3  # time of all samples, and largest one of each
 _OUTLIER_SIGMA, _N_ROUNDS = 3.0, 3
 _MIN_VARIANCE = 1e-6
 

@@ -85,7 +85,7 @@ def test_constant_speed_shows_its_ratio_and_no_delay():
 
 
 def test_short_drive_and_speeds_near_rest_show_nothing():
-    assert relation(driven, seconds=0.9).fit() is None
+    assert relation(driven, seconds=0.7).fit() is None
     assert relation(lambda t: 0.0).fit() is None
     assert relation(driven, measured=lambda t: math.nan).fit() is None
 
