@@ -190,8 +190,9 @@ class RecordingCalibration:
         )
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
-        if len(self.sizes_px) == 1 and self.estimate is not None:
-            return self.estimate.notes
+        of_estimate = () if self.estimate is None else self.estimate.notes
+        if len(self.sizes_px) == 1 and of_estimate:
+            return of_estimate
         length = (
             f"the focal length is estimated as {focal.focal_px:.0f} px within "
             f"{100 * focal.sigma:.0f} %, from {focal.source} (give --focal-px if it is known)"
@@ -203,6 +204,8 @@ class RecordingCalibration:
             )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
+        if of_estimate:
+            length = "the focal length is estimated, see below"
         how = (
             "for calibrated distances record a chessboard with both cameras, run `track-range "
             "calibrate --stereo LEFT RIGHT --board 9x6 --square-mm MM --out rig.yaml`, and give "
@@ -213,10 +216,12 @@ class RecordingCalibration:
                 f"No rig, so distances are uncalibrated: {length}; {how}.",
                 "Matching points of left and right are not in equal rows, so stereo matching needs "
                 "a rig: distances come from the left video alone.",
+                *of_estimate,
             )
         return (
             f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from "
             f"the drive; {how}.",
+            *of_estimate,
         )
 
     @property
