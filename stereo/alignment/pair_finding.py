@@ -58,6 +58,7 @@ _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 # ends of the sentence on a pair
 _CORRECTED = "; corrected, but calibrate again."
+_FOUND = "; corrected."
 _WITHOUT_STEREO = ". Distances come from the left video alone."
 GIVEN = (
     "; --align auto corrects this error; with the given alignment, distances come from the left "
@@ -353,6 +354,10 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
         f"{_pct(motion.support)} of {motion.n_points} points move as this explains, "
         f"{_pct(motion.exchanged_support)} as in swapped videos"
     )
+    if rig.is_assumed:
+        return PairFinding(
+            "verged", f"The cameras are not parallel: {what} ({support})", _FOUND, prior
+        )
     return PairFinding(
         "verged", f"The rig does not fit these images: {what} ({support})", _CORRECTED, prior
     )

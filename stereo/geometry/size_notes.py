@@ -37,7 +37,7 @@ def fitted_rig(
     left, left_notes = fitted_to_size(rig.left, sizes_px[0], f"{source} (left)")
     right, right_notes = fitted_to_size(rig.right, sizes_px[1], f"{source} (right)")
     is_equal = sizes_px[0] == sizes_px[1] and rig.left.size_px == rig.right.size_px and left_notes
-    fitted = StereoRig(left, right, rig.right_from_left, accuracy=rig.accuracy)
+    fitted = replace(rig, left=left, right=right, alignment=None)
     return fitted, left_notes if is_equal else (*left_notes, *right_notes)
 
 

@@ -1,6 +1,7 @@
 """Tests of opening pairs and single videos, with folders of small textured images."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -163,6 +164,14 @@ def test_pair_without_rig_is_uncalibrated(pair, tmp_path):
     given = open_recording(*pair, focal_px=280.0)
     assert (given.camera.fx_px, given.calibration.focal_sigma) == (280.0, 0.02)
     assert any("280 px" in note for note in given.notes)
+
+
+def test_baseline_of_a_given_rig_may_be_assumed(pair, tmp_path):
+    rig = replace(load_rig(tmp_path / "rig.yaml"), baseline_sigma=0.3)
+    recording = open_recording(*pair, rig=rig, align="off")
+    assert recording.rig is not None
+    assert (recording.rig.baseline_sigma, recording.calibrated_rig) == (0.3, None)
+    assert recording.rig.unaligned.residual_px == 3.0
 
 
 def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):

@@ -570,11 +570,11 @@ def _of_cameras(
     if isinstance(cameras, StereoRig):
         _check_view(cameras.left, view)
         left, right = cameras.left.resized(sizes_px[0]), cameras.right.resized(sizes_px[1])
-        cameras = StereoRig(left, right, cameras.right_from_left, accuracy=cameras.accuracy)
+        cameras = replace(cameras, left=left, right=right, alignment=None)
         pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
         rectifier: Rectifier | Undistorter = pair
         rig, recorded, shown = (
-            replace(pair.rig, accuracy=cameras.accuracy),
+            replace(pair.rig, accuracy=cameras.accuracy, baseline_sigma=cameras.baseline_sigma),
             cameras.left,
             pair.rig.left,
         )
