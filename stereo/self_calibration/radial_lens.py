@@ -22,6 +22,8 @@ LOG_FOCAL, K1, K2, CX, CY = range(5)
 N_PARAMETERS = 5
 # smallest depth of a point ahead, and distance from the axis at which s has a derivative, for |q| = 1
 _MIN_Z, _MIN_RADIUS = 1e-3, 1e-4
+# largest angle from the axis of an image with straight lines
+_MAX_ANGLE_RAD = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,21 @@ class RadialLens:
             undistorted = np.arctan(undistorted)
         across = m * (np.sin(undistorted) / np.maximum(radius, 1e-12))[:, None]
         return np.column_stack([across, np.cos(undistorted)])
+
+    def opencv_distortion(self) -> tuple[float, ...]:
+        """OpenCV's (k1, k2, p1, p2[, k3]) with the same focal length, up to the edge of the image; of
+        the equidistant family by least squares.
+        """
+        _, k1, k2, *_ = self.parameters.tolist()
+        if self.family == "pinhole":
+            return k1, k2, 0.0, 0.0
+        edge = float(self.centre_px[0]) / self.focal_px
+        angle = np.linspace(0.0, _MAX_ANGLE_RAD, 200)[1:]
+        m = distorted_angle(angle, (k1, k2, 0.0, 0.0))
+        rho = np.tan(angle[m < edge])
+        powers = np.stack([rho**3, rho**5, rho**7], axis=1)
+        fitted = np.linalg.lstsq(powers, m[m < edge] - rho, rcond=None)[0].tolist()
+        return fitted[0], fitted[1], 0.0, 0.0, fitted[2]
 
     def project(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels (N, 2) of points (N, 3), and their derivatives by the points (N, 2, 3) and by the

@@ -4,18 +4,21 @@ Corners are tracked, keyframes are divided into scenes of two seconds, and all s
 the profile likelihood of the focal length (`focal_profile`). A turn moves far points by
 f tan(angle), and the images of near points tell the turn from a sideways motion; on a straight road
 the focal length and the depth of everything are interchangeable, and the likelihood is flat.
+
+Sigma contains the noise of the tracks and the errors that they have in common. It does not contain a
+rolling shutter: synthetic scenes of 2.2 s with bumps, read out in 30 ms, give a focal length that is
+2.6 % too small in a turn of 9 degrees, 1.1 % in one of 18 degrees and 0.4 % in one of 33 degrees (10
+ms: a third of it).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.self_calibration.common_errors import pattern_sigma
 from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
 from track_range.stereo.self_calibration.focal_profile import (
@@ -25,7 +28,7 @@ from track_range.stereo.self_calibration.focal_profile import (
     observed_points,
     started_scene,
 )
-from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, Family, RadialLens
+from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
@@ -53,28 +56,15 @@ class MotionEstimate:
     log_likelihood: FloatArray  # (G,) 0 at the best one
     focal_px: float  # mean of the likelihood over the logarithm
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
-    k1: float  # first radial coefficient: OpenCV's, or of the equidistant family Kannala and Brandt's
+    k1: float  # first radial coefficient, OpenCV's
     k1_sigma: float
     centre_px: tuple[float, float]  # principal point from the centre of the image
     centre_sigma_px: float
     turn_deg: float  # largest change of the heading in a scene
     span_s: tuple[float, float]  # first and last time of that scene
     n_points: int  # tracked static points
-    k2: float = 0.0  # second coefficient; 0 unless the lens needs it
-    family: Family = "pinhole"  # of the lens: what k1 and k2 mean
-
-    def camera(self, size_px: tuple[int, int]) -> PinholeCamera:
-        """The camera of the images, of `size_px` = (width, height), with its distortion."""
-        ideal = PinholeCamera.of_focal_length(self.focal_px, size_px)
-        cx_px, cy_px = self.centre_px
-        lens = PINHOLE if self.family == "pinhole" else KANNALA_BRANDT
-        return replace(
-            ideal,
-            cx_px=ideal.cx_px + cx_px,
-            cy_px=ideal.cy_px + cy_px,
-            distortion=(self.k1, self.k2, 0.0, 0.0),
-            lens=lens,
-        )
+    # OpenCV's (k2, p1, p2[, k3]), with which k1 holds; 0 unless the lens needs them
+    higher_terms: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 class SceneMotion:
@@ -142,7 +132,8 @@ class SceneMotion:
         sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
         lens = profile.fit.lens
         sigma_of = np.sqrt(np.diag(profile.covariance.common))
-        _, k1, k2, cx_px, cy_px = lens.parameters.tolist()
+        k1, *higher_terms = lens.opencv_distortion()
+        cx_px, cy_px = lens.parameters[CX:].tolist()
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
             log_focal=log_focal + math.log(self._scale),
@@ -159,8 +150,7 @@ class SceneMotion:
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
-            k2=k2,
-            family=lens.family,
+            higher_terms=tuple(higher_terms),
         )
 
 

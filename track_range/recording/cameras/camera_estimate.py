@@ -102,6 +102,8 @@ class CameraEstimate:
     sources: tuple[FocalSource, ...]
     k1: float = 0.0  # first radial coefficient (OpenCV's); 0 = not estimated
     k1_sigma: float = math.nan  # its standard deviation; NaN = not estimated
+    # OpenCV's (k2, p1, p2[, k3]) that belong to k1
+    higher_terms: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def focal_grid_px(self) -> FloatArray:
@@ -150,7 +152,7 @@ class CameraEstimate:
         radius = math.hypot(*self.size_px) / 2 / self.focal_px
         corner_px = abs(self.k1) * radius**3 * self.focal_px
         is_significant = abs(self.k1) > _SIGNIFICANT * self.k1_sigma
-        return (self.k1, 0.0, 0.0, 0.0) if is_significant and corner_px > _VISIBLE_PX else ()
+        return (self.k1, *self.higher_terms) if is_significant and corner_px > _VISIBLE_PX else ()
 
     @property
     def remedy(self) -> tuple[Remedy, float] | None:
