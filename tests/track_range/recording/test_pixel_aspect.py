@@ -13,6 +13,7 @@ import pytest
 from tests.support.images.films import write_film
 from tests.support.recordings.live_servers import Camera
 from tests.track_range.recording.bag_writers import write_foxglove_video
+from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.recording import open_recording
 from track_range.recording.telemetry.image_evidence import motion_of
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -156,8 +157,13 @@ def test_almost_square_pixels_stay_as_they_are(tmp_path, recorded, focal_px):
 
 def test_an_estimated_focal_length_keeps_the_shape_of_the_pixels(tmp_path):
     recording = open_recording(**a_file(tmp_path, ALMOST))
-    calibration = recording.calibration.with_focal_length(FocalGuess(204.0, 0.1, "a test"))
-    assert calibration.camera == PinholeCamera(200.0, 204.0, 49.5, 23.5, 100, 48)
+    given = source_of_guess(FocalGuess(204.0, 0.001, "a test"), "given", 100)
+    calibration = recording.calibration.with_estimate(
+        CameraEstimate(size_px=(100, 48), sources=(given,))
+    )
+    camera = calibration.camera
+    assert camera.fy_px == pytest.approx(204.0, rel=0.002)
+    assert camera == PinholeCamera(camera.fy_px / 1.02, camera.fy_px, 49.5, 23.5, 100, 48)
     recording.close()
 
 

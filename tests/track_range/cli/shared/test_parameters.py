@@ -184,7 +184,10 @@ def test_settings_of_clips_and_fleets():
     """A new option of a run is none of a clip; those that a fleet refuses say what to do
     instead."""
     refused = RunSettings.fields_where(lambda field: option_of(field).instead)
-    assert refused == {"stereo", "mono", "truth", "detections", "start_utc", "table", "realtime"}
+    assert refused == {
+        *("stereo", "mono", "truth", "detections", "start_utc", "table", "realtime"),
+        "known_distance",
+    }
     assert {"rig", "focal_px", "ego_speed", "align"} <= CLIP_SETTINGS
     assert CLIP_SETTINGS.isdisjoint(
         RunSettings.fields_where(lambda field: option_of(field).is_shared)
