@@ -34,7 +34,6 @@ _FACTOR = 1.4  # of the sigmas of rows and of the offset by the flow
 # error of a step of the disparities that its points have in common, px
 _STEP_SIGMA_PX = 0.06
 _NEW_SIGMAS = 5.0  # of a change of the rows that the steps of the disparities take into account
-_FLOW_FACTOR = 2.0  # of the sigma of the offset by the flow
 _MAX_FLOW_SIGMA_PX = 1.5  # of an offset by the flow that is used
 # distance, and relative error there, from which a change of the offset is noted; change of rows
 _REFERENCE_M, _MATTERS, _MATTERING_ROWS_PX = 30.0, 0.01, 0.5
