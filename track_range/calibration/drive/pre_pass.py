@@ -42,9 +42,9 @@ from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 _MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
-# of a focal length from motion, which says nothing then: on a straight road focal length and depths are
-# interchangeable, and small errors of the tracks decide
-_UNKNOWN_SIGMA = 0.15
+# of a focal length from motion that says nothing: on a straight road focal length and depths are
+# interchangeable. Up to it, the likelihood of the motion weighs itself.
+_UNKNOWN_SIGMA = 0.4
 # of a focal length from motion above which the motion does not separate it from the distortion
 _LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
