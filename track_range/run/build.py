@@ -17,7 +17,7 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.scale_check import ScaleCheck
-from track_range.ranging.cameras.unknowns import CameraPriors, camera_priors
+from track_range.ranging.cameras.unknowns import CameraPriors, Unknown, camera_priors
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
@@ -170,7 +170,7 @@ def _ego_stage(
 def _camera_priors(context: MethodContext, calibration: RecordingCalibration) -> CameraPriors:
     """What is known of the cameras before the drive."""
     rig = context.rig
-    return camera_priors(
+    priors = camera_priors(
         context.camera.fx_px,
         focal_sigma=calibration.scale_sigma if rig is None else context.focal_sigma,
         baseline_m=None if rig is None else rig.baseline_m,
@@ -179,6 +179,10 @@ def _camera_priors(context: MethodContext, calibration: RecordingCalibration) ->
         height_m=context.camera_height_m,
         region=context.region,
     )
+    if calibration.estimate is None:
+        return priors
+    # its evidence is from this drive, and counts once
+    return {**priors, Unknown.FOCAL: replace(priors[Unknown.FOCAL], kind="unknown")}
 
 
 def _scale_check(
