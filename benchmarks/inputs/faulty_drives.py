@@ -320,11 +320,13 @@ def speed(factor: float = 1.0, late_s: float = 0.0) -> Change:
 SCALE, SIZE = "Scale in doubt", "focal length is in doubt|principal point in the middle third"
 TIME = "not synchronised|repeats its last image|do not show the same moment"
 PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
-# words of any doubt; notes that runs without the fault have, too, do not count
+# words of any doubt; notes that runs without the fault have, too, do not count, and those of an
+# alignment always say by how much disparities are too small
 ANY = (
-    f"{SCALE}|{SIZE}|{PAIR}|in doubt|contradict|does not fit|do not fit|has moved|moved|turned"
+    rf"^(?!Alignment: ).*(?:{SCALE}|{SIZE}|{PAIR}|in doubt|contradict|does not fit|do not fit|has moved|moved|turned"
     "|repeat|froze|frozen|identical|frame rate|frames per second|clock|lag|delay|late|unsteady"
     "|vibrat|shak|jitter|too (large|small|long|short|high|low|fast|slow)|times (too|what)|zoom"
+    "|do not change from|given speed is below)"
 )
 _MOVED = r"moved|turned|knocked|right camera|yaw|shifted"
 
