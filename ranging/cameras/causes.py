@@ -23,20 +23,25 @@ class ScaleDoubt(NamedTuple):
         """What may be wrong, the most likely first."""
         return [cause for cause, _ in self.causes]
 
-    def sentence(self, baseline_m: float | None) -> str:
-        """The value in doubt, with the mistakes that fit, and the evidence."""
-        doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
+    def sentence(self, baseline_m: float | None, focal_px: float | None = None) -> str:
+        """The value in doubt, with the mistakes that fit, and the evidence; None = not given."""
+        given = {Unknown.BASELINE: (baseline_m, "m"), Unknown.FOCAL: (focal_px, "px")}
+        doubts = "; or ".join(
+            self._cause(cause, factor, *given.get(cause, (None, "")))
+            for cause, factor in self.causes
+        )
         return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check the doubtful value."
 
-    def _cause(self, cause: Unknown, factor: float, baseline_m: float | None) -> str:
+    def _cause(self, cause: Unknown, factor: float, given: float | None, unit: str) -> str:
         times = f"{factor:.2f} times (± {100 * self.sigma:.0f} %) what the drive shows"
         fits = [
             text
             for value, text in MISTAKES.get(cause, ())
             if abs(math.log(value / factor)) < 2 * self.sigma
         ]
-        if cause is Unknown.BASELINE and baseline_m is not None:
-            times += f", {baseline_m / factor:.3g} m instead of {baseline_m:.3g} m"
+        if given is not None:
+            times += f", {given / factor:.3g} {unit} instead of {given:.3g} {unit}"
+        if cause is Unknown.BASELINE and given is not None:
             fits.append(f"squares of the calibration board entered {factor:.2g} times too large")
         return f"the {cause} is {times}" + (f" ({', '.join(fits)}?)" if fits else "")
 

@@ -175,7 +175,7 @@ class ScaleCheck:
         """What the drive shows about the baseline, or about a doubt."""
         if self.doubt is None:
             return self.agreement.sentence
-        return self.doubt.sentence(self.baseline_m)
+        return self.doubt.sentence(self.baseline_m, self.priors[Unknown.FOCAL].value)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -197,12 +197,19 @@ class ScaleCheck:
                 f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the drive "
                 f"shows a baseline of {learnt['baseline_m']:.2f} m, by {self._evidence_names}; all "
                 "distances share a scale uncertainty of about "
-                f"{100 * learnt['relative_sigma']:.0f} %.",
+                f"{100 * learnt['relative_sigma']:.0f} %{self._scale_advice}.",
             )
         if self.doubt is not None:
             return (*past, f"{self.sentence} {_EFFECT}")
         is_checked = self.baseline_m is not None and self._is_calibrated
         return (*past, self.sentence) if is_checked else past
+
+    @property
+    def _scale_advice(self) -> str:
+        """What would show the scale of a pair best; empty = the drive has it."""
+        if self._speeds.has_given:
+            return ""
+        return "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"
 
     @property
     def _offset_notes(self) -> tuple[str, ...]:

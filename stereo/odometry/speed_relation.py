@@ -33,7 +33,6 @@ class RelationFit:
     log_likelihood: FloatArray  # of the delays `LAGS_S`
     log_ratio: FloatArray  # s, given over measured
     log_ratio_variance: FloatArray
-    n_independent: float  # number of independent samples
 
     def weights(self, prior: FloatArray) -> FloatArray:
         """(G,) probabilities of the delays with a prior (G,), which need not be normalised."""
@@ -93,4 +92,4 @@ class SpeedRelation:
         cost = _OUTLIER_SIGMA**2 * np.log1p(chi2 / _OUTLIER_SIGMA**2) + np.log(variance)
         log_ratio_variance = 1 / np.maximum(information * ratio**2, _MIN_VARIANCE)
         log_likelihood = -0.5 * (share * cost).sum(axis=1) + 0.5 * np.log(log_ratio_variance)
-        return RelationFit(log_likelihood, np.log(ratio), log_ratio_variance, float(share.sum()))
+        return RelationFit(log_likelihood, np.log(ratio), log_ratio_variance)

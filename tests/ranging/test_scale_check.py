@@ -242,7 +242,7 @@ def test_lane_lines_measure_the_height_of_the_camera():
 def test_a_sentence_names_the_causes_that_fit():
     sentence = ScaleDoubt(
         2.5, 0.06, 4, ((Unknown.BASELINE, 2.5), (Unknown.SPEED, 1.61)), "sizes"
-    ).sentence(0.5)
+    ).sentence(0.5, 900.0)
     for part in (
         "2.50 times",
         "± 6 %",
@@ -253,6 +253,8 @@ def test_a_sentence_names_the_causes_that_fit():
         assert part in sentence
     assert "km/h read as miles per hour" in sentence
     assert "feet" not in sentence
+    focal = ScaleDoubt(1.2, 0.02, 4, ((Unknown.FOCAL, 1.2),), "a turn").sentence(0.5, 900.0)
+    assert "1.20 times (± 2 %) what the drive shows, 750 px instead of 900 px." in focal
     assert "read as" not in ScaleDoubt(0.5, 0.06, 4, ((Unknown.BASELINE, 0.5),), "sizes").sentence(
         0.2
     )

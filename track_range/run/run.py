@@ -399,8 +399,7 @@ class Run:
         """Messages on an estimated camera: how well it is known, from what, and what would help; none
         with a calibration.
         """
-        estimate = self.session.recording.calibration.estimate
-        return [] if estimate is None else list(estimate.notes)
+        return list(self.session.recording.calibration.estimate_notes)
 
     @property
     def summary(self) -> dict[str, Any]:

@@ -66,15 +66,14 @@ def test_curve_is_continued_beyond_its_ends():
 
 def test_sentences():
     wide = estimate(source(1000.0, 0.2))
-    first, second = wide.notes
-    assert first.startswith("Focal length 99")
-    assert "from shapes of a test" in first
-    assert "--focal-px" in first
-    assert "turn" in second
+    assert wide.sentence.startswith("Focal length 99")
+    assert wide.sentence.endswith("from shapes of a test.")
+    (advice,) = wide.advice
+    assert "turn" in advice
     assert wide.remedy[1] < 0.02
     narrow = estimate(source(1000.0, 0.01, "motion"))
     assert narrow.sigma < 0.012
-    assert len(narrow.notes) == 1
+    assert not narrow.advice
 
 
 def test_distortion_is_corrected_where_it_is_significant_and_visible():

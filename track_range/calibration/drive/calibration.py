@@ -137,8 +137,6 @@ def calibrate_from_drives(
         camera_height_m=settings.camera_height_m,
     )
     names = [video_name(name) for name in settings.recordings]
-    outputs = [file for file in (settings.out, settings.json_file) if file is not None]
-    check_outputs(outputs, [file for name in names for file in source_of(name).files])
     drives = [DriveVideo.of(name, settings.camera_model) for name in names]
     first = drives[0]
     for drive in drives[1:]:
@@ -149,6 +147,8 @@ def calibrate_from_drives(
                 f"{w}x{h} px; recordings of one camera have one size, so calibrate each apart."
             )
     known.check(first)
+    outputs = [file for file in (settings.out, settings.json_file) if file is not None]
+    check_outputs(outputs, [file for name in names for file in source_of(name).files])
     if settings.ego_speed not in (AUTO, OFF) and len(drives) > 1:
         raise UsageError(
             f"--ego-speed {settings.ego_speed}: expected auto or off for several recordings, whose "

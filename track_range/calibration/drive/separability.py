@@ -16,7 +16,6 @@ def separability(fit: CameraFit, before: CameraEstimate, *, has_height: bool) ->
     estimate without the measurements, the prior of the fit.
     """
     camera, prior = fit.camera, before.guess
-    origin = prior.source
     focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
     sentences = []
     if fit.contradiction != 1.0:
@@ -29,10 +28,12 @@ def separability(fit: CameraFit, before: CameraEstimate, *, has_height: bool) ->
     if fit.gain("focal length") < _DETERMINED:
         sentences.append(
             f"{focal}, from the measurements; without them, {prior.focal_px:.0f} px within "
-            f"{100 * prior.sigma:.0f} %, from {origin}."
+            f"{100 * prior.sigma:.0f} %, from {prior.source}."
         )
     else:
-        sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
+        sentences.append(f"{focal}, from {before.leading.source}.")
+    if before.distortion:
+        sentences.append(f"Distortion k1 = {before.k1:+.3f} ± {before.k1_sigma:.3f}.")
     height = f"Camera height {fit.height_m:.2f} ± {fit.height_sigma_m:.2f} m"
     if has_height:
         sentences.append(f"{height}, as measured.")

@@ -35,7 +35,7 @@ def calibrate_from_drives_and_print(settings: DriveSettings) -> None:
     print_line(console, f"{frames} of {of}, {vehicles}.")
     _print_sources(calibration)
     _print_residuals(calibration)
-    print_line(console, *calibration.sentences, *drive_camera.estimate.notes)
+    print_line(console, *calibration.sentences, *drive_camera.estimate.advice)
     if calibration.fit.contradiction != 1.0 and not settings.force:
         raise CalibrationError(
             "expected measurements that agree, found a contradiction (see the warning), so "

@@ -189,8 +189,20 @@ class RecordingCalibration:
             f"length and boxes refer.{doubt}",
         )
 
+    @property
+    def estimate_notes(self) -> tuple[str, ...]:
+        """Messages for the user on an estimated camera: how well it is known, from what, and what
+        would help most.
+        """
+        if self.estimate is None:
+            return ()
+        # the scale of a pair has its own note
+        effect = "All distances share its error. " if len(self.sizes_px) == 1 else ""
+        how = "Give --focal-px to replace it."
+        return (f"{self.estimate.sentence} {effect}{how}", *self.estimate.advice)
+
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
-        of_estimate = () if self.estimate is None else self.estimate.notes
+        of_estimate = self.estimate_notes
         if len(self.sizes_px) == 1 and of_estimate:
             return of_estimate
         length = (

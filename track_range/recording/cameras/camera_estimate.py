@@ -176,18 +176,16 @@ class CameraEstimate:
         )
         return (
             f"Focal length {focal_px:,.0f} ± {sigma * focal_px:,.0f} px ({100 * sigma:.1f} %), from "
-            f"{self.leading.source}{lens}; all distances share its error. Give --focal-px to "
-            "replace it."
+            f"{self.leading.source}{lens}."
         )
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Messages for the user: the estimate, and what would help most."""
+    def advice(self) -> tuple[str, ...]:
+        """A sentence on what would help most; empty = nothing would."""
         if (helpful := self.remedy) is None:
-            return (self.sentence,)
+            return ()
         remedy, sigma = helpful
         return (
-            self.sentence,
             f"Most would help {remedy.what}: the focal length would be known within "
             f"{100 * sigma:.1f} % ({remedy.how}).",
         )
