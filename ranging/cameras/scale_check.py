@@ -181,35 +181,25 @@ class ScaleCheck:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
-        past = self._offset_notes
-        past += (
-            (
-                f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
-                "alarms are given.",
-            )
-            if spans
-            else ()
+        was_in_doubt = (
+            f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
+            "alarms are given.",
         )
-        learnt = self._learnt
-        if learnt:
+        past = (*self._offset_notes, *(was_in_doubt if spans else ()))
+        if learnt := self._learnt:
+            has_speed = any(Unknown.SPEED in item.of for item in self._speeds.evidence)
+            advice = "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"
             past = (
                 *past,
                 f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the drive "
                 f"shows a baseline of {learnt['baseline_m']:.2f} m, by {self._evidence_names}; all "
                 "distances share a scale uncertainty of about "
-                f"{100 * learnt['relative_sigma']:.0f} %{self._scale_advice}.",
+                f"{100 * learnt['relative_sigma']:.0f} %{'' if has_speed else advice}.",
             )
         if self.doubt is not None:
             return (*past, f"{self.sentence} {_EFFECT}")
         is_checked = self.baseline_m is not None and self._is_calibrated
         return (*past, self.sentence) if is_checked else past
-
-    @property
-    def _scale_advice(self) -> str:
-        """What would show the scale of a pair best; empty = the drive has it."""
-        if self._speeds.has_given:
-            return ""
-        return "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"
 
     @property
     def _offset_notes(self) -> tuple[str, ...]:

@@ -218,11 +218,6 @@ class SpeedEvidence:
             self._given = *ego.speed_ratio, by_pair is None
 
     @property
-    def has_given(self) -> bool:
-        """Whether a given speed is evidence."""
-        return self._given is not None
-
-    @property
     def evidence(self) -> list[Evidence]:
         """The evidence of all frames so far."""
         evidence = []

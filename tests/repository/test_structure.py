@@ -31,8 +31,8 @@ MOST_STATEMENTS = {
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
-    # the frame rate (15)
-    "ranging": 6_566,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # the frame rate (15); what would show the scale of a pair without a rig (3)
+    "ranging": 6_569,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 105,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -53,8 +53,8 @@ MOST_STATEMENTS = {
     "pipeline": 835,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
-    # the estimate of a camera with its sources and what would help (115)
-    "recording": 7_310,
+    # the estimate of a camera with its sources and what would help, apart from its effect (120)
+    "recording": 7_315,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
