@@ -16,7 +16,7 @@ _MAX_TURN_S = 6.0  # longest part of a turn that is measured at once
 _PAUSE_S = 0.5  # longest time without yaw rate inside a turn
 _DELAY_S = 3.0  # until the result of a turn is used
 _N_TURNS = 2  # measured in a drive: further ones do not change the estimate
-_KEPT = 3  # one of so many points is used: the time grows with their number
+_KEPT = 2  # one of so many points is used: the time grows with their number
 # largest error that is evidence, and an error that the turns of a drive have in common
 _MAX_SIGMA, _SHARED_SIGMA = 0.1, 0.015
 

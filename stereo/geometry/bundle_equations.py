@@ -14,6 +14,7 @@ moving objects and bad tracks.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -128,14 +129,15 @@ def point_blocks(
     order = np.argsort(point, kind="stable")
     starts = np.searchsorted(point[order], np.arange(n_points))
     sums = np.add.reduceat(products[order, :, 6:], starts, axis=0)
-    by_frame = np.zeros((n_points, 3, n_frames, 6))
+    w = np.zeros((n_points, 3, 6 * n_frames + n_shared))
+    by_frame = w[:, :, : 6 * n_frames].reshape(n_points, 3, n_frames, 6)  # a view
     by_frame[point, :, frame] = products[:, :, :6]
-    w = np.concatenate([by_frame.reshape(n_points, 3, -1)[:, :, 6:], sums[:, :, :n_shared]], axis=2)
+    w[:, :, 6 * n_frames :] = sums[:, :, :n_shared]
     v, b_y = sums[:, :, n_shared : n_shared + 3], sums[:, :, n_shared + 3]
     diagonal = damping * np.einsum("pii->pi", v).sum(axis=1, keepdims=True) + ridge
     v = v + diagonal[:, :, None] * np.eye(3)
     l_inverse = np.asarray(np.linalg.inv(np.linalg.cholesky(v)), np.float64)
-    return PointBlocks(l_inverse, l_inverse @ w, (l_inverse @ b_y[:, :, None])[:, :, 0])
+    return PointBlocks(l_inverse, l_inverse @ w[:, :, 6:], (l_inverse @ b_y[:, :, None])[:, :, 0])
 
 
 def pose_equations(
@@ -145,15 +147,19 @@ def pose_equations(
     n_coordinates, n_shared = linear.by_shared.shape[1:]
     n_poses = 6 * n_frames
     u, b = np.zeros((n_poses + n_shared,) * 2), np.zeros(n_poses + n_shared)
-    for number in np.unique(frame).tolist():
-        rows = frame == number
-        jacobian = np.concatenate([linear.by_pose[rows], linear.by_shared[rows]], axis=2).reshape(
-            -1, 6 + n_shared
-        )
-        l_jacobian = jacobian * np.repeat(weight[rows], n_coordinates)[:, None]
-        columns = np.r_[6 * number : 6 * number + 6, n_poses : n_poses + n_shared]
-        u[np.ix_(columns, columns)] += l_jacobian.T @ jacobian
-        b[columns] += l_jacobian.T @ linear.residual[rows].reshape(-1)
+    order = np.argsort(frame, kind="stable")
+    columns = [linear.by_pose, linear.by_shared, linear.residual[:, :, None]]
+    jacobian = np.concatenate(columns, axis=2)[order].reshape(-1, 6 + n_shared + 1)
+    l_jacobian = jacobian[:, :-1] * np.repeat(weight[order], n_coordinates)[:, None]
+    ends = n_coordinates * np.searchsorted(frame[order], np.arange(n_frames + 1))
+    for number, (start, end) in enumerate(pairwise(ends.tolist())):
+        product = l_jacobian[start:end].T @ jacobian[start:end]
+        pose = slice(6 * number, 6 * number + 6)
+        u[pose, pose], u[pose, n_poses:] = product[:6, :6], product[:6, 6:-1]
+        u[n_poses:, pose] = product[6:, :6]
+        u[n_poses:, n_poses:] += product[6:, 6:-1]
+        b[pose] = product[:6, -1]
+        b[n_poses:] += product[6:, -1]
     return Equations(u[6:, 6:], b[6:], n_poses - 6)
 
 

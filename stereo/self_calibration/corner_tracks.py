@@ -20,11 +20,12 @@ MIN_STEP_S = 0.09  # shortest time between two used frames
 MAX_GAP_S = 0.5  # longest time between two frames of one track
 KEY_STEP_S = 0.19  # shortest time between two keyframes
 _MIN_KEY_FLOW_PX = 0.7  # median flow since the last keyframe; a standing camera has no new one
-_N_POINTS = 500  # number of tracked points
+_N_POINTS = 350  # number of tracked points
 _MIN_MISSING = 0.1  # of them; fewer are not replaced
 _GRID = (4, 8)  # rows and columns of cells with equal numbers of new points
 _MIN_GAP_PX = 12  # minimum distance between two points, px
-_LEVELS = 4  # pyramid levels above the image
+# pyramid levels above the image, and those of the way back of the check
+_LEVELS, _RETURN_LEVELS = 4, 1
 _BOX_MARGIN_PX = 4.0  # around the boxes of road users
 
 
@@ -65,7 +66,7 @@ class CornerTracks:
             small = halved(small)
         if self._before is not None and len(self._number):
             self._xy_px, is_tracked = checked_flow(
-                self._before, small, self._xy_px, self._xy_px, _LEVELS
+                self._before, small, self._xy_px, self._xy_px, _LEVELS, _RETURN_LEVELS
             )
             self._retain(is_tracked)
         self._before = small

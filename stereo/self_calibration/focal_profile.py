@@ -48,7 +48,7 @@ _MAX_NOISE_RATIO = 1.6
 _MIN_STATIC_FRACTION = 0.4  # of the points of a scene
 _MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
 # decreases of the cost at which rounds of the selection, the last fit, and fits beside it end
-_ROUND_GAIN, _LAST_GAIN, _PROFILE_GAIN = 0.5, 0.01, 0.3
+_ROUND_GAIN, _LAST_GAIN, _PROFILE_GAIN = 2.0, 0.01, 0.3
 # prior sigma of k1, and of the principal point as a fraction of the image width
 _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
 FOCAL_RANGE = (0.3, 3.5)  # of the focal length, in image widths

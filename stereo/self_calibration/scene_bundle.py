@@ -33,10 +33,12 @@ from track_range.stereo.self_calibration.radial_lens import LOG_FOCAL, RadialLen
 
 # residual of a point that the lens does not image, px: it weighs nothing
 _NOT_IMAGED_PX = 50.0
-_START_DAMPING = 1e-5
+_START_DAMPING, _MIN_DAMPING = 1e-5, 1e-8
 _MAX_DAMPING = 1e6  # largest damping, relative to the diagonal
 # prior information on the numbers of a point: only points at the focus of expansion need it
 _POINT_RIDGE = np.array([1e-6, 1e-6, 1e-2])
+# steps uphill in a row, and their largest cost, relative to the smallest one so far
+_MAX_UPHILL, _MAX_RISE = 4, 2.0
 _START_INVERSE_DISTANCE = 0.3  # of all points, in units of the path
 _MIN_COMMON = 10  # points of two frames for a start of their rotation
 _MAX_LOG_FOCAL_STEP = 0.3
@@ -124,30 +126,40 @@ class SceneBundle:
         The scene moves with the focal length, see `stretched`.
         """
         frame, point, xy_px = self.observed
-        rotation, translation = self.rotation[frame], self.translation[frame]
-        r = self.inverse_distance[point, None]
-        turned = (rotation @ self.ray[point][:, :, None])[:, :, 0]
-        expected_px, by_q, by_lens = lens.project(turned + r * translation)
-        by_point = np.empty((len(frame), 2, 3))
-        by_point[:, :, :2] = by_q @ (rotation @ self.tangents()[point])
-        by_point[:, :, 2:] = by_q @ translation[:, :, None]
-        by_pose = np.concatenate([-by_q @ cross_matrices(turned), by_q * r[:, :, None]], axis=2)
+        r, translation = self.inverse_distance[point, None], self.translation[frame]
+        turned = self._turned()
+        q = turned[:, :, 0] + r * translation
+        expected_px, by_q, by_lens = lens.project(q)
+        # one product with all directions in which q moves
+        directions = np.empty((len(frame), 3, 7))
+        directions[:, :, :3] = cross_matrices(-turned[:, :, 0])
+        directions[:, :, 3:5] = turned[:, :, 1:3]
+        directions[:, :, 5] = translation
+        directions[:, :, 6] = -turned[:, :, 3] - r * translation * _ACROSS
+        slopes = by_q @ directions
+        by_pose = np.concatenate([slopes[:, :, :3], by_q * r[:, :, None]], axis=2)
+        by_point = slopes[:, :, 3:6]
+        flat_turn = _turn_vectors(self.rotation) * _ACROSS
+        by_lens[:, :, LOG_FOCAL] += slopes[:, :, 6]
+        by_lens[:, :, LOG_FOCAL] -= np.einsum("nmi,ni->nm", slopes[:, :, :3], flat_turn[frame])
         residual = xy_px - expected_px
         is_lost = ~np.isfinite(residual).all(axis=1)
         residual[is_lost] = _NOT_IMAGED_PX
-        by_lens[:, :, LOG_FOCAL] += (by_q @ self._stretch(turned, r)[:, :, None])[:, :, 0]
         for slope in (by_pose, by_point, by_lens):
             slope[is_lost] = 0.0
         return Linear(residual, by_pose, by_point, by_lens)
 
-    def _stretch(self, turned: FloatArray, r: FloatArray) -> FloatArray:
-        """(N, 3) derivatives of the observed q by log f, as `stretched` moves them."""
+    def _turned(self) -> FloatArray:
+        """(N, 3, 4) rays, their two tangents, and the rays without their part along the first axis,
+        in the frames that see them.
+        """
+        columns = np.concatenate(
+            [self.ray[:, :, None], self.tangents(), (self.ray * _ACROSS)[:, :, None]], axis=2
+        )
+        # products of all frames and points are one matrix product, cheaper than those observed
+        turned = np.tensordot(columns, self.rotation, axes=(1, 2))  # (P, 4, F, 3)
         frame, point, _ = self.observed
-        turn = np.stack([cv2.Rodrigues(rotation)[0][:, 0] for rotation in self.rotation])
-        flat_ray = (self.rotation[frame] @ (self.ray[point] * _ACROSS)[:, :, None])[:, :, 0]
-        flat_shift = r * self.translation[frame] * _ACROSS
-        flat_turn = (cross_matrices((turn * _ACROSS)[frame]) @ turned[:, :, None])[:, :, 0]
-        return np.asarray(-flat_turn - flat_ray - flat_shift)
+        return np.asarray(turned[point, :, frame].transpose(0, 2, 1))
 
     def stretched(self, log_ratio: float) -> Self:
         """The scene that looks about the same with a focal length exp(`log_ratio`) times as large.
@@ -156,7 +168,7 @@ class SceneBundle:
         without turns, so that these bundles lie on the valley of the cost.
         """
         narrow = 1.0 - _ACROSS * (1.0 - np.exp(-log_ratio))
-        turns = [cv2.Rodrigues(rotation)[0][:, 0] for rotation in self.rotation]
+        turns = _turn_vectors(self.rotation)
         rotation = np.stack([cv2.Rodrigues(narrow * turn)[0] for turn in turns])
         ray = self.ray * narrow
         length = np.linalg.norm(ray, axis=1)
@@ -169,11 +181,14 @@ class SceneBundle:
         )
 
     def tangents(self) -> FloatArray:
-        """(P, 3, 2) two unit vectors across each ray."""
-        axis = np.where(np.abs(self.ray[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-        first = np.cross(self.ray, axis)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        return np.stack([first, np.cross(self.ray, first)], axis=2)
+        """(P, 3, 2) two unit vectors across each ray (Duff et al. 2017, "Building an orthonormal
+        basis, revisited").
+        """
+        x, y, z = self.ray.T
+        sign = np.where(z < 0.0, -1.0, 1.0)
+        a = -1.0 / (sign + z)
+        first = np.stack([1.0 + sign * x**2 * a, sign * x * y * a, -sign * x], axis=1)
+        return np.stack([first, np.stack([x * y * a, sign + y**2 * a, -y], axis=1)], axis=2)
 
     def moved(self, step: FloatArray, points: FloatArray) -> Self:
         """The scene after steps of the poses (6 F - 6,) and of the points (P, 3)."""
@@ -200,6 +215,11 @@ class SceneBundle:
     def with_noise(self, lens: RadialLens) -> Self:
         """The scene with the noise of its residuals."""
         return replace(self, noise_px=noise_px_of(self.linearize(lens).residual))
+
+
+def _turn_vectors(rotation: FloatArray) -> FloatArray:
+    """(F, 3) rotation vectors of rotations (F, 3, 3)."""
+    return np.stack([cv2.Rodrigues(one)[0][:, 0] for one in rotation])
 
 
 class LensPrior(NamedTuple):
@@ -241,33 +261,49 @@ def fit_scenes(
     prior: LensPrior,
     *,
     cauchy_sigmas: float,
-    max_steps: int = 40,
+    max_steps: int = 60,
     min_gain: float = 0.02,
 ) -> SceneFit:
     """The minimum robust cost over all poses, points and the free parameters of the lens.
 
-    Levenberg-Marquardt; `cauchy_sigmas` is the length of a residual, in standard deviations, that
-    has half the weight, and `min_gain` the decrease of the cost at which the iteration ends.
+    Levenberg-Marquardt, in which one step may go uphill if the next one ends below its start: the
+    valley of the focal length is curved (Chamberlain et al. 1982, "The watchdog technique").
+    `cauchy_sigmas` is the length of a residual, in standard deviations, that has half the weight,
+    and `min_gain` the decrease of the cost at which the iteration ends.
     """
-    scenes, damping = tuple(scenes), _START_DAMPING
-    linear = [scene.linearize(lens) for scene in scenes]
-    cost = _cost(scenes, linear, cauchy_sigmas) + prior.cost(lens)
+
+    def stated(scenes: tuple[SceneBundle, ...], lens: RadialLens) -> _State:
+        linear = [scene.linearize(lens) for scene in scenes]
+        return _State(scenes, lens, linear, _cost(scenes, linear, cauchy_sigmas) + prior.cost(lens))
+
+    now = best = stated(tuple(scenes), lens)
+    damping, n_uphill = _START_DAMPING, 0
     for _ in range(max_steps):
-        while damping < _MAX_DAMPING:
-            trial, trial_lens = _step(scenes, linear, lens, prior, cauchy_sigmas, damping)
-            trial_linear = [scene.linearize(trial_lens) for scene in trial]
-            trial_cost = _cost(trial, trial_linear, cauchy_sigmas) + prior.cost(trial_lens)
-            if trial_cost <= cost:  # False for NaN too
+        trial = stated(*_step(now, prior, cauchy_sigmas, damping))
+        if trial.cost <= best.cost:  # False for NaN too
+            gain = best.cost - trial.cost
+            now = best = trial
+            if gain < min_gain:
                 break
-            damping *= 6.0
+            damping = damping if n_uphill else max(damping / 6.0, _MIN_DAMPING)
+            n_uphill = 0
+        elif n_uphill < _MAX_UPHILL and trial.cost < _MAX_RISE * best.cost:
+            now, n_uphill = trial, n_uphill + 1
         else:
-            break
-        gain = cost - trial_cost
-        scenes, lens, linear, cost = trial, trial_lens, trial_linear, trial_cost
-        damping = max(damping / 6.0, 1e-8)
-        if gain < min_gain:
-            break
-    return SceneFit(scenes, lens, cost)
+            now, n_uphill = best, 0
+            damping *= 6.0
+            if damping > _MAX_DAMPING:
+                break
+    return SceneFit(best.scenes, best.lens, best.cost)
+
+
+class _State(NamedTuple):
+    """Scenes and lens, their residuals and derivatives, and their cost."""
+
+    scenes: tuple[SceneBundle, ...]
+    lens: RadialLens
+    linear: list[Linear]
+    cost: float
 
 
 def _cost(scenes: Sequence[SceneBundle], linear: Sequence[Linear], cauchy_sigmas: float) -> float:
@@ -278,14 +314,10 @@ def _cost(scenes: Sequence[SceneBundle], linear: Sequence[Linear], cauchy_sigmas
 
 
 def _step(
-    scenes: Sequence[SceneBundle],
-    linear: Sequence[Linear],
-    lens: RadialLens,
-    prior: LensPrior,
-    cauchy_sigmas: float,
-    damping: float,
+    state: _State, prior: LensPrior, cauchy_sigmas: float, damping: float
 ) -> tuple[tuple[SceneBundle, ...], RadialLens]:
     """Scenes and lens after a damped Gauss-Newton step."""
+    scenes, lens, linear, _ = state
     parts = [
         shared_equations(scene, part, cauchy_sigmas, damping)
         for scene, part in zip(scenes, linear, strict=True)

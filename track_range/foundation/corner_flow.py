@@ -57,16 +57,22 @@ def new_corners(
 
 
 def checked_flow(
-    source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
+    source: Image,
+    target: Image,
+    points: FloatArray32,
+    start: FloatArray32,
+    levels: int,
+    return_levels: int | None = None,
 ) -> tuple[FloatArray32, BoolArray]:
     """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward
     check.
 
-    The search begins at `start` (N, 2), with `levels` of the pyramid above the images.
+    The search begins at `start` (N, 2), with `levels` of the pyramid above the images; the way
+    back begins at its end, and fewer levels, `return_levels`, are enough for small errors.
     """
 
     def lucas_kanade(
-        first: Image, second: Image, xy: FloatArray32, start: FloatArray32
+        first: Image, second: Image, xy: FloatArray32, start: FloatArray32, levels: int
     ) -> tuple[FloatArray32, BoolArray]:
         settings: dict[str, Any] = {"winSize": _WINDOW_PX, "maxLevel": levels, "criteria": _STOP}
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
@@ -75,8 +81,10 @@ def checked_flow(
         )
         return np.asarray(moved, np.float32), status.reshape(-1) > 0
 
-    moved, is_tracked = lucas_kanade(source, target, points, start)
-    returned, has_returned = lucas_kanade(target, source, moved, points)
+    moved, is_tracked = lucas_kanade(source, target, points, start, levels)
+    returned, has_returned = lucas_kanade(
+        target, source, moved, points, levels if return_levels is None else return_levels
+    )
     height, width = target.shape
     is_inside = (moved >= _BORDER_PX).all(axis=1) & (
         moved < np.array([width, height]) - 1 - _BORDER_PX
