@@ -153,7 +153,9 @@ def test_straight_parts_are_read_where_a_speed_is_given(tmp_path):
 def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
     videos = [shutil.copy(small_drive.left, tmp_path / name) for name in ("a.mp4", "b.mp4")]
     out, figures = tmp_path / "rig.yaml", tmp_path / "f.json"
-    status, printed, complaint = cli("calibrate", "drive", *videos, "--out", out, "--json", figures)
+    measured = ("--camera-height-m", "1.6")
+    outputs = ("--out", out, "--json", figures)
+    status, printed, complaint = cli("calibrate", "drive", *videos, *measured, *outputs)
     assert status == 0, complaint
     assert "2 videos" in printed
     assert "all" in printed
@@ -173,6 +175,14 @@ def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
     assert "usual" not in kinds
     second = read_calibration(out, is_grey=False, is_pair=False).mounting
     assert second.focal_sigma < 1.1 * first.focal_sigma
+    assert second.camera_height_m == pytest.approx(1.6, abs=0.06)
+    assert second.camera_height_sigma_m <= 0.031
+
+
+def test_a_recording_counts_once(tmp_path, cli):
+    write_video(video := tmp_path / "a.mp4", [0] * 3)
+    status, _, complaint = cli("calibrate", "drive", video, video)
+    assert (status, "found it 2 times" in complaint) == (2, True)
 
 
 def test_recordings_of_two_sizes(tmp_path, cli):

@@ -3,8 +3,9 @@
 recordings -> pre-pass (pre_pass) -> focal length, distortion, height and pitch -> rig.yaml
 """
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,13 @@ from track_range.calibration.drive.known_metres import (
     known_lanes,
     known_metres,
 )
-from track_range.calibration.drive.pre_pass import CameraPrior, DriveCamera, MountedCamera, PrePass
+from track_range.calibration.drive.pre_pass import (
+    MEASURED_HEIGHT_SIGMA_M,
+    CameraPrior,
+    DriveCamera,
+    MountedCamera,
+    PrePass,
+)
 from track_range.calibration.drive.separability import separability
 from track_range.calibration.settings import DriveSettings
 from track_range.foundation.errors import UsageError
@@ -137,6 +144,9 @@ def calibrate_from_drives(
         camera_height_m=settings.camera_height_m,
     )
     names = [video_name(name) for name in settings.recordings]
+    _check_once([str(name) for name in names])
+    if settings.rig is not None and known.camera_height_m is None:
+        known = replace(known, camera_height_m=_measured_height_m(settings.rig))
     drives = [DriveVideo.of(name, settings.camera_model) for name in names]
     first = drives[0]
     for drive in drives[1:]:
@@ -163,10 +173,30 @@ def calibrate_from_drives(
         progress=progress,
     )
     mounted = pre_pass.mounted_camera_of(drives)
-    has_height = settings.camera_height_m is not None
+    has_height = known.camera_height_m is not None
     sentences = separability(mounted.fit, mounted.before, has_height=has_height)
     source = " ".join(str(name) for name in names)
     return DriveCalibration(source, mounted, first.guesses, sentences)
+
+
+def _check_once(names: Sequence[str]) -> None:
+    """Raise UsageError for a recording that is given twice: its evidence counts once."""
+    repeated = [name for name, n in Counter(names).items() if n > 1]
+    if repeated:
+        raise UsageError(
+            f"{repeated[0]}: expected every recording once, found it "
+            f"{names.count(repeated[0])} times; its evidence would count twice."
+        )
+
+
+def _measured_height_m(path: Path) -> float | None:
+    """The height of the camera in a calibration file, if it was measured; None = it has none, or
+    one by the sizes of road users, whose errors other drives share.
+    """
+    mounting = read_calibration(path, is_grey=False, is_pair=False).mounting
+    if mounting is None or mounting.camera_height_sigma_m > MEASURED_HEIGHT_SIGMA_M:
+        return None
+    return mounting.camera_height_m
 
 
 def _prior(path: Path, drive: DriveVideo) -> CameraPrior:

@@ -39,7 +39,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
-_MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
+MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
 # of a focal length from motion that says nothing: on a straight road focal length and depths are
@@ -183,7 +183,7 @@ class PrePass:
         """The camera with its height and pitch, and with the user's measurements as a source."""
         height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
         if self.known.camera_height_m is not None:
-            height = self.known.camera_height_m, _MEASURED_HEIGHT_SIGMA_M
+            height = self.known.camera_height_m, MEASURED_HEIGHT_SIGMA_M
         before = drive_camera.estimate
         fit = fit_camera(before.size_px, before.guess, self.sizes, measured, height=height)
         known = _known_source(fit, before) if self.known.are_given else None
