@@ -1,8 +1,8 @@
 """Errors that the distances of objects have in common: a scale, and an offset of the disparities.
 
-    r_i = s + log(1 + o w_i) + e_i      r_i: log of the distance by stereo over that by size of object i
-                                        s: common scale, o: true minus measured disparity
-                                        w_i: inverse disparity in 1/px, e_i: own error of the object
+    r_i = s + log(1 + o w_i) + e_i   r_i: log of the distance by stereo over that by size, object i
+                                     s: common scale, o: true minus measured disparity
+                                     w_i: inverse disparity in 1/px, e_i: own error of the object
 
 A fraction of the objects are outliers. Near and far objects separate s and o.
 """

@@ -9,12 +9,11 @@ from typing import Self
 
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.posterior import CameraPosterior
-from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
+from track_range.ranging.cameras.unknowns import OF_PAIR, CameraPriors, Sum, Unknown
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.registry import methods
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
-_OF_RIG: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 _OF_SPEED: Sum = {Unknown.SPEED: 1.0}
 _OF_ROAD: Sum = {Unknown.HEIGHT: -1.0, Unknown.FOCAL: 1.0}
 _OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
@@ -61,16 +60,11 @@ class Doubt:
             unused = {Unknown.SPEED}
 
         def sigma_of(of: Sum) -> float:
-            if of is _OF_RIG and not rig.is_known:
-                return 0.0  # nothing is measured
-            corrected = rig.log_factor if of is _OF_RIG else 0.0
-            if of is _OF_RIG and rig.offset is not None:
-                # at the disparity at which the scale is known best; the rest is in each distance
-                of = {**of, Unknown.OFFSET: rig.offset.centre}
-                corrected += rig.offset.centre * rig.offset.px
-            return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
+            if of == OF_PAIR:
+                return _sigma_of_pair(cameras, rig)
+            return cameras.sigma_of({k: v for k, v in of.items() if k not in unused})
 
-        of_odometry = _OF_RIG if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
+        of_odometry = OF_PAIR if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
         # speeds by images have the error of the times, too
         times_sigma = cameras.sigma_of(_OF_TIMES)
         return cls(
@@ -105,6 +99,18 @@ class Doubt:
         return replace(motion, speed_sigma_mps=speed_sigma_mps)
 
 
+def _sigma_of_pair(cameras: CameraPosterior, rig: RigScale) -> float:
+    """Relative standard deviation that all lengths of a pair share, after their correction."""
+    if not rig.is_known:
+        return 0.0  # nothing is measured
+    if rig.offset is None:
+        return cameras.sigma_of(OF_PAIR, rig.log_factor)
+    # at the disparity at which the scale is known best; the rest is in each distance
+    centre = rig.offset.centre
+    corrected = rig.log_factor + centre * rig.offset.px
+    return cameras.sigma_of({**OF_PAIR, Unknown.OFFSET: centre}, corrected)
+
+
 def errors_of(priors: CameraPriors) -> Errors:
     """The unknowns that the distances of every method, and the fused ones, are too large by."""
     has_rig = Unknown.BASELINE in priors
@@ -113,7 +119,7 @@ def errors_of(priors: CameraPriors) -> Errors:
     }
     sources["fused"] = ["baseline" if has_rig else "horizon"]
     # of a camera that has no given height: of the speed, or of the sizes that show it
-    of_height = (_OF_RIG,) if has_rig else (_OF_FOCAL, _OF_SPEED)
+    of_height = (OF_PAIR,) if has_rig else (_OF_FOCAL, _OF_SPEED)
     height = priors.get(Unknown.HEIGHT)
     if height is not None and height.kind == "given":
         of_height = (_OF_ROAD,)
@@ -122,7 +128,7 @@ def errors_of(priors: CameraPriors) -> Errors:
 
 def _errors_of(error_sources: Sequence[str], of_height: tuple[Sum, ...]) -> tuple[Sum, ...]:
     if "baseline" in error_sources:
-        return (_OF_RIG,)
+        return (OF_PAIR,)
     if {"horizon", "lane_width"} & {*error_sources}:
         return of_height
     return (_OF_FOCAL,)

@@ -70,12 +70,6 @@ class FocalPosterior:
     n_tracks: int = 0  # number of objects whose shapes contribute
     relative_noise: float = BoxNoise().relative  # standard deviation of box edges / box size
 
-    def as_guess(self, guesses: Sequence[FocalGuess]) -> FocalGuess:
-        """The result as a guess that names the guesses it was computed from."""
-        source = " and ".join(guess.source for guess in guesses)
-        shapes = f", and {self.shapes}" if self.n_tracks else ""
-        return FocalGuess(*self.guess, source + shapes)
-
     @property
     def shapes(self) -> str:
         """Name of the evidence of the shapes, for messages."""

@@ -4,7 +4,7 @@ Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of 
 size, h of the camera's height over the expected one, f of the focal length, u of the given speed,
 and c of the frame rate.
 
-    log d_stereo - log d_size of the road users                      = g - a        own sizes, wrong matches
+    log d_stereo - log d_size of the road users                      = g - a
     log height of the camera over their contact points by size       = h + a
     log height by stereo odometry over the motion of the road        = g + h
     log height by the given speed over the motion of the road        = h - f - c + u    one camera

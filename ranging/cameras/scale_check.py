@@ -18,6 +18,8 @@ from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
 from track_range.ranging.cameras.shape_evidence import ShapeEvidence
 from track_range.ranging.cameras.unknowns import (
+    OF_BASELINE,
+    OF_PAIR,
     USUAL_HEIGHT_M,
     CameraPriors,
     Kind,
@@ -40,9 +42,6 @@ from track_range.stereo.geometry.rig import StereoRig
 _DOUBTFUL, _RESOLVED = 2.0, 0.5  # odds of a mistake at which a doubt starts and ends
 _NEARLY = 0.135  # smallest probability of a cause, over that of the most likely one
 _FREE_SIGMA = 3.0  # of a baseline that is not known at all
-# what lengths by a pair and its baseline depend on
-_RIG_LENGTHS: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
-_RIG: Sum = {Unknown.BASELINE: 1.0}
 # heights by the speeds of a pair and of the road, and by a given speed and that of the road
 _RIG_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.BASELINE: 1.0}
 _ROAD_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0}
@@ -90,6 +89,7 @@ class ScaleCheck:
             if isinstance(sizes, CuboidSizes):
                 sources.append(ShapeEvidence(camera, sizes))
         self._sources = sources
+        self._evidence_names = ""  # of the latest evaluation
         self._due_s = self._since_s = -math.inf
         self._first_s = math.inf  # time of the first frame
         # starts and ends of former doubts
@@ -118,12 +118,12 @@ class ScaleCheck:
             return replace(CALIBRATED, offset=offset)
         at_centre = {} if offset is None else {Unknown.OFFSET: offset.centre}
         sigmas = []
-        for of in ({**_RIG_LENGTHS, **at_centre}, {**_RIG, **at_centre}):
+        for of in ({**OF_PAIR, **at_centre}, {**OF_BASELINE, **at_centre}):
             sigmas.append(self.cameras.sigma_of(of, self.cameras.correction(of)))
         # the distances by size, with which others are fused, have the error of the focal length too
         if min(sigmas) > _MAX_RIG_SIGMA:
             return UNKNOWN_SCALE
-        return RigScale(self.cameras.correction(_RIG_LENGTHS), sigmas[0], offset)
+        return RigScale(self.cameras.correction(OF_PAIR), sigmas[0], offset)
 
     @property
     def _offset(self) -> DisparityOffset | None:
@@ -137,7 +137,7 @@ class ScaleCheck:
             cameras.error_of(of, cameras.correction(of)),
             self._sizes.residual_px,
             rig.left.fx_px * rig.baseline_m,
-            centre=-cameras.covariance_of(of, _RIG_LENGTHS) / variance,
+            centre=-cameras.covariance_of(of, OF_PAIR) / variance,
         )
 
     @property
@@ -210,8 +210,9 @@ class ScaleCheck:
         size = "small" if offset.px > 0 else "large"
         return (
             f"Disparities are {abs(offset.px):.1f} ± {offset.sigma_px:.1f} px too {size}, by the "
-            "sizes of near and far road users, as with shifted images or a turned camera: corrected, "
-            "and part of every sigma; a drive in motion (or --align FILE) measures this better.",
+            "sizes of near and far road users, as with shifted images or a turned camera: "
+            "corrected, and part of every sigma; a drive in motion (or --align FILE) measures this "
+            "better.",
         )
 
     @property
@@ -262,10 +263,10 @@ class ScaleCheck:
         self, priors: CameraPriors, evidence: Sequence[Evidence], names: str
     ) -> Agreement:
         """The baseline that the drive shows by itself."""
-        of: Sum = {Unknown.BASELINE: 1.0}
         unknown = replace(priors[Unknown.BASELINE], sigma=_FREE_SIGMA, kind="unknown")
-        shown = posterior({**priors, Unknown.BASELINE: unknown}, evidence).estimate(of)
-        return Agreement(math.exp(shown.mean), shown.sigma, names, self.cameras.sigma_of(of))
+        shown = posterior({**priors, Unknown.BASELINE: unknown}, evidence).estimate(OF_BASELINE)
+        of_distances = self.cameras.sigma_of(OF_BASELINE)
+        return Agreement(math.exp(shown.mean), shown.sigma, names, of_distances)
 
     def _contradiction(self, names: str) -> ScaleDoubt | None:
         """What is probably a mistake, if this is more probable than that all is right.

@@ -1,4 +1,4 @@
-"""RigScale: what a drive shows of the scale and the disparities of a pair, and lengths corrected by it."""
+"""RigScale: what a drive shows of the scale and the disparities of a pair, to correct lengths."""
 
 import math
 from dataclasses import dataclass, replace

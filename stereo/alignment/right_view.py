@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.cauchy_fit import cauchy_fit
 
 _N_ROUNDS = 8  # rounds of the reweighted least squares
 _CAUCHY_SIGMAS = 2.0  # scale of the Cauchy weights, in standard deviations of the row differences
@@ -98,14 +98,10 @@ def fit_right_view(
     x, y = camera.rays(right_px)[:, :2].T
     f = camera.fx_px
     design = np.stack([f * (1 + y**2), -f * x, f * y, -f * x * y], axis=1)
-    weight = np.ones(len(rows_px))
-    for _ in range(_N_ROUNDS):
-        root = np.sqrt(weight)
-        solution = np.linalg.lstsq(design * root[:, None], rows_px * root, rcond=None)[0]
-        residual = rows_px - design @ solution
-        scale_px = max(mad_sigma(residual), 1e-3)
-        weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale_px)) ** 2)
-    pitch_rad, roll_rad, log_ratio, yaw_rad = solution.tolist()
+    fit = cauchy_fit(
+        design, rows_px, least_scale=1e-3, cauchy_sigmas=_CAUCHY_SIGMAS, n_rounds=_N_ROUNDS
+    )
+    pitch_rad, roll_rad, log_ratio, yaw_rad = fit.solution.tolist()
     view = RightView(
         median_px,
         math.degrees(roll_rad),

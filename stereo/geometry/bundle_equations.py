@@ -3,8 +3,8 @@
 Unknowns are the poses of F frames relative to frame 0, parameters that all observations share (the
 errors of a rig, a lens), and three numbers of each point. With damping of the diagonals of U and V,
 
-    [ U  W^T ] [x]   [b_x]     x: poses and parameters  U = Jx^T L Jx, W = Jy^T L Jx, V = Jy^T L Jy
-    [ W  V   ] [y] = [b_y]     y: points                b_x = Jx^T L r, b_y = Jy^T L r, L = diag(weight)
+    [ U  W^T ] [x]   [b_x]    x: poses, parameters   U = Jx^T L Jx, W = Jy^T L Jx, V = Jy^T L Jy
+    [ W  V   ] [y] = [b_y]    y: points              b_x = Jx^T L r, b_y = Jy^T L r, L: weights
 
     S = U - W^T V^-1 W,  b = b_x - W^T V^-1 b_y,  V block diagonal (3 x 3)
 
@@ -80,7 +80,7 @@ class Equations(NamedTuple):
 
 
 class SharedEquations(NamedTuple):
-    """Normal equations I e = i of the E shared parameters, and the poses p that follow from them."""
+    """Normal equations I e = i of the E shared parameters, and the poses p that follow."""
 
     information: FloatArray  # (E, E) I
     right_side: FloatArray  # (E,) i

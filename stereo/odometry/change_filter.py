@@ -2,7 +2,7 @@ r"""ChangeFilter: how far some values moved since the start of a drive, from rep
 
     state of each value     x: change since the first frame, b: value of the first frame,
                             c: error that lasts for about a second
-    measured per frame      value = x + b + c + noise,  step = change of x since the last frame + noise
+    measured per frame      value = x + b + c + noise,  step = change of x in this frame + noise
 
 Three motions compete in each frame, as in an interacting multiple model filter (Blom and Bar-Shalom
 1988): a firm mount, a loose one, and a hit. The result is their mixture: a change that one frame

@@ -10,13 +10,14 @@ only the first, a camera that moves in the rig only the second: a zoom is what b
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import mad_sigma
+from track_range.stereo.geometry.cauchy_fit import cauchy_fit
 
 _MIN_POINTS = 30
 _MIN_ZOOM = 0.006  # smallest change that is noticed
 # standard deviation of the change by disparities, and largest relative difference of the two
 _DISPARITY_SIGMA, _MAX_DIFFERENCE = 0.003, 0.25
 _MIN_AGREEING = 0.6  # fraction of the points that agree with the change
+_NEAR_PX = 0.1  # smallest scatter of points, small pixels
 _AGREEING_PX = 1.0  # largest residual of one that agrees, small pixels
 
 
@@ -39,12 +40,7 @@ def common_zoom(
         ]
     )
     values = np.concatenate([moved_px[:, 0], moved_px[:, 1]])
-    weight = np.ones(len(values))
-    for _ in range(5):
-        weighted = design * weight[:, None]
-        solution = np.linalg.lstsq(weighted.T @ design, weighted.T @ values, rcond=None)[0]
-        residual = values - design @ solution
-        weight = 1 / (1 + (residual / max(2 * mad_sigma(residual), 0.2)) ** 2)
+    solution, _, residual = cauchy_fit(design, values, least_scale=_NEAR_PX, n_rounds=5)
     by_places = float(solution[0])
     by_disparity = float(np.median(disparity_px / expected_disparity_px)) - 1.0
     difference = abs(by_places - by_disparity)

@@ -1,16 +1,16 @@
 r"""GivenSpeed: a given speed of the camera beside the speed that the images show, moment by moment.
 
-A given speed may be late, have another unit, or stay at zero; odometry may have another scale. Their
-ratio and the delay belong to the drive (`SpeedRelation`): the given speed is read at all likely
-delays, and its variance contains their spread. With the ratio removed, the difference D of the two
-over the last moment, and its standard deviation S if both are right,
+A given speed may be late, have another unit, or stay at zero; odometry may have another scale.
+Their ratio and the delay belong to the drive (`SpeedRelation`): the given speed is read at all
+likely delays, and its variance contains their spread. With the ratio removed, the difference D of
+the two over the last moment, and its standard deviation S if both are right,
 
     P(given is wrong) = pi N(D; 0, S^2 + W^2) / ((1 - pi) N(D; 0, S^2) + pi N(D; 0, S^2 + W^2))
 
-W is the size of mistakes. The speed is the mean over both cases, that of the images if the given one
-is wrong, and its variance contains their difference: there is no threshold at which one replaces
-the other. A ratio that the scale of odometry does not explain widens the variance only, since either
-speed may be the cause.
+W is the size of mistakes. The speed is the mean over both cases, that of the images if the given
+one is wrong, and its variance contains their difference: there is no threshold at which one
+replaces the other. A ratio that the scale of odometry does not explain widens the variance only,
+since either speed may be the cause.
 """
 
 import math
@@ -74,8 +74,7 @@ class GivenSpeed:
         step_s, self._last_s = time_s - self._last_s, time_s
         if math.isnan(given.speed_mps):
             return given
-        sigmas_mps = given.speed_sigma_mps, measured.speed_sigma_mps
-        self._samples.add(time_s, given.speed_mps, measured.speed_mps, sigmas_mps)
+        self._samples.add(time_s, given, measured)
         if time_s >= self._due_s or self.shown_ratio is None:
             self._due_s = time_s + _INTERVAL_S
             self._fit(scale, table)
@@ -114,40 +113,42 @@ class GivenSpeed:
 
     def _weighed(self, time_s: float, read: EgoMotion, by_images: EgoMotion) -> EgoMotion:
         """The mean of both speeds of a moment, in the scale of the given one."""
+        difference_mps = self._difference_mps(time_s, read, by_images)
+        if difference_mps is None:
+            return read
+        other = self._other(read, by_images, difference_mps)
+        both_mps = math.hypot(read.speed_sigma_mps, other.speed_sigma_mps)
+        shown_mps = read.speed_mps - difference_mps
+        mistake_mps = math.hypot(_MISTAKE_MPS, _MISTAKE_FRACTION * shown_mps)
+        wrong = p_mistake(difference_mps, both_mps, mistake_mps)
+        if self.shown_ratio is None and read.speed_mps >= _REST_MPS:
+            # the scale of either may be wrong
+            error_mps = math.sqrt(wrong / 2) * difference_mps
+            return replace(read, speed_sigma_mps=math.hypot(read.speed_sigma_mps, error_mps))
+        right = _both(read, other) if math.isfinite(by_images.speed_mps) else read
+        return _mean(right, other, wrong)
+
+    def _difference_mps(self, time_s: float, read: EgoMotion, by_images: EgoMotion) -> float | None:
+        """Given minus measured speed in the last measured moment; None = too few values."""
         if math.isfinite(by_images.speed_mps):
             self._differences.append((time_s, read.speed_mps - by_images.speed_mps))
         while self._differences and self._differences[0][0] < time_s - _MEMORY_S:
             self._differences.popleft()
         if not self._differences:
-            return read
+            return None
         start_s = self._differences[-1][0] - _WINDOW_S
         of_moment = [value for at_s, value in self._differences if at_s >= start_s]
-        if len(of_moment) < _MIN_VALUES:
-            return read
-        difference_mps = float(np.median(of_moment))
-        other_mps, gain = read.speed_mps - difference_mps, 0.0
-        other_sigma_mps = math.hypot(_UNMEASURED_MPS, math.sqrt(self._ratio[1]) * other_mps)
+        return float(np.median(of_moment)) if len(of_moment) >= _MIN_VALUES else None
+
+    def _other(self, read: EgoMotion, by_images: EgoMotion, difference_mps: float) -> EgoMotion:
+        """The speed of the images; without one in this frame, as they showed it a moment ago."""
+        speed_mps = read.speed_mps - difference_mps
+        sigma_mps = math.hypot(_UNMEASURED_MPS, math.sqrt(self._ratio[1]) * speed_mps)
         if math.isfinite(by_images.speed_sigma_mps):
-            other_sigma_mps = max(by_images.speed_sigma_mps, _LEAST_SIGMA_MPS)
-        given_variance, other_variance = read.speed_sigma_mps**2, other_sigma_mps**2
-        mistake_mps = math.hypot(_MISTAKE_MPS, _MISTAKE_FRACTION * other_mps)
-        both_mps = math.sqrt(given_variance + other_variance)
-        wrong = p_mistake(difference_mps, both_mps, mistake_mps)
+            sigma_mps = max(by_images.speed_sigma_mps, _LEAST_SIGMA_MPS)
         if math.isfinite(by_images.speed_mps):
-            other_mps = by_images.speed_mps
-            gain = given_variance / (given_variance + other_variance)
-        if self.shown_ratio is None and read.speed_mps >= _REST_MPS:
-            # the scale of either may be wrong
-            error_mps = math.sqrt(wrong / 2) * difference_mps
-            sigma_mps = math.hypot(read.speed_sigma_mps, error_mps)
-            return replace(read, speed_sigma_mps=sigma_mps)
-        # both are right, or the given one is not
-        right_mps = read.speed_mps + gain * (other_mps - read.speed_mps)
-        right_variance = (1 - gain) * given_variance
-        mean_mps = right_mps + wrong * (other_mps - right_mps)
-        variance = (1 - wrong) * right_variance + wrong * other_variance
-        variance += wrong * (1 - wrong) * (other_mps - right_mps) ** 2
-        return replace(read, speed_mps=mean_mps, speed_sigma_mps=math.sqrt(variance))
+            speed_mps = by_images.speed_mps
+        return EgoMotion(speed_mps, sigma_mps)
 
     def _with_scale(self, motion: EgoMotion, scale: tuple[float, float]) -> EgoMotion:
         """The speed with an error that covers both scales, if they contradict each other."""
@@ -191,6 +192,26 @@ class GivenSpeed:
                 "speed of the images is used there; check the source of the speed."
             )
         return tuple(notes)
+
+
+def _both(given: EgoMotion, other: EgoMotion) -> EgoMotion:
+    """The mean of two speeds that are both right, by their information."""
+    given_variance, other_variance = given.speed_sigma_mps**2, other.speed_sigma_mps**2
+    gain = given_variance / (given_variance + other_variance)
+    speed_mps = given.speed_mps + gain * (other.speed_mps - given.speed_mps)
+    sigma_mps = math.sqrt((1 - gain) * given_variance)
+    return replace(given, speed_mps=speed_mps, speed_sigma_mps=sigma_mps)
+
+
+def _mean(right: EgoMotion, other: EgoMotion, wrong: float) -> EgoMotion:
+    """The mixture of the speed if the given one is right, and the other with the probability
+    `wrong`.
+    """
+    difference_mps = other.speed_mps - right.speed_mps
+    within = (1 - wrong) * right.speed_sigma_mps**2 + wrong * other.speed_sigma_mps**2
+    variance = within + wrong * (1 - wrong) * difference_mps**2
+    speed_mps = right.speed_mps + wrong * difference_mps
+    return replace(right, speed_mps=speed_mps, speed_sigma_mps=math.sqrt(variance))
 
 
 def p_mistake(difference: float, sigma: float, mistake_sigma: float) -> float:

@@ -82,10 +82,8 @@ def fit_motion(
     `inverse_depth_noise` of rho, 1/m; `rng` draws triples. `expected_offset` is the
     common error of all rho, near which the one that fits best is sought.
     """
-    motion = _of_triples(
-        rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng
-    )
     points = _Points(rays, inverse_depth, now, noise, inverse_depth_noise)
+    motion = _of_triples(points, rng)
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
         information = equations.information[:6, :6]
@@ -187,9 +185,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 def _reprojection(
     motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
+    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by
+    inverse depth.
 
-    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
+    With q = R m + t rho, u = R m:  d q = w x u + rho dt + t drho, d (q_x / q_z) = (d q_x - x d q_z) / q_z
     """
     u_x, u_y, u_z = motion.rotation @ rays.T
     t_x, t_y, t_z = motion.translation_m.tolist()
@@ -203,20 +202,12 @@ def _reprojection(
     return np.array([x, y]) - now[:, :2].T, jacobian, by_depth
 
 
-def _of_triples(
-    rays: FloatArray,
-    inverse_depth: FloatArray,
-    now: FloatArray,
-    *,
-    noise: float,
-    inverse_depth_noise: float,
-    rng: np.random.Generator,
-) -> RigidMotion:
+def _of_triples(points: _Points, rng: np.random.Generator) -> RigidMotion:
     """The motion of a random triple of points, or rest, that has the smallest robust cost over all
     points.
     """
-    x, y, rho = now[:, 0], now[:, 1], inverse_depth
-    m_x, m_y = rays[:, 0], rays[:, 1]
+    x, y, rho = points.now[:, 0], points.now[:, 1], points.inverse_depth
+    m_x, m_y = points.rays[:, 0], points.rays[:, 1]
     zero = np.zeros(len(x))
     columns = np.array(
         [
@@ -235,8 +226,7 @@ def _of_triples(
     solutions = np.concatenate([np.zeros((1, 6)), solutions])
     error2 = ((solutions @ columns - moved[:, None]) ** 2).sum(axis=0)
     depth_change = 1.0 + solutions[:, 5:] * rho  # the equations are multiplied by z' / z
-    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[
-        :, None
-    ] * inverse_depth_noise**2
+    shift2 = (solutions[:, 3:] ** 2).sum(axis=1)[:, None]
+    variance = (depth_change * points.noise) ** 2 + shift2 * points.inverse_depth_noise**2
     best = solutions[int(np.argmin(np.minimum(error2 / variance, _MAX_DISTANCE2).sum(axis=1)))]
     return RigidMotion(_rotation(best[:3]), best[3:])

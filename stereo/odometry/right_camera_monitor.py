@@ -1,8 +1,8 @@
-r"""RightCameraMonitor: measures how the right camera of a pair moves against its rig during a drive.
+r"""RightCameraMonitor: how the right camera of a pair moves against its rig during a drive.
 
-    rows of corresponding points     y_right - y_left = pitch (1 + Y^2) - roll u + zoom v
-    disparities of static points     predicted by the motion of the camera - measured = offset (1 + X^2) + bow u^2
-    flow of static points            the offset of all disparities that fits it
+    rows of corresponding points   y_right - y_left = pitch (1 + Y^2) - roll u + zoom v
+    disparities of static points   by the camera's motion - measured = offset (1 + X^2) + bow u^2
+    flow of static points          the offset of all disparities that fits it
 
 with X, Y: right point / f, and u, v: the same in half image widths. A wrong zero of the disparities
 makes static points at all distances flow as if they were nearer: each step of the camera measures
@@ -18,16 +18,15 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.cauchy_fit import cauchy_fit
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.change_filter import ChangeFilter, Changes
 from track_range.stereo.odometry.right_camera import OFFSET, RightCamera, changes_of
 
 _MIN_POINTS = 20  # smallest number of points of a measurement
-_N_ROUNDS = 3  # rounds of the reweighted least squares
-_CAUCHY_SIGMAS = 2.0
 _NEAR_PX = 0.2  # smallest scatter of points, full pixels
+_AGREEING_PX = 1.2  # largest residual of a point that agrees
 # standard deviations of errors that last for about a second, in px: pitch, roll, zoom, offset
 _LASTING_PX = np.array([0.03, 0.05, 0.15, 0.12])
 _FACTOR = 1.4  # of the sigmas of rows and of the offset by the flow
@@ -54,7 +53,6 @@ class RightCameraMonitor:
         self._moved_s, self._moved = math.nan, RightCamera(camera)
         self._n_frames = self._n_hits = 0
         self.now = RightCamera(camera)
-        self._is_first = True
         # change of the offset in the frame before the last one that its correction did not contain
         self.missed_offset_px = 0.0
         self._bow_px = self._bow_variance = 0.0
@@ -72,8 +70,8 @@ class RightCameraMonitor:
         if self._n_hits >= max(_MIN_HITS, _SHAKING_FRACTION * self._n_frames):
             return (
                 f"Left and right images shake against each other from {self._moved_s:.1f} s on, in "
-                f"{100 * self._n_hits / self._n_frames:.0f} % of the frames: this is corrected, but "
-                "distances are less accurate; mount the cameras more firmly.",
+                f"{100 * self._n_hits / self._n_frames:.0f} % of the frames: this is corrected, "
+                "but distances are less accurate; mount the cameras more firmly.",
             )
         pitch_px, roll_px, zoom_px, offset_px, _ = self._moved.applied_px.tolist()
         pct = 100 * abs(offset_px) * _REFERENCE_M / self._focal_baseline
@@ -152,9 +150,8 @@ class RightCameraMonitor:
 
     def follow(self, alignment: Alignment) -> None:
         """Take the alignment of the next frame into account: another one includes the changes."""
-        before, is_first = self.now.own, self._is_first
-        self._is_first = False
-        if is_first or before == alignment:
+        before = self.now.own
+        if not self._n_frames or before == alignment:  # nothing was measured, or it is the same
             self.now = replace(self.now, own=alignment)
             return
         change_px = alignment.offset_px - before.offset_px
@@ -182,7 +179,9 @@ class RightCameraMonitor:
         u, v, Y = self._places(right_px)
         # the yaw is one of the disparities, too, which measure it better
         design = np.stack([1 + Y**2, -u, v, -u * Y], axis=1)
-        solution, covariance, _ = _robust_fit(design, right_px[:, 1] - left_px[:, 1])
+        solution, covariance, _ = cauchy_fit(
+            design, right_px[:, 1] - left_px[:, 1], least_scale=_NEAR_PX
+        )
         return solution[:3], _FACTOR * np.sqrt(np.diag(covariance))[:3]
 
     def _steps(
@@ -196,8 +195,8 @@ class RightCameraMonitor:
         missing_px = expected_px[is_known] - (left_px - right_px)[is_known, 0]
         X = u * (self._camera.width_px / 2 / self._camera.fx_px)
         design = np.stack([1 + X**2, u**2], axis=1)
-        solution, covariance, agreeing = _robust_fit(design, missing_px)
-        if agreeing < _MIN_AGREEING:
+        solution, covariance, residual = cauchy_fit(design, missing_px, least_scale=_NEAR_PX)
+        if (np.abs(residual) < _AGREEING_PX).mean() < _MIN_AGREEING:
             return None
         return solution, np.sqrt(np.diag(covariance) + _STEP_SIGMA_PX**2)
 
@@ -207,21 +206,3 @@ class RightCameraMonitor:
         below_px = points_px[:, 1] - camera.cy_px
         u = (points_px[:, 0] - camera.cx_px) / half_px
         return u, below_px / half_px, below_px / camera.fy_px
-
-
-def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """(P,) parameters of the values (N,) by the design (N, P), their covariance, and the fraction
-    of the values that agree.
-    """
-    residual = values - median_of(values)
-    ridge = 1e-6 * len(values) * np.eye(design.shape[1])
-    for _ in range(_N_ROUNDS):
-        scatter = MAD_TO_SIGMA * float(median_of(np.abs(residual - median_of(residual))))
-        scale = max(scatter, _NEAR_PX)
-        weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale)) ** 2)
-        information = (design * weight[:, None]).T @ design + ridge
-        solution = np.linalg.solve(information, design.T @ (weight * values))
-        residual = values - design @ solution
-    agreeing = float((np.abs(residual) < 3 * _CAUCHY_SIGMAS * _NEAR_PX).mean())
-    covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
-    return np.asarray(solution, np.float64), covariance, agreeing

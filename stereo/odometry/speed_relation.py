@@ -2,10 +2,10 @@ r"""SpeedRelation: ratio and delay of a given speed against the speed that the i
 
     v(t) = e^s m(t - tau) + noise        v: given, m: measured; s: log ratio, tau: how late v is
 
-For each tau of a grid, s is a weighted least-squares fit; residuals beyond 3 sigma count less. Before
-the first measurement, m is its first value with an uncertainty that grows with the time, so that
-all tau are compared on all samples. Errors are correlated over a second. A delay shows only while
-the speed changes; otherwise all are equally likely.
+For each tau of a grid, s is a weighted least-squares fit; residuals beyond 3 sigma count less.
+Before the first measurement, m is its first value with an uncertainty that grows with the time, so
+that all tau are compared on all samples. Errors are correlated over a second. A delay shows only
+while the speed changes; otherwise all are equally likely.
 """
 
 from collections import deque
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 LAGS_S: FloatArray = np.arange(-1.5, 3.01, 0.1)  # (G,) given speeds are rather late than early
 _CORRELATED_S = 1.0  # time over which errors of both speeds are correlated
@@ -56,17 +57,20 @@ class SpeedRelation:
         # time, given and measured speed, their variance
         self._samples: deque[tuple[float, float, float, float]] = deque()
 
-    def add(
-        self, time_s: float, given_mps: float, measured_mps: float, sigmas_mps: tuple[float, float]
-    ) -> None:
+    def add(self, time_s: float, given: EgoMotion, measured: EgoMotion) -> None:
         """Add a frame; frames with an unknown speed, or one near rest, say nothing."""
-        if self._samples and time_s - self._samples[-1][0] < _STEP_S:
+        is_early = bool(self._samples) and time_s - self._samples[-1][0] < _STEP_S
+        # False for NaN
+        is_moving = given.speed_mps >= _MIN_MPS and measured.speed_mps >= _MIN_MPS
+        if is_early or not is_moving:
             return
-        is_moving = given_mps >= _MIN_MPS and measured_mps >= _MIN_MPS  # False for NaN
-        if not is_moving:
-            return
-        variance = float(np.nansum(np.square([*sigmas_mps, _NOISE_FRACTION * given_mps])))
-        self._samples.append((time_s, given_mps, measured_mps, variance))
+        sigmas_mps = (
+            given.speed_sigma_mps,
+            measured.speed_sigma_mps,
+            _NOISE_FRACTION * given.speed_mps,
+        )
+        variance = float(np.nansum(np.square(sigmas_mps)))
+        self._samples.append((time_s, given.speed_mps, measured.speed_mps, variance))
         while self._samples[0][0] < time_s - _SPAN_S:
             self._samples.popleft()
 

@@ -154,9 +154,9 @@ class _Matches(NamedTuple):
 class StereoOdometry:
     """Measures the motion of a rectified pair; the state belongs to the instance.
 
-    `alignment` corrects its disparities; None = that of each frame, or of the rig. Other estimators may use the same
-    `flow` of the background in the left images; None = a separate one. Raises ValueError if the rig
-    is not rectified.
+    `alignment` corrects its disparities; None = that of each frame, or of the rig. Other estimators
+    may use the same `flow` of the background in the left images; None = a separate one. Raises
+    ValueError if the rig is not rectified.
     """
 
     source = "stereo odometry"
@@ -216,7 +216,10 @@ class StereoOdometry:
         matches = self._matches(now, right, warped.alignment, tracked)
         dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
         is_usual = tracked is not None and tracked.is_usual
-        if tracked is not None and not is_usual and self._is_zoom(matches, tracked, frame.time_s):
+        zoom = 0.0 if tracked is None or is_usual else self._zoom(matches, tracked)
+        if zoom:
+            self._focal_factor *= 1 + zoom
+            self._zoomed_s = frame.time_s
             fit = None
         if not is_usual:
             matches = matches._replace(expected_px=np.full(len(matches.number), np.nan))
@@ -298,23 +301,19 @@ class StereoOdometry:
             number[is_matched],
         )
 
-    def _is_zoom(self, matches: _Matches, tracked: _Tracked, time_s: float) -> bool:
-        """Whether the points show a change of the focal length of both cameras, which is counted."""
+    def _zoom(self, matches: _Matches, tracked: _Tracked) -> float:
+        """Relative change of the focal length of both cameras that the points show; 0 = none."""
         is_tracked = ~matches.is_corner
         number = matches.number[is_tracked]
         points, expected = matches.left[is_tracked], tracked.expected[number]
         camera = self._rig.left
         centre = (np.array([camera.cx_px, camera.cy_px]) + 0.5) / (1 << self._n_halved) - 0.5
-        zoom = common_zoom(
+        return common_zoom(
             expected - centre,
             points - centre,
             matches.expected_px[is_tracked],
             (points - matches.right[is_tracked]).astype(np.float64)[:, 0],
         )
-        if zoom:
-            self._focal_factor *= 1 + zoom
-            self._zoomed_s = time_s
-        return bool(zoom)
 
     def _right_moved(
         self, matches: _Matches, fit: MotionFit | None, time_s: float, dt_s: float

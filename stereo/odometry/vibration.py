@@ -1,7 +1,7 @@
 """Vibration: how much the images jump from frame to frame.
 
-A camera on a vehicle turns smoothly: rotations from frame to frame are alike. An image that jumps by
-j in one frame jumps back in the next one: its rotations w_t = j_t - j_t-1 have the covariance
+A camera on a vehicle turns smoothly: rotations from frame to frame are alike. An image that jumps
+by j in one frame jumps back in the next one: its rotations w_t = j_t - j_t-1 have the covariance
 -sigma_j^2 with those of the next frame.
 """
 

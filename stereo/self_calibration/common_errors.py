@@ -31,8 +31,8 @@ N_STRIPS = 8  # vertical strips of the image, whose points are a group
 
 
 # Error in px of the tracked image that the far points of a scene may have in common, as a pattern
-# that looks like another focal length; with it straight simulated drives (seeds 700 to 703) say that
-# they do not know.
+# that looks like another focal length; with it straight simulated drives (seeds 700 to 703) say
+# that they do not know.
 _PATTERN_PX = 0.05
 # focal length in image widths below which a fit without turns may end: the turns are then too large
 _USUAL_FOCAL = 0.8
@@ -42,8 +42,8 @@ def pattern_sigma(scenes: Sequence[SceneBundle], lens: RadialLens) -> float:
     """Relative standard deviation of the focal length from errors that a whole scene has in common.
 
     A turn by alpha moves a point at the angle u from the axis by f alpha (1 + u^2): only the part
-    with u^2 tells f from alpha. So an error of e px of this pattern is one of e / (2 f alpha u^2) of
-    f. It limits what a drive with small turns can show, however many points it has.
+    with u^2 tells f from alpha. So an error of e px of this pattern is one of e / (2 f alpha u^2)
+    of f. It limits what a drive with small turns can show, however many points it has.
     """
     width_px = 2 * lens.centre_px[0] + 1
     information = 0.0

@@ -99,7 +99,7 @@ class CornerTracks:
 
 
 def _outside(shape_px: tuple[int, ...], xyxy_px: FloatArray) -> BoolArray:
-    """(H, W) pixels outside the boxes (N, 4) and a margin around them; invalid boxes are ignored."""
+    """(H, W) pixels outside the boxes (N, 4) and a margin; invalid boxes are ignored."""
     is_free = np.ones(shape_px, np.bool_)
     valid = xyxy_px[np.isfinite(xyxy_px).all(axis=1)]
     edges = np.rint(valid + np.array([-1, -1, 1, 1]) * _BOX_MARGIN_PX).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The focal length of the scenes of a drive: selection of static points, and the profile likelihood.
+"""The focal length of the scenes of a drive: selection of static points, profile likelihood.
 
 The cost of the scenes is minimised over everything but the focal length at some focal lengths:
 
@@ -35,8 +35,7 @@ from track_range.stereo.self_calibration.scene_bundle import (
 
 MIN_OBSERVATIONS = 4  # minimum number of observations of a point
 MIN_POINTS = 60  # minimum number of points of a scene
-# Rounds of the selection: scale of the Cauchy loss in sigmas, and largest residual of a static point
-# in sigmas
+# rounds of the selection: scale of the Cauchy loss, and largest residual of a static point, sigmas
 _ROUNDS = ((2.0, 6.0), (3.0, 4.5))
 _LAST_SIGMAS = 4.0
 # distances in log f from the best one at which the cost is computed, until it is so much higher

@@ -1,6 +1,6 @@
 """RadialLens: the few numbers of a lens that a drive can show, and their derivatives.
 
-    m = s (x, y),   u = f m_x + cx,   v = f m_y + cy          (x, y, z): direction in the camera's frame
+    m = s (x, y),   u = f m_x + cx,   v = f m_y + cy     (x, y, z): direction, camera frame
 
     pinhole       s = (1 + k1 rho + k2 rho^2) / z,            rho = (x^2 + y^2) / z^2
     equidistant   s = theta (1 + k1 theta^2 + k2 theta^4) / r,   r = |(x, y)|,  theta = atan2(r, z)
@@ -20,7 +20,7 @@ Family = Literal["pinhole", "equidistant"]
 # the shared parameters of a bundle, by their numbers
 LOG_FOCAL, K1, K2, CX, CY = range(5)
 N_PARAMETERS = 5
-# smallest depth of a point ahead, and distance from the axis at which s has a derivative, for |q| = 1
+# smallest depth ahead, and distance from the axis at which s has a derivative, for |q| = 1
 _MIN_Z, _MIN_RADIUS = 1e-3, 1e-4
 # largest angle from the axis of an image with straight lines
 _MAX_ANGLE_RAD = 1.2
@@ -28,8 +28,8 @@ _MAX_ANGLE_RAD = 1.2
 
 @dataclass(frozen=True, slots=True)
 class RadialLens:
-    """A lens; `parameters` (5,) are log f (px), k1, k2, and the principal point from the image centre
-    (px).
+    """A lens; `parameters` (5,) are log f (px), k1, k2, and the principal point from the image
+    centre (px).
     """
 
     parameters: FloatArray

@@ -1,12 +1,12 @@
-"""Bundle adjustment of a part of a drive of one camera: poses and points of the static scene, and the
-lens that all parts share.
+"""Bundle adjustment of a part of a drive of one camera: poses and points of the static scene, and
+the lens that all parts share.
 
-    point: unit direction X from frame 0, inverse distance r:    q = R X + r t      R, t = frame f from frame 0
+    point: unit direction X from frame 0, inverse distance r:   q = R X + r t   R, t: from frame 0
     image: see `radial_lens`
 
-Unknowns of a point are two tangents of X, so that points in all directions are alike, and r, which is
-0 for the sky. The scale is free: the longest t has length 1. (Triggs et al. 2000, sections 2.2 and 9;
-equations: `stereo.geometry.bundle_equations`.)
+Unknowns of a point are two tangents of X, so that points in all directions are alike, and r, which
+is 0 for the sky. The scale is free: the longest t has length 1. (Triggs et al. 2000, sections 2.2
+and 9; equations: `stereo.geometry.bundle_equations`.)
 """
 
 from collections.abc import Sequence
@@ -223,7 +223,7 @@ def _turn_vectors(rotation: FloatArray) -> FloatArray:
 
 
 class LensPrior(NamedTuple):
-    """Independent normal distributions of the parameters of a lens; a sigma of 0 keeps a parameter."""
+    """Independent normal distributions of the parameters of a lens; sigma 0 keeps a parameter."""
 
     mean: FloatArray  # (5,)
     sigma: FloatArray  # (5,)

@@ -1,14 +1,14 @@
-"""SceneMotion: focal length, distortion and principal point of one camera from the images of a drive.
+"""SceneMotion: focal length and distortion of one camera from the images of a drive.
 
 Corners are tracked, keyframes are divided into scenes of two seconds, and all scenes together give
 the profile likelihood of the focal length (`focal_profile`). A turn moves far points by
 f tan(angle), and the images of near points tell the turn from a sideways motion; on a straight road
 the focal length and the depth of everything are interchangeable, and the likelihood is flat.
 
-Sigma contains the noise of the tracks and the errors that they have in common. It does not contain a
-rolling shutter: synthetic scenes of 2.2 s with bumps, read out in 30 ms, give a focal length that is
-2.6 % too small in a turn of 9 degrees, 1.1 % in one of 18 degrees and 0.4 % in one of 33 degrees (10
-ms: a third of it).
+Sigma contains the noise of the tracks and the errors that they have in common. It does not contain
+a rolling shutter: synthetic scenes of 2.2 s with bumps, read out in 30 ms, give a focal length that
+is 2.6 % too small in a turn of 9 degrees, 1.1 % in one of 18 degrees and 0.4 % in one of 33 degrees
+(10 ms: a third of it).
 """
 
 import math
@@ -28,7 +28,7 @@ from track_range.stereo.self_calibration.focal_profile import (
     observed_points,
     started_scene,
 )
-from track_range.stereo.self_calibration.radial_lens import CX, K1, LOG_FOCAL, RadialLens
+from track_range.stereo.self_calibration.radial_lens import K1, LOG_FOCAL, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
@@ -39,8 +39,6 @@ _MAX_PARTS = 5  # scenes that are used, those with the largest turns
 # sigma as often as normal ones.
 _COMMON_FACTOR, _LEAST_SIGMA = 2.0, 0.008
 _LEAST_K1_SIGMA = 0.002
-# the same of the principal point, the smallest sigma as a fraction of the image width
-_CENTRE_FACTOR, _LEAST_CENTRE_SIGMA = 3.0, 0.008
 _N_GRID = 400  # focal lengths of the likelihood
 
 
@@ -58,8 +56,6 @@ class MotionEstimate:
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
     k1: float  # first radial coefficient, OpenCV's
     k1_sigma: float
-    centre_px: tuple[float, float]  # principal point from the centre of the image
-    centre_sigma_px: float
     turn_deg: float  # largest change of the heading in a scene
     span_s: tuple[float, float]  # first and last time of that scene
     n_points: int  # tracked static points
@@ -133,7 +129,6 @@ class SceneMotion:
         lens = profile.fit.lens
         sigma_of = np.sqrt(np.diag(profile.covariance.common))
         k1, *higher_terms = lens.opencv_distortion()
-        cx_px, cy_px = lens.parameters[CX:].tolist()
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
             log_focal=log_focal + math.log(self._scale),
@@ -142,11 +137,6 @@ class SceneMotion:
             sigma=sigma,
             k1=k1,
             k1_sigma=math.hypot(_COMMON_FACTOR * sigma_of[K1], _LEAST_K1_SIGMA),
-            centre_px=(cx_px * self._scale, cy_px * self._scale),
-            centre_sigma_px=math.hypot(
-                _CENTRE_FACTOR * float(sigma_of[CX:].max()) * self._scale,
-                _LEAST_CENTRE_SIGMA * self._size_px[0],
-            ),
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),

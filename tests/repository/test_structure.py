@@ -14,8 +14,8 @@ MOST_STATEMENTS = {
     # a line for each value (20); names moved below (10); layouts of numbers (40) and annotation
     # tools (70) as rows, with a field for each of their names
     # each label format declared beside its reader (10)
-    "detection": 8_075,
-    "tracking": 1_560,
+    "detection": 8_069,
+    "tracking": 1_557,
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
@@ -34,25 +34,25 @@ MOST_STATEMENTS = {
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
     # the frame rate (15); what would show the scale of a pair without a rig (3)
     "ranging": 6_569,  # turns as evidence of a given focal length (65), the height by the posterior (17)
-    "api": 105,  # names that are imported when they are used, and their former names (22)
+    "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
     # a recording counts once, and a measured height is kept (12)
-    "calibration": 1_327,
+    "calibration": 1_323,
     # notes on packages (5); a command with sub-commands (50)
     "cli": 2_385,
-    "evaluation": 1_515,
-    "fleet": 3_155,  # what a lost worker counts as is a function that tests call (5)
+    "evaluation": 1_510,
+    "fleet": 3_148,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
-    "foundation": 1_600,
+    "foundation": 1_596,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
     # right camera that moved (6); speeds by two sources (17); sigmas of positions (13); the scale
     # that a frame shows is used in it (9)
-    "pipeline": 835,
+    "pipeline": 828,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120)
@@ -60,16 +60,16 @@ MOST_STATEMENTS = {
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
-    "results": 2_644,
+    "results": 2_640,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
     # a known distance of a run without a calibration (10); an estimate counts once (1)
-    "run": 2_316,
+    "run": 2_315,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
-    "views": 2_612,
-    "track_range": 100,  # a module of errors and one of evaluations, each with its names for type checkers (18)
+    "views": 2_611,
+    "track_range": 98,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
 

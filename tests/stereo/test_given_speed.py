@@ -29,8 +29,8 @@ def by_images(time_s: float, rng: np.random.Generator) -> EgoMotion:
 def relation(given: Speed, seconds: float = SECONDS, measured: Speed = driven) -> SpeedRelation:
     rng, samples = np.random.default_rng(1), SpeedRelation()
     for time_s in np.arange(0, seconds, 1 / FPS):
-        given_mps = given(time_s) + 0.1 * rng.normal()
-        samples.add(time_s, given_mps, measured(time_s) + 0.05 * rng.normal(), (0.2, 0.07))
+        by_receiver = EgoMotion(given(time_s) + 0.1 * rng.normal(), 0.2)
+        samples.add(time_s, by_receiver, EgoMotion(measured(time_s) + 0.05 * rng.normal(), 0.07))
     return samples
 
 

@@ -19,8 +19,8 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
-# relative error of the speed by stereo odometry, from its rig, and of the speed by the motion of the
-# road, from a height of the camera that is given, and from a usual one
+# relative error of the speed by stereo odometry, from its rig, and of the speed by the motion of
+# the road, from a height of the camera that is given, and from a usual one
 _RIG_SIGMA, _HEIGHT_SIGMA, _USUAL_SIGMA = 0.025, 0.04, 0.25
 
 
@@ -120,11 +120,12 @@ class EgoStage:
         known: EgoMotion | None,
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
-        measured = by_road
-        scale = 0.0, _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         if self.pair_odometry is not None:
-            measured, scale = by_pair, (-rig_scale.log_factor, _RIG_SIGMA + rig_scale.sigma)
-        scale = scale[0], min(scale[1], 1.0)
+            measured = by_pair
+            scale = -rig_scale.log_factor, min(_RIG_SIGMA + rig_scale.sigma, 1.0)
+        else:
+            measured = by_road
+            scale = 0.0, _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         table = self.speed if known is None else None
         return self.given_speed.update(time_s, given, measured or EgoMotion(), scale, table=table)
 

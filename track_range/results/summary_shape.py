@@ -88,6 +88,7 @@ class _CameraEstimate(_Section):
     sources: list[_Source]
     k1: Number | None = None
     k1_sigma: Number | None = None
+    distortion: list[Number] = []
     remedy: _Remedy | None = None
 
 

@@ -396,8 +396,8 @@ class Run:
 
     @property
     def camera_notes(self) -> list[str]:
-        """Messages on an estimated camera: how well it is known, from what, and what would help; none
-        with a calibration.
+        """Messages on an estimated camera: how well it is known, from what, and what would help;
+        none with a calibration.
         """
         return list(self.session.recording.calibration.estimate_notes)
 

@@ -186,7 +186,7 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
     default = default_guess(drive.size_px[0])
     yield NAMES[3], default
     posterior = focal_posterior([default], drive.scene, drive.size_px, sizes)
-    prior = posterior.as_guess([default])
+    prior = FocalGuess(*posterior.guess, "shapes and a usual field of view")
     yield NAMES[0], prior
     for known in drive.known:
         for name, n in ((NAMES[1], 1), (NAMES[2], 3)):

@@ -14,7 +14,7 @@ import time
 from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -202,15 +202,15 @@ def _lens(case: tuple[str, int]) -> Figures:
         next(iter(run))
     summary = run.summary
     estimate = summary["camera_estimate"] or {}
-    k1 = float(estimate.get("k1") or 0.0)
-    found = PinholeCamera.of_focal_length(float(summary["focal_px"]), drive.rig.left.size_px)
-    bent = PinholeCamera.of_matrix(found.matrix, found.size_px, (k1, 0.0, 0.0, 0.0))
+    focal_px = float(estimate.get("focal_px") or summary["focal_px"])
+    found = PinholeCamera.of_focal_length(focal_px, drive.rig.left.size_px)
+    bent = replace(found, distortion=tuple(estimate.get("distortion") or ()))
     return {
         "drive": drive.name,
         **_focal(summary, drive.rig.left.fx_px),
         "k1": estimate.get("k1"),
         "k1_sigma": estimate.get("k1_sigma"),
-        "edge_error_px": edge_error_px(drive.rig.left, bent if k1 else found),
+        "edge_error_px": edge_error_px(drive.rig.left, bent),
         "edge_error_undistorted_px": edge_error_px(drive.rig.left, found),
     }
 

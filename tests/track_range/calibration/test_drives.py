@@ -26,7 +26,9 @@ from track_range.recording.sources.names import video_name
 from track_range.recording.video.options import RecordingOptions
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
+from track_range.stereo.rig_formats.rig_yaml import save_camera
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
 SIZE_PX = (1280, 720)
@@ -41,8 +43,6 @@ def motion(focal_px=1000.0, sigma=0.02, **changes):
         "sigma": sigma,
         "k1": -0.1,
         "k1_sigma": 0.01,
-        "centre_px": (640.0, 360.0),
-        "centre_sigma_px": 5.0,
         "turn_deg": 30.0,
         "span_s": (42.3, 44.3),
         "n_points": 500,
@@ -193,6 +193,41 @@ def test_recordings_of_two_sizes(tmp_path, cli):
     writer.release()
     status, _, complaint = cli("calibrate", "drive", tmp_path / "a.mp4", tmp_path / "b.mp4")
     assert (status, "b.mp4" in complaint, "160x120" in complaint) == (2, True, True)
+
+
+@pytest.mark.parametrize(
+    ("k1_sigma", "expected"),
+    [(0.002, (-0.2, 0.03, 0.0, 0.0)), (0.05, (-0.1, 0.0, 0.0, 0.0))],
+)
+def test_the_better_known_distortion_stays(k1_sigma, expected):
+    """An earlier calibration against a turn, which shows -0.1 within 0.01."""
+    given = source_of_guess(FocalGuess(1000.0, 0.02, "rig.yaml"), "given", SIZE_PX[0])
+    before = CameraEstimate(
+        size_px=SIZE_PX, sources=(given,), k1=-0.2, k1_sigma=k1_sigma, higher_terms=(0.03, 0.0, 0.0)
+    )
+    assert with_motion(before, motion()).distortion == expected
+
+
+def test_a_drive_without_motion_keeps_an_earlier_distortion(tmp_path, cli):
+    """A standing camera shows nothing; its earlier calibration is written again."""
+    write_video(video := tmp_path / "still.mp4", [0] * 12)
+    earlier = PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120, (-0.3, 0.08, 0.0, 0.0))
+    rig, out = tmp_path / "rig.yaml", tmp_path / "new.yaml"
+    mounting = Mounting(
+        focal_sigma=0.01,
+        camera_height_m=1.5,
+        camera_height_sigma_m=0.02,
+        pitch_deg=0.0,
+        pitch_sigma_deg=0.1,
+        k1_sigma=0.01,
+    )
+    save_camera(earlier, rig, mounting=mounting)
+    status, _, complaint = cli("calibrate", "drive", video, "--rig", rig, "--out", out)
+    assert status == 0, complaint
+    camera, _ = load_camera(out, size_px=None)
+    assert camera.distortion == earlier.distortion
+    assert camera.fx_px == pytest.approx(150.0, rel=0.01)
+    assert read_calibration(out, is_grey=False, is_pair=False).mounting.k1_sigma == 0.01
 
 
 def test_prior_is_a_source():

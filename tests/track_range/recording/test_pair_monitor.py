@@ -1,5 +1,7 @@
 """Tests of the check of a pair's first images: which frames are used, its messages and its end."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,7 +38,8 @@ def test_good_pair_has_no_notes():
 def test_row_offset_is_reported_unless_corrected():
     monitor = PairMonitor(RIG)
     (note,) = notes_of(frames(MAX_CHECKED_PAIRS, row_px=5), monitor)
-    assert "vertical offset of +" in note
+    row_px = float(re.search(r"vertical offset of \+([0-9.]+) px", note)[1])
+    assert row_px == pytest.approx(5.0, abs=0.2)
     assert notes_of([], monitor, corrected_px=4.5) == ()
 
 

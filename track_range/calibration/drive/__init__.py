@@ -1,3 +1,3 @@
-"""Calibration of a camera from its own drives: motion of the static scene, road users, known metres,
-speed, and the metadata of the file.
+"""Calibration of a camera from its own drives: motion of the static scene, road users, known
+metres, speed, and the metadata of the file.
 """

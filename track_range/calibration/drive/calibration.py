@@ -20,7 +20,6 @@ from track_range.calibration.drive.known_metres import (
 )
 from track_range.calibration.drive.pre_pass import (
     MEASURED_HEIGHT_SIGMA_M,
-    CameraPrior,
     DriveCamera,
     MountedCamera,
     PrePass,
@@ -33,6 +32,7 @@ from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.cameras.camera_fit import CameraFit
 from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import source_of, video_name
 from track_range.recording.speed_source import AUTO, OFF
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -145,8 +145,6 @@ def calibrate_from_drives(
     )
     names = [video_name(name) for name in settings.recordings]
     _check_once([str(name) for name in names])
-    if settings.rig is not None and known.camera_height_m is None:
-        known = replace(known, camera_height_m=_measured_height_m(settings.rig))
     drives = [DriveVideo.of(name, settings.camera_model) for name in names]
     first = drives[0]
     for drive in drives[1:]:
@@ -156,7 +154,6 @@ def calibrate_from_drives(
                 f"{drive.name}: expected images of {fw}x{fh} px as in {first.name}, found "
                 f"{w}x{h} px; recordings of one camera have one size, so calibrate each apart."
             )
-    known.check(first)
     outputs = [file for file in (settings.out, settings.json_file) if file is not None]
     check_outputs(outputs, [file for name in names for file in source_of(name).files])
     if settings.ego_speed not in (AUTO, OFF) and len(drives) > 1:
@@ -165,10 +162,13 @@ def calibrate_from_drives(
             "speeds are beside them; calibrate one recording, and continue from it with --rig."
         )
     drives = [drive.with_speed(settings.ego_speed) for drive in drives]
+    prior, height_m = (None, None) if settings.rig is None else _prior(settings.rig, first)
+    if known.camera_height_m is None:
+        known = replace(known, camera_height_m=height_m)
     pre_pass = PrePass(
         detect=open_detect(),
         sizes=load_curves(settings.curves, "europe"),
-        prior=None if settings.rig is None else _prior(settings.rig, first),
+        prior=prior,
         known=known,
         progress=progress,
     )
@@ -189,29 +189,26 @@ def _check_once(names: Sequence[str]) -> None:
         )
 
 
-def _measured_height_m(path: Path) -> float | None:
-    """The height of the camera in a calibration file, if it was measured; None = it has none, or
-    one by the sizes of road users, whose errors other drives share.
+def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]:
+    """What a calibration file says of the camera, and its height above the road if it was measured:
+    one by the sizes of road users has errors that other drives share. RigError if it cannot be
+    used.
     """
-    mounting = read_calibration(path, is_grey=False, is_pair=False).mounting
-    if mounting is None or mounting.camera_height_sigma_m > MEASURED_HEIGHT_SIGMA_M:
-        return None
-    return mounting.camera_height_m
-
-
-def _prior(path: Path, drive: DriveVideo) -> CameraPrior:
-    """What a calibration file says of the camera; RigError if it cannot be used."""
     camera, _ = load_camera(path, size_px=drive.size_px)
     if camera.is_wide:
         raise UsageError(
             f"{path}: expected a pinhole camera, found a wide lens, which drives do not calibrate."
         )
     content = read_calibration(path, is_grey=False, is_pair=False)
-    stated = content.mounting or content.accuracy
+    mounting, stated = content.mounting, content.mounting or content.accuracy
     sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
-    k1_sigma = None if content.mounting is None else content.mounting.k1_sigma
-    return CameraPrior(
-        FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name)),
-        k1=camera.distortion[0] if camera.distortion else 0.0,
-        k1_sigma=float("nan") if k1_sigma is None else k1_sigma,
-    )
+    focal = FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name))
+    given = source_of_guess(focal, "given", drive.size_px[0])
+    estimate = CameraEstimate(size_px=drive.size_px, sources=(given,))
+    if camera.distortion:
+        k1, *higher_terms = camera.distortion
+        k1_sigma = 0.0 if mounting is None else mounting.k1_sigma or 0.0
+        estimate = replace(estimate, k1=k1, k1_sigma=k1_sigma, higher_terms=tuple(higher_terms))
+    if mounting is None or mounting.camera_height_sigma_m > MEASURED_HEIGHT_SIGMA_M:
+        return estimate, None
+    return estimate, mounting.camera_height_m

@@ -19,8 +19,8 @@ from track_range.stereo.self_calibration.turns import turning_spans
 
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0
-# Length in which turns are sought: decoding an hour would take minutes. Time between the images, and
-# the smallest turn after which no other part is read.
+# Length in which turns are sought: decoding an hour would take minutes. Time between the images,
+# and the smallest turn after which no other part is read.
 _SCANNED_S, _SCAN_S, _MIN_TURN_DEG = 180.0, 0.25, 20.0
 # starts of the parts of a longer recording, as fractions of it
 _PARTS = (0.0, 0.5, 0.85)

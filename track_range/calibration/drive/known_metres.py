@@ -1,5 +1,5 @@
-"""Known metres in a video, given as on the command line: 'T_S,X1,Y1,X2,Y2=METRES', with the box of the
-object at the time T_S.
+"""Known metres in a video, given as on the command line: 'T_S,X1,Y1,X2,Y2=METRES', with the box of
+the object at the time T_S.
 """
 
 import math

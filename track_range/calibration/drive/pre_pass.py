@@ -31,7 +31,6 @@ from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.cameras.camera_estimate import (
     CameraEstimate,
     FocalSource,
-    SourceKind,
     source_of_curve,
     source_of_guess,
 )
@@ -52,15 +51,6 @@ _TURN_DEG = 5.0  # change of the heading that is called a turn
 _SIZES_SIGMA = 0.06
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
-
-
-@dataclass(frozen=True, slots=True)
-class CameraPrior:
-    """What earlier recordings of the camera showed."""
-
-    focal: FocalGuess
-    k1: float = 0.0
-    k1_sigma: float = float("nan")  # NaN = not known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +78,7 @@ class PrePass:
 
     detect: Detect
     sizes: SizeModel
-    prior: CameraPrior | None = None
+    prior: CameraEstimate | None = None  # by earlier recordings of the camera
     known: KnownMeasurements = field(default_factory=KnownMeasurements)
     progress: StepProgress = no_progress
 
@@ -151,7 +141,7 @@ class PrePass:
     def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
         """The camera without the measurements of the user."""
         size_px = drive.size_px
-        estimate = CameraEstimate(size_px=size_px, sources=self._outside_sources(drive))
+        estimate = self._without_images(drive)
         motion = view.motion_estimate()
         if motion is not None:
             estimate = with_motion(estimate, motion)
@@ -166,18 +156,18 @@ class PrePass:
             estimate = replace(estimate, sources=(*estimate.sources, by_shape))
         return DriveCamera(estimate=estimate, shapes=shapes, scene=scene, n_frames=view.n_frames)
 
-    def _outside_sources(self, drive: DriveVideo) -> tuple[FocalSource, ...]:
-        """What is known of the focal length without the images."""
-        width_px = drive.size_px[0]
-        usual = default_guess(width_px)
-        given = () if self.prior is None else (self.prior.focal,)
-        kinds: list[tuple[SourceKind, FocalGuess]] = [("given", guess) for guess in given]
-        for guess in drive.guesses:
-            if guess != usual:
-                kinds.append(("metadata", guess))
-        if not kinds:
-            kinds.append(("usual", usual))
-        return tuple(source_of_guess(guess, kind, width_px) for kind, guess in kinds)
+    def _without_images(self, drive: DriveVideo) -> CameraEstimate:
+        """What is known of the camera without the images."""
+        size_px, usual = drive.size_px, default_guess(drive.size_px[0])
+        metadata = tuple(
+            source_of_guess(guess, "metadata", size_px[0])
+            for guess in drive.guesses
+            if guess != usual
+        )
+        if self.prior is not None:
+            return replace(self.prior, sources=(*self.prior.sources, *metadata))
+        sources = metadata or (source_of_guess(usual, "usual", size_px[0]),)
+        return CameraEstimate(size_px=size_px, sources=sources)
 
     def _fitted(self, drive_camera: DriveCamera, measured: CameraMeasurements) -> MountedCamera:
         """The camera with its height and pitch, and with the user's measurements as a source."""
@@ -208,7 +198,9 @@ def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
 
 
 def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimate:
-    """The estimate with the evidence of the motion of the static scene, where it shows any."""
+    """The estimate with the evidence of the motion of the static scene, where it shows any; the
+    better known distortion of the two stays.
+    """
     minutes, seconds = divmod(round(motion.span_s[0]), 60)
     source = f"the turn at {minutes}:{seconds:02}"
     if motion.turn_deg < _TURN_DEG:
@@ -221,7 +213,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimat
     if sigma > _UNKNOWN_SIGMA:
         return before
     estimate = replace(before, sources=(*before.sources, by_motion))
-    if sigma > _LENS_SIGMA:
+    if sigma > _LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
         return estimate
     return replace(
         estimate, k1=motion.k1, k1_sigma=motion.k1_sigma, higher_terms=motion.higher_terms

@@ -16,7 +16,7 @@ from track_range.calibration.drive.drive_video import TIME_EPSILON_S, every_step
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.foundation.robust_statistics import mad_sigma
 from track_range.ranging.cameras.camera_fit import HEIGHT_M
 from track_range.ranging.cameras.measurements import (
     HorizonRow,
@@ -68,8 +68,8 @@ class RoadEvidence:
         advance: Callable[[int, int | None], None],
         speed: EgoSpeed | None = None,
     ) -> None:
-        """Add a part of a video of an approximate camera, perhaps with its given speed; `advance` is
-        called with the number of frames so far.
+        """Add a part of a video of an approximate camera, perhaps with its given speed; `advance`
+        is called with the number of frames so far.
         """
         tracker, lanes, travel = (
             create_tracker("deepsort"),
@@ -137,7 +137,5 @@ def _row(rows_px: Sequence[float], common_px: float, source: str) -> HorizonRow 
         return None
     values: FloatArray = np.array(rows_px)
     middle = float(np.median(values))
-    scatter = MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
-    return HorizonRow(
-        middle, float(np.hypot(common_px, 1.25 * scatter / np.sqrt(len(values)))), source
-    )
+    independent_px = 1.25 * mad_sigma(values) / math.sqrt(len(values))
+    return HorizonRow(middle, math.hypot(common_px, independent_px), source)

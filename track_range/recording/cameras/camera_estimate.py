@@ -1,5 +1,5 @@
-"""CameraEstimate: the focal length of one camera from all evidence of its recordings, and what would
-make it better.
+"""CameraEstimate: the focal length of one camera from all evidence of its recordings, and what
+would make it better.
 
 Each source is a likelihood L_i of the log focal length on one grid. A source may also be a mistake
 (a cropped video, a tracked lorry, a wrong tape measure), with a probability e_i that depends on its
@@ -86,8 +86,8 @@ class FocalSource:
         return np.asarray(density / density.sum())
 
     def robust_log_density(self, usual: FloatArray) -> FloatArray:
-        """(G,) log probability of each point, if the source may be a mistake; `usual` is the density
-        of the usual field of view.
+        """(G,) log probability of each point, if the source may be a mistake; `usual` is the
+        density of the usual field of view.
         """
         mistake, density = _MISTAKE[self.kind], self.density
         otherwise = usual if self.kind in _REPLACE_USUAL else np.full_like(usual, 1 / len(usual))
@@ -175,8 +175,8 @@ class CameraEstimate:
             else ""
         )
         return (
-            f"Focal length {focal_px:,.0f} ± {sigma * focal_px:,.0f} px ({100 * sigma:.1f} %), from "
-            f"{self.leading.source}{lens}."
+            f"Focal length {focal_px:,.0f} ± {sigma * focal_px:,.0f} px ({100 * sigma:.1f} %), "
+            f"from {self.leading.source}{lens}."
         )
 
     @property
@@ -211,6 +211,7 @@ class CameraEstimate:
             "k1": round(self.k1, 4) if math.isfinite(self.k1_sigma) else None,
             "k1_sigma": round(self.k1_sigma, 4) if math.isfinite(self.k1_sigma) else None,
             "is_distortion_corrected": bool(self.distortion),
+            "distortion": [round(value, 5) for value in self.distortion],
             "curve_px": [round(float(value), 1) for value in self.focal_grid_px[shown]],
             "density": _rounded_curve(self.density[shown]),
             "sources": sources,

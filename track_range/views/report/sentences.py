@@ -189,10 +189,10 @@ def geometry_sentences(summary: Summary) -> list[str]:
             sentences.append(f"A distortion of k1 = {estimate['k1']:+.3f} was corrected.")
     if scale := summary.get("learnt_scale"):
         sentences.append(
-            f"The baseline was estimated from the drive, with {counted(scale['n_tracks'], 'track')}: "
-            f"{scale['baseline_m']:.2f} m at a focal length of {scale['focal_px']:.0f} px; all "
-            f"distances share a relative error of {100 * scale['relative_sigma']:.0f} % (1 "
-            f"{tables.SIGMA})."
+            "The baseline was estimated from the drive, with "
+            f"{counted(scale['n_tracks'], 'track')}: {scale['baseline_m']:.2f} m at a focal length "
+            f"of {scale['focal_px']:.0f} px; all distances share a relative error of "
+            f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
         )
     alignment = summary.get("alignment")
     if alignment:

@@ -1,5 +1,5 @@
-"""Picture of the posterior of an estimated camera beside its evidence: a curve for each source over the
-focal length, and that of all together.
+"""Picture of the posterior of an estimated camera beside its evidence: a curve for each source over
+the focal length, and that of all together.
 """
 
 import math

@@ -1,0 +1,43 @@
+"""cauchy_fit: linear least squares with Cauchy weights, for points of which some are wrong."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
+
+
+class CauchyFit(NamedTuple):
+    """A linear fit with Cauchy weights."""
+
+    solution: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    residual: FloatArray  # (N,) values minus fitted ones
+
+
+def cauchy_fit(
+    design: FloatArray,
+    values: FloatArray,
+    *,
+    least_scale: float,
+    cauchy_sigmas: float = 2.0,
+    n_rounds: int = 4,
+) -> CauchyFit:
+    """The parameters (P,) with which a design (N, P) explains values (N,), some of which are wrong.
+
+    Iteratively reweighted least squares, from equal weights: a residual of `cauchy_sigmas` standard
+    deviations has half the weight. The standard deviation is that of the residuals (MAD), at least
+    `least_scale`.
+    """
+    weight = np.ones(len(values))
+    ridge = 1e-6 * len(values) * np.eye(design.shape[1])
+    for _ in range(n_rounds):
+        information = (design * weight[:, None]).T @ design + ridge
+        solution = np.linalg.solve(information, design.T @ (weight * values))
+        residual = values - design @ solution
+        scatter = MAD_TO_SIGMA * float(median_of(np.abs(residual - median_of(residual))))
+        scale = max(scatter, least_scale)
+        weight = 1 / (1 + (residual / (cauchy_sigmas * scale)) ** 2)
+    covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
+    return CauchyFit(np.asarray(solution, np.float64), covariance, residual)
