@@ -74,7 +74,8 @@ class KeyDistance(NamedTuple):
     ) -> GrowthInnovation:
         """Innovations of the growth of those `valid` filters that have a key frame."""
         d = motion.x
-        nu = d * (growth.log_ratio - np.log(self.r / d))
+        # NaN without a key frame, and if a model predicts the object behind the camera
+        nu = d * (growth.log_ratio - np.log(np.where(self.r * d > 0.0, self.r / d, np.nan)))
         valid = valid & np.isfinite(nu)
         c = np.where(valid, d / self.r, 0.0)
         P_dz = c * self.P_dr - motion.P_xx

@@ -162,3 +162,13 @@ def test_a_key_frame_whose_covariance_is_impossible_is_given_up():
     assert 0 < after.P_xx.item() < 10
     assert 0 < after.P_vv.item() <= 1
     assert np.isfinite(kept.r).all()
+
+
+def test_a_model_that_predicts_an_object_behind_the_camera_is_not_measured():
+    """Its ratio of distances is negative and has no logarithm."""
+    state = ConstantVelocity(*np.array([-0.06, -63.0, 19.0, 0.0, 1.0]).reshape(5, 1, 1))
+    key = KeyDistance(*np.array([62.0, 0.0, 0.0, 4.0]).reshape(4, 1, 1))
+    innovation = key.innovation(state, growth(0.06, 0.01), valid=YES)
+    assert not innovation.valid.any()
+    after, _ = key.correct_by_growth(state, innovation, outlier_sigma=3.0)
+    np.testing.assert_array_equal(after.columns, state.columns)
