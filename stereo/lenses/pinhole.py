@@ -40,6 +40,11 @@ def undistort(m: FloatArray, coefficients: Sequence[float]) -> FloatArray:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
+def first_radial(coefficients: Sequence[float]) -> float:
+    """Coefficient of r^2 in the series of the radial terms: k1 - k4; 0 without any."""
+    return (*coefficients, *(0.0,) * 6)[0] - (*coefficients, *(0.0,) * 6)[5]
+
+
 LENS = Lens(
     ("k1", "k2", "p1", "p2", "..."),
     distort,

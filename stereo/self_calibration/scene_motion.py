@@ -54,13 +54,11 @@ class MotionEstimate:
     log_likelihood: FloatArray  # (G,) 0 at the best one
     focal_px: float  # mean of the likelihood over the logarithm
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
-    k1: float  # first radial coefficient, OpenCV's
-    k1_sigma: float
+    coefficients: tuple[float, ...]  # OpenCV's, of the distortion
+    k1_sigma: float  # standard deviation of the first radial coefficient of their series
     turn_deg: float  # largest change of the heading in a scene
     span_s: tuple[float, float]  # first and last time of that scene
     n_points: int  # tracked static points
-    # OpenCV's (k2, p1, p2[, k3]), with which k1 holds; 0 unless the lens needs them
-    higher_terms: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 class SceneMotion:
@@ -126,21 +124,18 @@ class SceneMotion:
         weight /= weight.sum()
         mean = float(weight @ log_focal)
         sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
-        lens = profile.fit.lens
         sigma_of = np.sqrt(np.diag(profile.covariance.common))
-        k1, *higher_terms = lens.opencv_distortion()
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
             log_focal=log_focal + math.log(self._scale),
             log_likelihood=log_likelihood - log_likelihood.max(),
             focal_px=math.exp(mean) * self._scale,
             sigma=sigma,
-            k1=k1,
+            coefficients=profile.fit.lens.opencv_distortion(),
             k1_sigma=math.hypot(_COMMON_FACTOR * sigma_of[K1], _LEAST_K1_SIGMA),
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
-            higher_terms=tuple(higher_terms),
         )
 
 

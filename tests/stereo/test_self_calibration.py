@@ -8,6 +8,7 @@ import pytest
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.lenses.pinhole import first_radial
 from track_range.stereo.self_calibration.corner_tracks import KeyPoints
 from track_range.stereo.self_calibration.radial_lens import K1, Family, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
@@ -97,6 +98,22 @@ def test_directions_invert_the_projection_without_distortion(family: Family) -> 
     assert lens.directions(lens.project(q)[0]) == pytest.approx(q, abs=1e-9)
 
 
+@pytest.mark.parametrize(("k1", "k2"), [(-0.04, 0.0), (0.02, -0.005)])
+def test_coefficients_of_a_wide_lens_hold_up_to_the_corners(k1: float, k2: float) -> None:
+    """110 degrees across; k1 of the series of theta (1 + k1 theta^2) is that of tan(theta) - 1/3."""
+    edge_rad = np.radians(55.0)
+    focal_px = 639.5 / (edge_rad * (1 + k1 * edge_rad**2 + k2 * edge_rad**4))
+    parameters = np.array([np.log(focal_px), k1, k2, 0.0, 0.0])
+    lens = RadialLens(parameters, np.array([639.5, 359.5]), "equidistant")
+    camera = PinholeCamera.of_focal_length(focal_px, (1280, 720))
+    camera = replace(camera, distortion=lens.opencv_distortion())
+    q = np.random.default_rng(4).uniform([-1.0, -0.6, 0.5], [1.0, 0.6, 1.0], (500, 3))
+    xy_px = lens.project(q)[0]
+    is_seen = ((xy_px >= 0) & (xy_px < (1280, 720))).all(axis=1)
+    assert camera.recorded_px(q)[is_seen] == pytest.approx(xy_px[is_seen], abs=0.1)
+    assert first_radial(camera.distortion) == pytest.approx(k1 - 1 / 3, abs=0.01)
+
+
 def test_derivatives_of_the_scene_equal_finite_differences() -> None:
     rng = np.random.default_rng(2)
     ray = rng.normal(size=(6, 3)) * [0.3, 0.2, 0.0] + [0.0, 0.0, 1.0]
@@ -170,7 +187,7 @@ def test_distorted_and_wide_lenses_are_recognised(
     true_px = lens.project(direction)[0][:, 0] - lens.centre_px[0]
     camera = replace(
         PinholeCamera.of_focal_length(found.focal_px, SIZE_PX),
-        distortion=(found.k1, *found.higher_terms),
+        distortion=found.coefficients,
     )
     found_px = camera.recorded_px(direction)[:, 0] - lens.centre_px[0]
     is_seen = true_px < 600.0

@@ -41,7 +41,7 @@ def motion(focal_px=1000.0, sigma=0.02, **changes):
         "log_likelihood": -0.5 * ((log_f - math.log(focal_px)) / sigma) ** 2,
         "focal_px": focal_px,
         "sigma": sigma,
-        "k1": -0.1,
+        "coefficients": (-0.1, 0.0, 0.0, 0.0),
         "k1_sigma": 0.01,
         "turn_deg": 30.0,
         "span_s": (42.3, 44.3),
@@ -202,9 +202,8 @@ def test_recordings_of_two_sizes(tmp_path, cli):
 def test_the_better_known_distortion_stays(k1_sigma, expected):
     """An earlier calibration against a turn, which shows -0.1 within 0.01."""
     given = source_of_guess(FocalGuess(1000.0, 0.02, "rig.yaml"), "given", SIZE_PX[0])
-    before = CameraEstimate(
-        size_px=SIZE_PX, sources=(given,), k1=-0.2, k1_sigma=k1_sigma, higher_terms=(0.03, 0.0, 0.0)
-    )
+    earlier = {"coefficients": (-0.2, 0.03, 0.0, 0.0), "k1_sigma": k1_sigma}
+    before = CameraEstimate(size_px=SIZE_PX, sources=(given,), **earlier)
     assert with_motion(before, motion()).distortion == expected
 
 

@@ -206,9 +206,8 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
     given = source_of_guess(focal, "given", drive.size_px[0])
     estimate = CameraEstimate(size_px=drive.size_px, sources=(given,))
     if camera.distortion:
-        k1, *higher_terms = camera.distortion
         k1_sigma = 0.0 if mounting is None else mounting.k1_sigma or 0.0
-        estimate = replace(estimate, k1=k1, k1_sigma=k1_sigma, higher_terms=tuple(higher_terms))
+        estimate = replace(estimate, coefficients=camera.distortion, k1_sigma=k1_sigma)
     if mounting is None or mounting.camera_height_sigma_m > MEASURED_HEIGHT_SIGMA_M:
         return estimate, None
     return estimate, mounting.camera_height_m

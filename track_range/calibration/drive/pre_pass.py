@@ -215,9 +215,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimat
     estimate = replace(before, sources=(*before.sources, by_motion))
     if sigma > _LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
         return estimate
-    return replace(
-        estimate, k1=motion.k1, k1_sigma=motion.k1_sigma, higher_terms=motion.higher_terms
-    )
+    return replace(estimate, coefficients=motion.coefficients, k1_sigma=motion.k1_sigma)
 
 
 def with_speed(mounted: MountedCamera, product_px_m: float, sigma: float) -> MountedCamera:

@@ -22,6 +22,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
+from track_range.stereo.lenses.pinhole import first_radial
 
 # "given" = a calibration file with its sigma; "usual" = the field of view of most road cameras
 SourceKind = Literal["given", "usual", "metadata", "shapes", "motion", "speed", "known metres"]
@@ -100,10 +101,8 @@ class CameraEstimate:
 
     size_px: tuple[int, int]  # width and height of the images
     sources: tuple[FocalSource, ...]
-    k1: float = 0.0  # first radial coefficient (OpenCV's); 0 = not estimated
-    k1_sigma: float = math.nan  # its standard deviation; NaN = not estimated
-    # OpenCV's (k2, p1, p2[, k3]) that belong to k1
-    higher_terms: tuple[float, ...] = (0.0, 0.0, 0.0)
+    coefficients: tuple[float, ...] = ()  # OpenCV's, of the distortion; empty = not estimated
+    k1_sigma: float = math.nan  # standard deviation of k1; NaN = not estimated
 
     @property
     def focal_grid_px(self) -> FloatArray:
@@ -147,12 +146,17 @@ class CameraEstimate:
         return FocalGuess(self.focal_px, self.sigma, " and ".join([self.leading.source, *rest]))
 
     @property
+    def k1(self) -> float:
+        """First radial coefficient of the distortion, of its series; 0 = not estimated."""
+        return first_radial(self.coefficients)
+
+    @property
     def distortion(self) -> tuple[float, ...]:
         """OpenCV's coefficients of the distortion; empty = none that is worth a correction."""
         radius = math.hypot(*self.size_px) / 2 / self.focal_px
         corner_px = abs(self.k1) * radius**3 * self.focal_px
         is_significant = abs(self.k1) > _SIGNIFICANT * self.k1_sigma
-        return (self.k1, *self.higher_terms) if is_significant and corner_px > _VISIBLE_PX else ()
+        return self.coefficients if is_significant and corner_px > _VISIBLE_PX else ()
 
     @property
     def remedy(self) -> tuple[Remedy, float] | None:
