@@ -28,7 +28,6 @@ STEPS: dict[str, tuple[str, ...]] = {
     "checks of the pair": (
         "recording.pairs.pair_monitor:PairMonitor.add",
         "recording.pairs.sync_monitor:SyncMonitor.add",
-        "stereo.alignment.drift:DriftMonitor.add",
     ),
     "lanes": (
         "detection.lanes.edges:EdgeLaneFinder.find",

@@ -1,5 +1,5 @@
 """RigHealth: the distance errors that follow from a measured alignment, before and after its
-correction, and its drift.
+correction, and how the parts of a drive agree.
 
     Z_measured / Z = d / (d - e(u))          d = f B / Z: true disparity, e(u) = d_true - d_measured at the column u
 

@@ -38,7 +38,6 @@ _MAX_FLOW_SIGMA_PX = 1.5  # of an offset by the flow that is used
 _REFERENCE_M, _MATTERS, _MATTERING_ROWS_PX = 30.0, 0.01, 0.5
 # probability of a hit, and number and fraction of frames with one, of images that shake
 _IS_HIT, _MIN_HITS, _SHAKING_FRACTION = 0.5, 5, 0.1
-_DRIFT_PX = 0.02  # largest change of an alignment between frames that is its drift
 _MIN_AGREEING = 0.5  # of the points, for a step
 
 
@@ -154,10 +153,8 @@ class RightCameraMonitor:
         if not self._n_frames or before == alignment:  # nothing was measured, or it is the same
             self.now = replace(self.now, own=alignment)
             return
-        change_px = alignment.offset_px - before.offset_px
-        same = replace(before, offset_px=alignment.offset_px, residual_px=alignment.residual_px)
-        is_small = same == alignment and abs(change_px) <= _DRIFT_PX
-        if is_small or self.now.applied_px.any():
+        if self.now.applied_px.any():
+            change_px = alignment.offset_px - before.offset_px
             self._filter.rebase(np.array([0.0, 0.0, 0.0, change_px]))
         else:
             self._filter = ChangeFilter(_LASTING_PX)

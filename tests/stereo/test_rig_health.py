@@ -1,4 +1,4 @@
-"""Health of rigs: distance errors, noticed errors, movements, drift, and rig files with errors on
+"""Health of rigs: distance errors, noticed errors, movements, and rig files with errors on
 synthetic points."""
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.feature_tracks import PairPoints, TrackedFrame
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth, Window
@@ -100,35 +99,10 @@ def test_movement_during_a_drive() -> None:
     assert health(measured(0.0)).move_sentence() == ""
 
 
-def test_drift_is_followed() -> None:
-    """0.1 degrees in 60 s, measured every 30 s."""
-    rate = math.radians(0.1) * CAMERA.fx_px / 60
-    rng = np.random.default_rng(1)
-    drifting = DriftingAlignment.of(measured(0.4), measured(0.4), windows(0.4, 0.4, 0.4))
-    before = drifting.at(25.0)
-    for time_s in np.arange(30.0, 181.0, 30.0).tolist():
-        offset_px = 0.4 + rate * (time_s - 2.8) + float(rng.normal(0.0, 0.03))
-        drifting = drifting.after(Window(0, time_s - 0.8, time_s + 0.8, offset_px, 0.03))
-    errors_px = [
-        drifting.at(t).offset_px - 0.4 - rate * (t - 2.8)
-        for t in np.arange(65.0, 200.0, 5.0).tolist()
-    ]
-    assert np.abs(errors_px).max() < 0.25  # 2 % at 30 m
-    assert drifting.at(25.0) == before  # later measurements do not change earlier frames
-
-
-def test_steady_rig_is_not_changed() -> None:
-    drifting = DriftingAlignment.of(measured(0.4), measured(0.4), windows(0.4, 0.4, 0.4))
-    later = drifting.after(Window(0, 29.2, 30.8, 0.43, 0.03))
-    assert later.at(40.0) == later.start == drifting.start
-    assert (len(drifting.windows), len(later.windows)) == (3, 4)
-
-
 def test_large_offsets_shift_the_right_image() -> None:
     alignment = measured(6.3)
     assert (alignment.shift_px, measured(0.9).shift_px) == (6.0, 0.0)
     assert alignment.after_shift().offset_px == pytest.approx(0.3)
-    assert DriftingAlignment.of(alignment, alignment, ()).at(5.0) == alignment.after_shift()
     left_px = np.array([[700.0, 200.0]])
     rectifier = Rectifier(RIG, shift_px=alignment.shift_px)
     assert rectifier.points(left_px, left_px - [5.7, 0.0])[1] == pytest.approx(
@@ -215,33 +189,6 @@ def test_wrong_angles_are_noticed_and_corrected(rig_file: StereoRig) -> None:
     state, alignment = estimated(rig_file)
     assert state.state == "off"
     assert np.abs(error_px(rig_file, alignment)).max() < 0.24  # 2 %
-
-
-@pytest.mark.slow
-def test_drift_is_measured_during_a_drive() -> None:
-    """The right camera turns by 0.1 degrees in 60 s; the offset is measured every 40 s, and
-    followed within 2 %."""
-    rate = math.radians(0.1) * CAMERA.fx_px / 60
-    start = measured(0.0, 0.03)
-    drifting = DriftingAlignment.of(start, start, [Window(0, 0.0, 5.0, 0.0, 0.03)])
-    monitor = DriftMonitor(RIG, start, last_s=5.0)
-    for number, time_s in enumerate((40.0, 80.0, 120.0, 160.0)):
-        for frame in tracked_street(RIG, seed=10 + number, n_frames=16):
-            turned_px = frame.points.right_px + np.array(
-                [rate * (time_s + frame.time_s - 2.5), 0.0]
-            )
-            points = frame.points._replace(right_px=turned_px)
-            moved = frame._replace(time_s=time_s + frame.time_s, points=points)
-            window = monitor.add_points(moved)
-            if window is not None:
-                drifting = drifting.after(window)
-    assert len(drifting.windows) == 5
-    errors_px = [
-        drifting.at(t).offset_px - rate * (t - 2.5) for t in np.arange(85.0, 200.0, 5.0).tolist()
-    ]
-    assert np.abs(errors_px).max() < 0.24
-    moved = RigHealth(RIG, start, start, drifting.windows).move
-    assert moved is not None
 
 
 def test_right_view_from_rows() -> None:

@@ -30,6 +30,8 @@ class EgoStage:
 
     speed: EgoSpeed | None = None  # of the camera, from telemetry or a setting
     pair_odometry: PairOdometry | None = None  # by the static scene in both images
+    # whether the motion by `pair_odometry` is used; if not, it only follows the right camera
+    uses_pair_speed: bool = True
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
     # whether the speed of `road_motion` is used: the height of the camera is known
     has_road_scale: bool = False
@@ -44,7 +46,7 @@ class EgoStage:
         """Name of the odometry whose speed is used; None = a given speed, or none."""
         if self.speed is not None:
             return None
-        if self.pair_odometry is not None:
+        if self.pair_odometry is not None and self.uses_pair_speed:
             return self.pair_odometry.source
         if self.road_motion is not None and self.has_road_scale:
             return self.road_motion.source
@@ -77,6 +79,8 @@ class EgoStage:
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
+        if not self.uses_pair_speed:
+            by_pair = None
         motion = None if by_pair is None else rig_scale.corrected_motion(by_pair)
         if motion is None and self.has_road_scale:
             motion = by_road
@@ -120,7 +124,7 @@ class EgoStage:
         known: EgoMotion | None,
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
-        if self.pair_odometry is not None:
+        if self.pair_odometry is not None and self.uses_pair_speed:
             measured = by_pair
             scale = -rig_scale.log_factor, min(_RIG_SIGMA + rig_scale.sigma, 1.0)
         else:

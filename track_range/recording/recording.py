@@ -103,7 +103,7 @@ class Recording:
     def alignment(self) -> Alignment | None:
         """The correction of the disparities of the first frame; None = no rig.
 
-        Each frame holds its own one (`Frame.alignment`), which follows the drift of the rig.
+        Each frame holds its own one (`Frame.alignment`).
         """
         return None if self.rig is None else self.rig.alignment
 

@@ -148,19 +148,22 @@ def _ego_stage(
 ) -> EgoStage:
     """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height.
 
-    In a view to the side, nothing is measured from the images.
+    In a view to the side, no motion is measured from the images.
     """
+    # also follows the right camera, and checks a given speed
+    pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
     if yaw_deg != 0:
-        return EgoStage(speed=None if ego_speed is None else ego_speed.along(yaw_deg))
-    pair_odometry: StereoOdometry | None = None
-    if context.rig is not None and (measures_speed or ego_speed is not None):
-        # also checks a given speed
-        pair_odometry = StereoOdometry(context.rig, flow=flow)
+        return EgoStage(
+            speed=None if ego_speed is None else ego_speed.along(yaw_deg),
+            pair_odometry=pair_odometry,
+            uses_pair_speed=False,
+        )
     is_height_known = context.camera_height_m is not None
     road_height_m = _road_height_m(context)
     return EgoStage(
         speed=ego_speed,
         pair_odometry=pair_odometry,
+        uses_pair_speed=measures_speed or ego_speed is not None,
         road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
         has_road_scale=measures_speed and ego_speed is None and is_height_known,
         is_height_given=is_height_known,

@@ -29,6 +29,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
@@ -274,6 +275,17 @@ def test_speed_of_a_repeated_image_is_predicted_for_a_second():
     assert soon.speed_sigma_mps == pytest.approx(math.hypot(0.1, 1.25))
     assert math.isnan(late.speed_mps)
     assert math.isnan(late.yaw_rad_s)
+
+
+def test_pair_whose_speed_is_not_used_still_follows_the_right_camera():
+    odometry = _SteadyOdometry()
+    odometry.right_camera = RightCamera(CAMERA)
+    stage = EgoStage(pair_odometry=odometry, uses_pair_speed=False)
+    ego = stage.update(frame(1.0), NO_BOXES)
+    assert ego.right_camera == odometry.right_camera
+    assert ego.by_pair is None
+    assert math.isnan(ego.motion.speed_mps)
+    assert stage.speed_source is None
 
 
 def test_given_speed_of_a_repeated_image_is_that_of_its_time():

@@ -107,7 +107,7 @@ def test_one_look_at_a_given_alignment_and_none_without_checks() -> None:
     assert looked(PairAligner(calibrated(), RECORDED, GIVEN), recorded) == 1
     unchecked = PairAligner(calibrated(), replace(RECORDED, has_checks=False), GIVEN)
     assert (unchecked.is_looking, unchecked.sync, unchecked.finding) == (False, None, None)
-    assert next(unchecked.frames(recorded)).alignment == GIVEN.at(0.0)
+    assert next(unchecked.frames(recorded)).alignment == GIVEN.of_frames
 
 
 def test_swapped_images_are_an_error_read_ahead_and_one_by_one() -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth, Window
@@ -24,50 +23,29 @@ class PairAlignment:
     measured: Alignment  # as estimated or read
     is_applied: bool  # whether disparities are corrected by it
     rig: StereoRig | None = None  # the rectified pair; None = unknown
-    # the applied alignment over the time of the drive, for images shifted by `shift_px`; None =
-    # constant
-    drifting: DriftingAlignment | None = None
+    # the offset in parts of the drive from which it was estimated; empty = not from a drive
+    windows: tuple[Window, ...] = ()
     estimation_s: float = 0.0  # time that the estimation took, including reading the first frames
 
     @classmethod
     def of_drive(cls, drive: DriveAlignment, rig: StereoRig) -> PairAlignment:
         """The alignment estimated from the frames of a drive, applied if it is significant."""
         start_s = time.perf_counter()
-        measured, windows = drive.estimate(), drive.windows()
-        drifting = None
-        if measured.is_measured:
-            drifting = DriftingAlignment.of(measured.if_clear(), measured, windows)
+        measured = drive.estimate()
         return cls(
             measured=measured,
             is_applied=measured.is_clear,
             rig=rig,
-            drifting=drifting,
+            windows=drive.windows() if measured.is_measured else (),
             estimation_s=time.perf_counter() - start_s,
         )
 
-    def drift_monitor(self, rig: StereoRig) -> DriftMonitor | None:
-        """The monitor of the drift in the frames of a rectified pair; None = the alignment was not
-        measured.
-        """
-        if self.drifting is None:
-            return None
-        windows = self.drifting.windows
-        last_s = windows[-1].to_s if windows else 0.0
-        return DriftMonitor(rig, self.measured, last_s=last_s, shift_px=self.applied.shift_px)
-
-    def after(self, window: Window) -> PairAlignment:
-        """The alignment with a later measurement of its offset."""
-        if self.drifting is None:
-            return self
-        return replace(self, drifting=self.drifting.after(window))
-
-    def at(self, time_s: float) -> Alignment:
-        """The correction of the disparities of a rectified frame, whose right image is shifted by
+    @property
+    def of_frames(self) -> Alignment:
+        """The correction of the disparities of rectified frames, whose right images are shifted by
         `shift_px`.
         """
-        if self.drifting is None:
-            return self.applied.after_shift()
-        return self.drifting.at(time_s)
+        return self.applied.after_shift()
 
     @property
     def applied(self) -> Alignment:
@@ -101,8 +79,7 @@ class PairAlignment:
         """
         if self.rig is None or self.rig.is_assumed:
             return None
-        windows = () if self.drifting is None else self.drifting.windows
-        return RigHealth(self.rig, self.measured, self.applied, windows)
+        return RigHealth(self.rig, self.measured, self.applied, self.windows)
 
     @property
     def is_off(self) -> bool:

@@ -302,7 +302,7 @@ class RecordingCalibration:
                 fov_deg=self.view.fov_deg,
                 source=self.path or "the rig",
             )
-        rig = None if self.rig is None else replace(self.rig, alignment=alignment.at(0.0))
+        rig = None if self.rig is None else replace(self.rig, alignment=alignment.of_frames)
         return replace(self, rig=rig, rectifier=rectifier, alignment=alignment)
 
     def turned(self) -> RecordingCalibration:

@@ -2,20 +2,18 @@
 their alignment.
 
     recorded frame -> rectify -> synchronise (`SyncMonitor`) -> check (`PairMonitor`)
-                   -> estimate, or measure the drift -> frame with its alignment
+                   -> estimate -> frame with its alignment
 
     state        frames that are returned         event                      -> next state
-    looking      none: they are read again        enough frames              -> following, fixed
+    looking      none: they are read again        enough frames              -> fixed
                                                   verged, turned, rows       -> looking, corrected
                                                   refused                    -> refused
     estimating   not corrected, or by the last    estimate                   -> estimating
-                 estimate; without right images   last estimate              -> following
+                 estimate; without right images   last estimate              -> fixed
                  until the pair is explained      verged, turned             -> estimating, corrected
                                                   refused                    -> refused
-    following    corrected, with the drift        measurement of the drift   -> following
-                                                  verged, refused            -> see `reads_ahead`
-    fixed        corrected by what is given, or   verged, refused            -> refused
-                 not corrected                    turned                     -> fixed, corrected
+    fixed        corrected by the estimate or by  verged, refused            -> see `reads_ahead`
+                 what is given, or not corrected  turned                     -> fixed, corrected
     refused      without right images; or, if it  -
                  was looking, without a rig; so
                  are pairs of which neither rig
@@ -40,7 +38,6 @@ from track_range.recording.pairs.pair_monitor import MAX_FRAMES, PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.video.frame import RecordedFrame
 from track_range.recording.video.threads import FRAMES_AHEAD
-from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
 from track_range.stereo.alignment.pair_finding import LATER, PairFinding
 from track_range.stereo.geometry.alignment import Alignment
@@ -68,13 +65,11 @@ class AlignerPolicy:
     # which have one estimate of all
     estimates_s: tuple[float, ...] = ()
     n_ahead: int = 0  # frames that wait for later ones, by which they are paired again
-    follows_drift: bool = True
     has_checks: bool = True  # whether the order, the rows and the times of the pair are checked
 
 
 RECORDED = AlignerPolicy(reads_ahead=True, n_ahead=FRAMES_AHEAD)
-# a frame that waits, or the measurement of the drift, would delay a stream
-LIVE = AlignerPolicy(reads_ahead=True, follows_drift=False)
+LIVE = AlignerPolicy(reads_ahead=True)  # a frame that waits would delay a stream
 ONE_BY_ONE = AlignerPolicy(reads_ahead=False, estimates_s=(2.0, 4.0, 8.0))
 
 
@@ -164,8 +159,8 @@ class PairAligner:
         self._finding: PairFinding | None = None
         self._has_stereo = True
         self._sample: _Sample | None = None
-        # the state of the alignment: looking, estimating, following or fixed
-        self._state: _Look | AlignmentEstimates | DriftMonitor | None = None
+        # the state of the alignment: looking or estimating; None = fixed, or refused
+        self._state: _Look | AlignmentEstimates | None = None
         if not policy.reads_ahead:
             self._has_stereo = False  # until the pair is explained
             self._sync = SyncMonitor(policy.n_ahead)
@@ -289,7 +284,7 @@ class PairAligner:
     def _begin(self, alignment: PairAlignment) -> None:
         """Return frames with an alignment from now on."""
         self._calibration = self._plain.with_alignment(alignment)
-        self._state = self._drift_of(alignment)
+        self._state = None
         self._sync = SyncMonitor(self._policy.n_ahead) if self._policy.has_checks else None
 
     def _look(self, prior: Alignment | None = None) -> _Look:
@@ -326,13 +321,11 @@ class PairAligner:
         self._sample = None
         if self._state is not None and (self._finding is None or self._finding.has_stereo):
             self._sample = _Sample(frame, recorded)
-        if self._policy.reads_ahead:
-            self.estimate()
         alignment = self._calibration.alignment
         aligned = replace(
             frame,
             right=frame.right if has_stereo else None,
-            alignment=None if alignment is None else alignment.at(frame.time_s),
+            alignment=None if alignment is None else alignment.of_frames,
         )
         return AlignedFrame(aligned, calibration, self._finding)
 
@@ -382,39 +375,31 @@ class PairAligner:
     def _estimates(self, prior: Alignment | None = None) -> AlignmentEstimates:
         return AlignmentEstimates(self._rig, self._policy.estimates_s, prior)
 
-    def _drift_of(self, alignment: PairAlignment) -> DriftMonitor | None:
-        return alignment.drift_monitor(self._rig) if self._policy.follows_drift else None
-
     @property
     def can_estimate(self) -> bool:
         """Whether `estimate` uses the frame that was returned last."""
         return self._sample is not None
 
     def estimate(self) -> None:
-        """Use the frame that was returned last to estimate the alignment, or its drift, of the next
-        frames.
-        """
+        """Use the frame that was returned last to estimate the alignment of the next frames."""
         sample, self._sample = self._sample, None
-        if sample is None:
+        if sample is None or sample.recorded is None:
             return
-        if isinstance(self._state, DriftMonitor):
-            window, alignment = self._state.add(sample.aligned), self._calibration.alignment
-            if window is not None and alignment is not None:
-                self._calibration = replace(self._calibration, alignment=alignment.after(window))
-        elif isinstance(self._state, AlignmentEstimates) and sample.recorded is not None:
-            unaligned = sample.aligned
-            if self._calibration.rectifier is not self._unaligned.rectifier:
-                unaligned = self._unaligned.rectified(sample.recorded)
-            estimate = self._state.add(unaligned)
-            if estimate is not None:
-                self._apply(estimate, unaligned.time_s)
+        if not isinstance(self._state, AlignmentEstimates):
+            return
+        unaligned = sample.aligned
+        if self._calibration.rectifier is not self._unaligned.rectifier:
+            unaligned = self._unaligned.rectified(sample.recorded)
+        estimate = self._state.add(unaligned)
+        if estimate is not None:
+            self._apply(estimate)
 
-    def _apply(self, estimate: PairEstimate, time_s: float) -> None:
+    def _apply(self, estimate: PairEstimate) -> None:
         """Use an estimate; one that measured nothing only if it shows that less is known."""
         measured, before = estimate.alignment.measured, self._calibration.alignment
-        now = self._rig.unaligned if before is None else before.at(time_s)
+        now = self._rig.unaligned if before is None else before.of_frames
         if not measured.is_measured and measured.residual_px <= now.residual_px:
             return
         self._calibration = self._plain.with_alignment(estimate.alignment)
         if estimate.is_last:
-            self._state = self._drift_of(estimate.alignment)
+            self._state = None
