@@ -1,8 +1,8 @@
 """CornerTracks: corners of the static scene, tracked through the images of one camera.
 
-Images wider than `LONG_SIDE_PX` are halved. Frames are at least `MIN_STEP_S` apart. A keyframe
-follows the last one after `KEY_STEP_S` or more, when the image has moved; new corners are found in
-keyframes, outside the boxes of road users.
+Images wider than `LONG_SIDE_PX` are halved. Images are used that are at least `MIN_STEP_S` apart,
+since every step adds an error to the tracks. One is a keyframe if the image has moved since the
+last keyframe; new corners are found in keyframes, outside the boxes of road users.
 """
 
 import math
@@ -16,11 +16,10 @@ from track_range.foundation.sparse_flow import halved
 from track_range.stereo.geometry.frames import grey
 
 LONG_SIDE_PX = 1300  # longest side of the tracked image
-MIN_STEP_S = 0.09  # shortest time between two used frames
+MIN_STEP_S = 0.19  # shortest time between two used images
 MAX_GAP_S = 0.5  # longest time between two frames of one track
-KEY_STEP_S = 0.19  # shortest time between two keyframes
 _MIN_KEY_FLOW_PX = 0.7  # median flow since the last keyframe; a standing camera has no new one
-_N_POINTS = 350  # number of tracked points
+_N_POINTS = 250  # number of tracked points
 _MIN_MISSING = 0.1  # of them; fewer are not replaced
 _GRID = (4, 8)  # rows and columns of cells with equal numbers of new points
 _MIN_GAP_PX = 12  # minimum distance between two points, px
@@ -43,7 +42,7 @@ class CornerTracks:
     def __init__(self, size_px: tuple[int, int]) -> None:
         self.n_halved = (max(size_px) // (LONG_SIDE_PX + 1)).bit_length()
         self._before: Image | None = None
-        self._last_s = self._key_s = -math.inf
+        self._last_s = -math.inf
         self._xy_px: FloatArray32 = np.zeros((0, 2), np.float32)
         self._key_px: FloatArray32 = np.zeros((0, 2), np.float32)  # the same points in the keyframe
         self._number: IntArray = np.zeros(0, np.int64)
@@ -76,12 +75,9 @@ class CornerTracks:
         return self._key_points(small, time_s, is_free)
 
     def _key_points(self, small: Image, time_s: float, is_free: BoolArray) -> KeyPoints | None:
-        if time_s - self._key_s < KEY_STEP_S:
-            return None
         flow_px = np.linalg.norm(self._xy_px - self._key_px, axis=1)
         if len(flow_px) and np.median(flow_px) < _MIN_KEY_FLOW_PX:
             return None
-        self._key_s = time_s
         n_missing = _N_POINTS - len(self._number)
         if n_missing > _MIN_MISSING * _N_POINTS:
             new = new_corners(

@@ -40,7 +40,7 @@ _ROUNDS = ((2.0, 6.0), (3.0, 4.5))
 _LAST_SIGMAS = 4.0
 # distances in log f from the best one at which the cost is computed, until it is so much higher
 _DISTANCES, _ENOUGH_COST = (0.03, 0.06, 0.12, 0.24, 0.48, 0.96), 150.0
-_START_NOISE_PX, _START_STEPS = (0.5, 0.25), (14, 8)  # of the two fits of a scene at its start
+_START_NOISE_PX, _START_STEPS = (0.5, 0.25), (8, 4)  # of the two fits of a scene at its start
 _MAX_NOISE_PX = 0.9  # of a usable scene at the start
 # largest noise of a scene, relative to the median scene: others have a wrong motion
 _MAX_NOISE_RATIO = 1.6
