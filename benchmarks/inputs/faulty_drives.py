@@ -323,12 +323,12 @@ PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
 # words of any doubt; notes that runs without the fault have, too, do not count, and those of an
 # alignment always say by how much disparities are too small
 ANY = (
-    rf"^(?!Alignment: ).*(?:{SCALE}|{SIZE}|{PAIR}|in doubt|contradict|does not fit|do not fit|has moved|moved|turned"
-    "|repeat|froze|frozen|identical|frame rate|frames per second|clock|lag|delay|late|unsteady"
-    "|vibrat|shak|jitter|too (large|small|long|short|high|low|fast|slow)|times (too|what)|zoom"
-    "|do not change from|given speed is below)"
+    rf"^(?!Alignment: ).*(?:{SCALE}|{SIZE}|{PAIR}|(?:camera|rig|pair) (?:has )?moved|is turned"
+    r"|repeat|\b(?:froze|frozen|identical|vibrate|shake|jump|zoomed)\b|\b(?:s|seconds) late\b"
+    r"|contradicts|do(?:es)? not (?:fit|change)|given speed is below|times what"
+    r"|focal length (?:of both cameras )?changed|principal point is)"
 )
-_MOVED = r"moved|turned|knocked|right camera|yaw|shifted"
+_MOVED = r"right camera (?:has )?moved|right camera is turned"
 
 
 def _of_issue(section: str, name: str, change: Change, cause: str, **others: Any) -> Fault:
@@ -444,7 +444,7 @@ FAULTS = (
     ),
     _of_issue("rig", "right hit, yaw 0.3", yaw(0.3, is_sudden=True), _MOVED, is_sudden=True),
     _of_issue("rig", "slow yaw 0.3", yaw(0.3, is_slow=True), f"{_MOVED}|drift", is_sudden=True),
-    _of_issue("rig", "zoom 1 % right", zoom(1, 1.01), "focal length|zoom|magnif", is_sudden=True),
+    _of_issue("rig", "zoom 1 % right", zoom(1, 1.01), "its focal length|zoom", is_sudden=True),
     _of_issue("rig", "zoom 3 % both", zoom(1.03, 1.03), "focal length|zoom", is_sudden=True),
     _of_issue("rig", "right moved 1.5 px", right_moved(1.5), _MOVED, is_sudden=True),
     _of_issue(
@@ -461,28 +461,28 @@ FAULTS = (
             "clock",
             f"frame rate 20{', speed given' if known else ''}",
             stated_fps(2 * FPS),
-            "frame rate|frames per second|frames/s|clock|time base",
+            "frame rate",
             is_known=known,
         )
         for known in (False, True)
     ),
     _of_issue("clock", "every fifth doubled", doubled, "repeat|doubl|identical"),
-    _of_issue("speed", "zeros", speed(0.0), "speed", is_known=True),
+    _of_issue("speed", "zeros", speed(0.0), "given speed|the speed is", is_known=True),
     *(
-        _of_issue("speed", f"{t} s late", speed(late_s=t), "late|lag|delay|behind", is_known=True)
+        _of_issue("speed", f"{t} s late", speed(late_s=t), r"\bs late\b", is_known=True)
         for t in (1, 2)
     ),
-    *(_of_issue("speed", f"{f:g} times", speed(f), "speed", is_known=True) for f in (1.15, 1.6)),
     *(
-        _of_issue("image", f"jitter {s:g} px", jitter(s), "jitter|shak|vibrat|unsteady|jump")
-        for s in (1.5, 4)
+        _of_issue("speed", f"{f:g} times", speed(f), "given speed|the speed is", is_known=True)
+        for f in (1.15, 1.6)
     ),
+    *(_of_issue("image", f"jitter {s:g} px", jitter(s), "vibrate|shake") for s in (1.5, 4)),
     *(
         _of_issue(
             "image",
             f"boxes 0.9{', one camera' if mono else ''}",
             boxes(0.9),
-            "boxes|size",
+            "boxes|the sizes? (?:are|is)",
             is_mono=mono,
         )
         for mono in (False, True)
@@ -499,7 +499,7 @@ def clean(fault: Fault) -> Fault:
         "",
         name,
         lambda drive, _: drive,
-        f"{SCALE}|{SIZE}|{PAIR}",
+        ANY,
         "",
         is_mono=fault.is_mono,
         is_known=fault.is_known,
