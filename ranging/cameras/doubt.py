@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from track_range.ranging.cameras.causes import ScaleDoubt
+from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.posterior import CameraPosterior
-from track_range.ranging.cameras.unknowns import OF_PAIR, CameraPriors, Sum, Unknown
+from track_range.ranging.cameras.unknowns import OF_FOCAL, OF_PAIR, CameraPriors, Sum, Unknown
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.registry import methods
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
 _OF_SPEED: Sum = {Unknown.SPEED: 1.0}
 _OF_ROAD: Sum = {Unknown.HEIGHT: -1.0, Unknown.FOCAL: 1.0}
-_OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
 _OF_TIMES: Sum = {Unknown.FRAME_RATE: 1.0}
 
 Errors = Mapping[str, tuple[Sum, ...]]
@@ -38,6 +39,7 @@ class Doubt:
     # height of the camera above the road and its standard deviation, as the drive shows it; None =
     # as assumed
     height_m: tuple[float, float] | None = None
+    focal: FocalEstimate | None = None  # a focal length that was not given; None = it was
 
     @property
     def trusts_speed(self) -> bool:
@@ -51,9 +53,10 @@ class Doubt:
         errors: Errors,
         scale: ScaleDoubt | None = None,
         rig: RigScale = CALIBRATED,
+        focal: FocalScale = EXACT,
     ) -> Self:
         """The doubt by what the drive shows of the cameras, for lengths that are corrected by the
-        scale of a pair.
+        scale of a pair, and by that of the focal length.
         """
         unused = set[Unknown]()
         if scale is not None and scale.cause_names == [Unknown.SPEED]:
@@ -61,8 +64,9 @@ class Doubt:
 
         def sigma_of(of: Sum) -> float:
             if of == OF_PAIR:
-                return _sigma_of_pair(cameras, rig)
-            return cameras.sigma_of({k: v for k, v in of.items() if k not in unused})
+                return _sigma_of_pair(cameras, rig, focal)
+            corrected = of.get(Unknown.FOCAL, 0.0) * focal.log_factor
+            return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
 
         of_odometry = OF_PAIR if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
         # speeds by images have the error of the times, too
@@ -99,15 +103,16 @@ class Doubt:
         return replace(motion, speed_sigma_mps=speed_sigma_mps)
 
 
-def _sigma_of_pair(cameras: CameraPosterior, rig: RigScale) -> float:
+def _sigma_of_pair(cameras: CameraPosterior, rig: RigScale, focal: FocalScale) -> float:
     """Relative standard deviation that all lengths of a pair share, after their correction."""
     if not rig.is_known:
         return 0.0  # nothing is measured
+    log_factor = rig.log_factor + focal.log_factor
     if rig.offset is None:
-        return cameras.sigma_of(OF_PAIR, rig.log_factor)
+        return cameras.sigma_of(OF_PAIR, log_factor)
     # at the disparity at which the scale is known best; the rest is in each distance
     centre = rig.offset.centre
-    corrected = rig.log_factor + centre * rig.offset.px
+    corrected = log_factor + centre * rig.offset.px
     return cameras.sigma_of({**OF_PAIR, Unknown.OFFSET: centre}, corrected)
 
 
@@ -119,7 +124,7 @@ def errors_of(priors: CameraPriors) -> Errors:
     }
     sources["fused"] = ["baseline" if has_rig else "horizon"]
     # of a camera that has no given height: of the speed, or of the sizes that show it
-    of_height = (OF_PAIR,) if has_rig else (_OF_FOCAL, _OF_SPEED)
+    of_height = (OF_PAIR,) if has_rig else (OF_FOCAL, _OF_SPEED)
     height = priors.get(Unknown.HEIGHT)
     if height is not None and height.kind == "given":
         of_height = (_OF_ROAD,)
@@ -131,4 +136,4 @@ def _errors_of(error_sources: Sequence[str], of_height: tuple[Sum, ...]) -> tupl
         return (OF_PAIR,)
     if {"horizon", "lane_width"} & {*error_sources}:
         return of_height
-    return (_OF_FOCAL,)
+    return (OF_FOCAL,)

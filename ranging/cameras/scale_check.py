@@ -13,6 +13,7 @@ from typing import Any
 
 from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
+from track_range.ranging.cameras.learnt_focal import FocalEstimate, LearntFocal
 from track_range.ranging.cameras.motion_evidence import MotionEvidence
 from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
@@ -27,6 +28,7 @@ from track_range.ranging.cameras.unknowns import (
     Sum,
     Unknown,
 )
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.rig_scale import (
     CALIBRATED,
     UNKNOWN_SCALE,
@@ -68,15 +70,19 @@ class ScaleCheck:
         lane: LaneWidth | None = None,
         sizes: SizeModel | None = None,
         road_height_m: float = USUAL_HEIGHT_M,
+        learns_focal: bool = False,
     ) -> None:
         """Start without evidence, for the (left) camera, or the rig of a pair, with what is known
         of it.
 
         `road_height_m` is the height with which the motion of the road is measured; `sizes` have
         the shapes of vehicles, which measure a focal length that is well known. Without the usual
-        width of the lane, lane lines are not used.
+        width of the lane, lane lines are not used. With `learns_focal`, an unknown focal length is
+        estimated from the drive, and corrects its distances.
         """
         self.priors = priors
+        is_unknown = priors[Unknown.FOCAL].kind == "unknown"
+        self._focal = LearntFocal(priors) if learns_focal and is_unknown else None
         height_m = priors[Unknown.HEIGHT].value
         self._rig = rig
         self._sizes = SizeEvidence(camera, height_m, rig=rig)
@@ -84,7 +90,7 @@ class ScaleCheck:
         sources: list[EvidenceSource] = [self._sizes, self._speeds]
         if lane is not None:
             sources.append(LaneEvidence(camera, lane, height_m))
-        if priors[Unknown.FOCAL].kind == "given":
+        if self._focal is not None or priors[Unknown.FOCAL].kind == "given":
             sources.append(MotionEvidence(camera))
             if isinstance(sizes, CuboidSizes):
                 sources.append(ShapeEvidence(camera, sizes))
@@ -111,8 +117,20 @@ class ScaleCheck:
         return rig is None or rig.kind == "given"
 
     @property
+    def focal_scale(self) -> FocalScale:
+        """The error of the focal length, as far as it has to be estimated from the drive."""
+        return EXACT if self._focal is None else self._focal.scale
+
+    @property
+    def focal(self) -> FocalEstimate | None:
+        """The focal length as the drive shows it; None = it is known, or as before the drive."""
+        return None if self._focal is None else self._focal.estimate
+
+    @property
     def rig_scale(self) -> RigScale:
-        """The scale of a pair, as far as it has to be estimated from the drive."""
+        """The scale of a pair, as far as it has to be estimated from the drive, beside that of the
+        focal length.
+        """
         offset = self._offset
         if self._is_calibrated:
             return replace(CALIBRATED, offset=offset)
@@ -123,7 +141,8 @@ class ScaleCheck:
         # the distances by size, with which others are fused, have the error of the focal length too
         if min(sigmas) > _MAX_RIG_SIGMA:
             return UNKNOWN_SCALE
-        return RigScale(self.cameras.correction(OF_PAIR), sigmas[0], offset)
+        log_factor = self.cameras.correction(OF_PAIR) - self.focal_scale.log_factor
+        return RigScale(log_factor, sigmas[0], offset)
 
     @property
     def _offset(self) -> DisparityOffset | None:
@@ -155,7 +174,8 @@ class ScaleCheck:
         rig = self.rig_scale
         if sigma > _MAX_HEIGHT_SIGMA or not rig.is_known:
             return None
-        height_m = assumed.value * math.exp(mean - rig.log_factor)
+        of_others = rig.log_factor if has_rig else -self.focal_scale.log_factor
+        height_m = assumed.value * math.exp(mean - of_others)
         return height_m, sigma * height_m
 
     def update(self, seen: SeenFrame) -> bool:
@@ -185,7 +205,8 @@ class ScaleCheck:
             f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
             "alarms are given.",
         )
-        past = (*self._offset_notes, *(was_in_doubt if spans else ()))
+        of_focal = () if self.focal is None else (self.focal.sentence,)
+        past = (*of_focal, *self._offset_notes, *(was_in_doubt if spans else ()))
         if learnt := self._learnt:
             has_speed = any(Unknown.SPEED in item.of for item in self._speeds.evidence)
             advice = "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"
@@ -222,7 +243,7 @@ class ScaleCheck:
         if self._is_calibrated or not scale.is_known:
             return {}
         return {
-            "focal_px": self.priors[Unknown.FOCAL].value,
+            "focal_px": self.priors[Unknown.FOCAL].value * self.focal_scale.factor,
             "baseline_m": self.priors[Unknown.BASELINE].value * scale.factor,
             "relative_sigma": scale.sigma,
             "n_tracks": self._sizes.n_objects,
@@ -231,6 +252,8 @@ class ScaleCheck:
     def summary(self) -> dict[str, Any]:
         """Sections of summary.json."""
         sections: dict[str, Any] = {}
+        if self.focal is not None:
+            sections["learnt_focal"] = self.focal.summary()
         if self.doubt is not None:
             sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
         if learnt := self._learnt:
@@ -250,6 +273,8 @@ class ScaleCheck:
             kind: Kind = "given" if self._is_calibrated else "unknown"
             priors[Unknown.OFFSET] = Prior(self._sizes.residual_px, kind)
         self.cameras = posterior(priors, evidence, bounds=self._speeds.bounds)
+        if self._focal is not None:
+            self._focal.update(priors, evidence, self.cameras, time_s)
         self._evidence_names = names = self._names(evidence)
         if Unknown.BASELINE in self.priors:
             self.agreement = self._agreement(priors, evidence, names)

@@ -40,6 +40,7 @@ class PriorPart(NamedTuple):
 Sum = Mapping[Unknown, float]
 """A sum of unknowns: the coefficient of each; absent = 0."""
 
+OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
 OF_BASELINE: Sum = {Unknown.BASELINE: 1.0}
 OF_PAIR: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
 """What the baseline by itself, and all lengths that a pair measures, are too large by."""

@@ -1,6 +1,6 @@
 """FilteredRanges: filtered distances of one method with rate and time to collision."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,18 @@ class FilteredRanges:
     state: ConstantVelocity
     # (N,) probability that the object does not move along the axis; None = unknown
     static: FloatArray | None = None
+
+    def scaled(self, factor: float) -> "FilteredRanges":
+        """Distances and rates times a factor; times to collision stay."""
+        if factor == 1.0:
+            return self
+        return replace(
+            self,
+            ranges=self.ranges.scaled(factor),
+            rate_mps=factor * self.rate_mps,
+            rate_sigma_mps=factor * self.rate_sigma_mps,
+            state=self.state.scaled(factor),
+        )
 
 
 def time_to_collision(

@@ -69,6 +69,18 @@ class Ranges:
         sigma_m = np.hypot(self.sigma_m, relative_sigma * self.distance_m)
         return replace(self, sigma_m=sigma_m)
 
+    def scaled(self, factor: float) -> Ranges:
+        """The ranges with distances and standard deviations times a factor."""
+        if factor == 1.0:
+            return self
+        systematic_m = self.sigma_systematic_m
+        return replace(
+            self,
+            distance_m=self.distance_m * factor,
+            sigma_m=self.sigma_m * factor,
+            sigma_systematic_m=None if systematic_m is None else systematic_m * factor,
+        )
+
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:
         """Ranges of (N,) unmeasured tracks: NaN for all."""

@@ -60,15 +60,7 @@ class RigScale:
         """Distances of the pair with the true scale, without its error, which they share."""
         if self.offset is not None:
             ranges = self.offset.corrected(ranges)
-        if self.factor == 1.0:
-            return ranges
-        systematic_m = ranges.sigma_systematic_m
-        return replace(
-            ranges,
-            distance_m=ranges.distance_m * self.factor,
-            sigma_m=ranges.sigma_m * self.factor,
-            sigma_systematic_m=None if systematic_m is None else systematic_m * self.factor,
-        )
+        return ranges.scaled(self.factor)
 
     def measured(self, ranges: Ranges) -> Ranges:
         """True distances as the pair would measure them, with the error of its scale."""

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
@@ -116,11 +117,12 @@ _NO_IDS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class DriveScale:
-    """Scale of one drive, from the evidence so far: of the pair, and the bias of the distances by
-    size; `DriveScale()` has no evidence.
+    """Scale of one drive, from the evidence so far: of the pair, of the focal length, and the bias
+    of the distances by size; `DriveScale()` has no evidence.
     """
 
     rig: RigScale = CALIBRATED  # of all that the pair measures
+    focal: FocalScale = EXACT  # of all depths, which results are corrected by
 
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))

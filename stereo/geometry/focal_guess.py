@@ -20,6 +20,14 @@ class FocalGuess:
     sigma: float  # relative standard deviation
     source: str  # where it comes from, as it continues "focal length from ..."
 
+    @property
+    def text(self) -> str:
+        """The focal length, how well it is known, and from what, as the start of a sentence."""
+        return (
+            f"Focal length {self.focal_px:,.0f} ± {self.sigma * self.focal_px:,.0f} px "
+            f"({100 * self.sigma:.1f} %), from {self.source}"
+        )
+
 
 def default_guess(width_px: int) -> FocalGuess:
     """Prior of the focal length of an unknown road camera with images of this width."""

@@ -35,6 +35,11 @@ class ConstantVelocity:
         """The values in the order of the constructor."""
         return self.x, self.v, self.P_xx, self.P_xv, self.P_vv
 
+    def scaled(self, factor: float) -> ConstantVelocity:
+        """The states of values times a factor."""
+        x, v, *P = self.columns
+        return ConstantVelocity(factor * x, factor * v, *(factor**2 * part for part in P))
+
     def predict(self, dt: FloatArray | float, *, q: FloatArray | float) -> ConstantVelocity:
         """The states after `dt` >= 0 seconds, in each of which the variance of v grows by `q`."""
         P_xv = self.P_xv + dt * self.P_vv

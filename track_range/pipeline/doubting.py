@@ -7,9 +7,11 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.ranging import FrameRanges
 from track_range.ranging.cameras.doubt import Doubt, Errors, errors_of
 from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import CameraPriors
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
@@ -23,12 +25,14 @@ class DoubtStage:
 
     priors: CameraPriors = field(default_factory=dict)  # nothing is unknown
     check: ScaleCheck | None = None  # None = nothing is checked
+    focal: FocalEstimate | None = None  # before the drive; None = the focal length was given
     _errors: Errors = field(init=False)
     _doubt: Doubt = field(init=False)
 
     def __post_init__(self) -> None:
         self._errors = errors_of(self.priors)
-        self._doubt = Doubt.of(posterior(self.priors, []), self._errors, rig=self._rig)
+        doubt = Doubt.of(posterior(self.priors, []), self._errors, None, self._rig, self._focal)
+        self._doubt = replace(doubt, focal=self.focal)
 
     @property
     def initial(self) -> Doubt:
@@ -38,11 +42,15 @@ class DoubtStage:
     @property
     def initial_scale(self) -> DriveScale:
         """The scale of the drive before the first frame."""
-        return DriveScale(rig=self._rig)
+        return DriveScale(rig=self._rig, focal=self._focal)
 
     @property
     def _rig(self) -> RigScale:
         return CALIBRATED if self.check is None else self.check.rig_scale
+
+    @property
+    def _focal(self) -> FocalScale:
+        return EXACT if self.check is None else self.check.focal_scale
 
     def update(
         self,
@@ -70,12 +78,13 @@ class DoubtStage:
                 frame.left,
             )
             if check.update(seen):
-                doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig)
-                self._doubt = replace(doubt, height_m=check.height_m)
+                doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig, self._focal)
+                focal = check.focal or self.focal
+                self._doubt = replace(doubt, height_m=check.height_m, focal=focal)
         doubt = self._doubt.zoomed(ego.focal_change)
         is_in_doubt = self._doubt.scale is not None
         after = DriveScale() if is_in_doubt else scale.after(measured.evidence, frame.time_s)
-        return doubt, replace(after, rig=self._rig)
+        return doubt, replace(after, rig=self._rig, focal=self._focal)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""

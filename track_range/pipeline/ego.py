@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import (
     Ego,
@@ -65,7 +66,7 @@ class EgoStage:
         known: EgoMotion | None = None,
         *,
         trusts_given: bool = True,
-        rig_scale: RigScale = CALIBRATED,
+        scale: DriveScale | None = None,
         has_sure_time: bool = True,
         height_m: tuple[float, float] | None = None,
     ) -> Ego:
@@ -73,15 +74,17 @@ class EgoStage:
         not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage
-        measures it. A given speed is used if it is trusted. `rig_scale` corrects what the pair
-        measures; `height_m` is the height of the camera by the drive and its standard deviation,
-        None = as assumed. A given speed is not compared with speeds of an unsure time.
+        measures it. A given speed is used if it is trusted. `scale` corrects what the pair
+        measures, and stretches what is given, None = of given cameras; `height_m` is the height of
+        the camera by the drive and its standard deviation, None = as assumed. A given speed is not
+        compared with speeds of an unsure time.
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
         if not self.uses_pair_speed:
             by_pair = None
-        motion = None if by_pair is None else rig_scale.corrected_motion(by_pair)
+        scale = scale or DriveScale()
+        motion = None if by_pair is None else scale.rig.corrected_motion(by_pair)
         if motion is None and self.has_road_scale:
             motion = by_road
         if motion is None:
@@ -91,7 +94,8 @@ class EgoStage:
         used = given
         if given is not None:
             shown = (by_pair, by_road) if has_sure_time else (None, None)
-            used = self._weighed(frame.time_s, given, *shown, rig_scale, known)
+            used = self._weighed(frame.time_s, given, *shown, scale, known)
+            used = scale.focal.stretched(used)
         ego = Ego(
             motion=_with_given(motion, used, trusts_given=trusts_given),
             by_pair=by_pair,
@@ -120,24 +124,32 @@ class EgoStage:
         given: EgoMotion,
         by_pair: EgoMotion | None,
         by_road: EgoMotion | None,
-        rig_scale: RigScale,
+        scale: DriveScale,
         known: EgoMotion | None,
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
+        log_ratio = -scale.focal.log_factor
         if self.pair_odometry is not None and self.uses_pair_speed:
             measured = by_pair
-            scale = -rig_scale.log_factor, min(_RIG_SIGMA + rig_scale.sigma, 1.0)
+            log_ratio -= scale.rig.log_factor
+            sigma = min(_RIG_SIGMA + scale.rig.sigma, 1.0)
         else:
             measured = by_road
-            scale = 0.0, _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
+            sigma = _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         table = self.speed if known is None else None
-        return self.given_speed.update(time_s, given, measured or EgoMotion(), scale, table=table)
+        ratio = log_ratio, sigma
+        return self.given_speed.update(time_s, given, measured or EgoMotion(), ratio, table=table)
 
     def predicted(
-        self, time_s: float, known: EgoMotion | None = None, *, trusts_given: bool = True
+        self,
+        time_s: float,
+        known: EgoMotion | None = None,
+        *,
+        trusts_given: bool = True,
+        focal: FocalScale = EXACT,
     ) -> Ego:
         """The motion at a time whose image shows nothing new: that of the last frame, with a
-        growing error, for a short time.
+        growing error, for a short time; `focal` stretches what is given.
         """
         last_s, last = self._last
         motion = EgoMotion(is_still=last.is_still)
@@ -146,7 +158,8 @@ class EgoStage:
             sigma_mps = math.hypot(last.speed_sigma_mps, grown_mps)
             motion = replace(last, speed_sigma_mps=sigma_mps, is_predicted=True)
         given = self._given(time_s, known)
-        motion = _with_given(motion, given, trusts_given=trusts_given)
+        used = None if given is None else focal.stretched(given)
+        motion = _with_given(motion, used, trusts_given=trusts_given)
         return Ego(motion=motion, given=given, trusts_given=trusts_given)
 
     def _given(self, time_s: float, known: EgoMotion | None) -> EgoMotion | None:

@@ -14,6 +14,7 @@ from track_range.ranging.filtering.distance_filter import DistanceFilters, Filte
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
 from track_range.ranging.filtering.observation import Observation
 from track_range.ranging.fusion.fusion import Fused, ScaleSource
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import have_hidden_sides
@@ -52,6 +53,11 @@ class Filtered:
     def fused(self) -> FilteredRanges:
         """The motion by the fused distances."""
         return self.by_method["fused"]
+
+    def corrected(self, focal: FocalScale) -> "Filtered":
+        """The motion with the true focal length, which affects only what is along the axis."""
+        scaled = {name: one.scaled(focal.factor) for name, one in self.by_method.items()}
+        return replace(self, by_method=scaled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,14 +148,21 @@ class FilterStage:
 
 
 def reported(
-    measured: FrameRanges, fused: Fused, filtered: Filtered, doubt: Doubt
+    measured: FrameRanges,
+    fused: Fused,
+    filtered: Filtered,
+    doubt: Doubt,
+    focal: FocalScale = EXACT,
 ) -> dict[str, Ranges]:
     """All distances of a frame by name, the filtered ones as NAME_kf, with the errors that neither
-    fusion nor filters reduce.
+    fusion nor filters reduce; `focal` has corrected the filtered ones.
     """
     sigma = doubt.shared_sigma
     by_method = {**measured.ranges, "fused": fused.ranges}
-    ranges = {name: of_method.widened(sigma[name]) for name, of_method in by_method.items()}
+    ranges = {
+        name: focal.corrected(of_method).widened(sigma[name])
+        for name, of_method in by_method.items()
+    }
     for name, of_method in filtered.by_method.items():
         ranges[f"{name}_kf"] = of_method.ranges.widened(sigma[name])
     return ranges

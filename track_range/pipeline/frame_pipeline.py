@@ -90,11 +90,13 @@ class FramePipeline:
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
         with stage("filter"):
             filtered = self.filtering.update(tracks, measured, fused, ego.motion, time_s)
-            ranges = reported(measured, fused, filtered, doubt)
+            filtered = filtered.corrected(scale.focal)
+            ranges = reported(measured, fused, filtered, doubt, scale.focal)
             approach = Approach.of(filtered.fused, doubt.closing_sigma)
         with stage("world"):
-            moved = doubt.widened(ego)
-            world = self.world.update(tracks, filtered, ranges, moved, time_s)
+            motion = scale.focal.corrected_motion(ego.motion)
+            moved = doubt.widened(replace(ego, motion=motion))
+            world = self.world.update(tracks, filtered, ranges, moved, time_s, scale.focal)
         with stage("alarm"):
             alarms = self.alarming.update(
                 tracks, ranges["fused"], filtered, approach, moved, doubt, lanes, time_s
@@ -127,7 +129,7 @@ class FramePipeline:
                 detections.xyxy_px,
                 known_ego,
                 trusts_given=self.doubt.trusts_speed,
-                rig_scale=self.scale.rig,
+                scale=self.scale,
                 has_sure_time=has_sure_time,
                 height_m=self.doubt.height_m,
             )
@@ -140,7 +142,12 @@ class FramePipeline:
         """The last tracks, without measurements: a repeated image shows nothing of its time."""
         tracks = replace(self.tracks, observed=np.zeros(len(self.tracks), np.bool_))
         with self.clock.stage("ego"):
-            ego = self.ego.predicted(frame.time_s, known_ego, trusts_given=self.doubt.trusts_speed)
+            ego = self.ego.predicted(
+                frame.time_s,
+                known_ego,
+                trusts_given=self.doubt.trusts_speed,
+                focal=self.scale.focal,
+            )
         return _Seen(tracks, ego, self.ranging.skip(tracks, frame))
 
     def notes(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from track_range.pipeline.filtering import Approach
 from track_range.pipeline.world import World
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.doubt import Doubt
+from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
@@ -217,6 +218,13 @@ class FrameResult:
     def scale_doubt(self) -> ScaleDoubt | None:
         """Contradiction between a given scale and the drive; None = none was found."""
         return self.doubt.scale
+
+    @property
+    def focal(self) -> FocalEstimate | None:
+        """The focal length that the distances have, in px of the rectified images, its relative
+        sigma, source and time of first use; None = it was given. Its `sentence` says it in words.
+        """
+        return self.doubt.focal
 
     @property
     def left(self) -> Image:

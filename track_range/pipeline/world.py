@@ -8,6 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.filtering import Filtered
+from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
@@ -48,8 +49,11 @@ class WorldStage:
         ranges: Mapping[str, Ranges],
         ego: EgoMotion,
         time_s: float,
+        focal: FocalScale = EXACT,
     ) -> World:
-        """The world at `time_s`, by all distances of the frame and the motion of the camera."""
+        """The world at `time_s`, by all distances of the frame and the motion of the camera, which
+        `focal` has corrected.
+        """
         pose = self._path.update(time_s, ego)
         motion = self._motions.update(
             tracks.track_id,
@@ -60,16 +64,19 @@ class WorldStage:
             ego=ego,
             pose=pose,
         )
-        return World(*self._points_m(tracks, ranges["fused"]), motion, pose)
+        return World(*self._points_m(tracks, ranges["fused"], focal), motion, pose)
 
-    def _points_m(self, tracks: Tracks, fused: Ranges) -> tuple[FloatArray, FloatArray]:
+    def _points_m(
+        self, tracks: Tracks, fused: Ranges, focal: FocalScale
+    ) -> tuple[FloatArray, FloatArray]:
         """(N, 3) points where the rays of the boxes meet the objects, and (N, 2) the standard
         deviations of their x and y: by the distance, and by the direction.
         """
         first_px, last_px = tracks.xyxy_px[:, :2], tracks.xyxy_px[:, 2:]
-        rays = self._camera.rays((first_px + last_px) / 2)
+        camera = focal.camera(self._camera)
+        rays = camera.rays((first_px + last_px) / 2)
         edge_sigma_px = BoxNoise().sigma_px(last_px - first_px, tracks.class_id)
         direction_px = np.hypot(edge_sigma_px / math.sqrt(2), self._centre_sigma_px)
-        direction = direction_px / np.array([self._camera.fx_px, self._camera.fy_px])
+        direction = direction_px / np.array([camera.fx_px, camera.fy_px])
         distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]
         return rays * distance_m, np.hypot(rays[:, :2] * sigma_m, direction * distance_m)

@@ -48,6 +48,13 @@ class _Approach(_Figures):
     road_class: Annotated[str, Field(strict=True, alias="class")]
 
 
+class _LearntFocal(_Section):
+    focal_px: Number
+    focal_sigma: Number
+    source: Annotated[str, Field(strict=True)]
+    since_s: Number
+
+
 class _LearntScale(_Figures):
     n_tracks: Number
     baseline_m: Number
@@ -119,6 +126,7 @@ _SUMMARY = _section(
     closest_approaches=list[_Approach],
     processed_frames=list[tuple[_FrameNumber, _FrameNumber]],
     learnt_scale=_LearntScale | None,
+    learnt_focal=_LearntFocal | None,
     synchronisation=list[dict[str, Any]] | None,
     scale_doubt=_section(
         **_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text

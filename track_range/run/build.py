@@ -16,6 +16,7 @@ from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
+from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import CameraPriors, Unknown, camera_priors
 from track_range.ranging.methods.ground_plane import GroundSettings
@@ -100,7 +101,7 @@ def open_pipeline(
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=ego,
         ranging=RangingStage(create_rangers(context)),
-        doubting=DoubtStage(priors, check),
+        doubting=DoubtStage(priors, check, _focal_before(calibration)),
         filtering=FilterStage(
             camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
         ),
@@ -188,6 +189,12 @@ def _camera_priors(context: MethodContext, calibration: RecordingCalibration) ->
     return {**priors, Unknown.FOCAL: replace(priors[Unknown.FOCAL], kind="unknown")}
 
 
+def _focal_before(calibration: RecordingCalibration) -> FocalEstimate | None:
+    """A focal length that was not given, as it is known before the drive."""
+    focal = calibration.focal
+    return None if focal is None else FocalEstimate(focal.focal_px, focal.sigma, focal.source)
+
+
 def _scale_check(
     context: MethodContext,
     priors: CameraPriors,
@@ -204,4 +211,6 @@ def _scale_check(
         lane=usual_width(context.region, lane_width_m),
         sizes=context.size_model,
         road_height_m=_road_height_m(context),
+        # that of a recording was estimated from all of it
+        learns_focal=calibration.focal is not None and calibration.estimate is None,
     )

@@ -144,7 +144,7 @@ class Pipeline:
 
     def __init__(
         self,
-        cameras: Cameras | float,
+        cameras: Cameras | float | None,
         options: PipelineOptions,
         *,
         is_pair: bool,
@@ -197,7 +197,7 @@ class Pipeline:
     @KeywordsInErrors(RunSettings)
     def stereo(
         cls,
-        rig: str | Path | StereoRig,
+        rig: str | Path | StereoRig | None = None,
         *,
         align: str | Path | Alignment | PairAlignment | None = "auto",
         keep_s: float = 60.0,
@@ -207,7 +207,8 @@ class Pipeline:
         """A pipeline for the images of two cameras.
 
         Args:
-            rig: calibration file, or the models of the cameras.
+            rig: calibration file, or the models of the cameras; None = focal length and baseline
+                are estimated while frames come, see `FrameResult.focal`.
             align: correction of disparities: "auto" or None = estimated from the first frames in
                 motion, "off", a file of `track-range align`, or an alignment, such as
                 `run.alignment`.
@@ -222,7 +223,7 @@ class Pipeline:
             ConfigError: an option is unknown or invalid.
             RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
         """
-        if not isinstance(rig, str | Path | StereoRig):
+        if not isinstance(rig, str | Path | StereoRig | None):
             raise ConfigError(
                 f"rig: expected a calibration file or a StereoRig, found {type(rig).__name__}."
             )
@@ -246,22 +247,22 @@ class Pipeline:
 
         Args:
             focal_px: focal length of a camera without a calibration file; the principal point is
-                the image centre.
+                the image centre. Without it and `rig`, a usual focal length with its wide sigma is
+                assumed, and estimated while frames come, see `FrameResult.focal`.
             rig: calibration file, or the model of the camera (of a pair, the left one).
             yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of
                 the lens axis.
 
         Raises:
-            ConfigError: an option is unknown or invalid; or not exactly one of `focal_px` and `rig`
-                is given.
+            ConfigError: an option is unknown or invalid; or both `focal_px` and `rig` are given.
             RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
         """
         cameras = rig if focal_px is None else focal_px
-        if cameras is None or None not in (rig, focal_px):
+        if focal_px is not None and rig is not None:
             raise ConfigError("expected either focal_px or rig, the calibration of the camera.")
         if focal_px is not None and not (_is_number(focal_px) and 0 < focal_px < math.inf):
             raise ConfigError(f"focal_px: expected a positive number, found {focal_px!r}.")
-        if focal_px is None and not isinstance(cameras, str | Path | StereoRig | PinholeCamera):
+        if not isinstance(rig, str | Path | StereoRig | PinholeCamera | None):
             raise ConfigError(
                 f"rig: expected a calibration file or a PinholeCamera, found {type(rig).__name__}."
             )
@@ -466,7 +467,7 @@ class Pipeline:
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Parts:
         cameras = self._cameras
-        if not isinstance(cameras, Path | StereoRig | PinholeCamera):
+        if not isinstance(cameras, Path | StereoRig | PinholeCamera | None):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
             check_camera(cameras, "focal_px")
         calibration = calibration_of(cameras, sizes_px, self._view)

@@ -1,6 +1,7 @@
 """The stages of a frame, one by one: what each returns is all that the next ones see."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import Prior, Unknown, camera_priors
 from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.measurement.focal_scale import FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import RigScale
 from track_range.ranging.methods.method import Ranger
@@ -44,6 +46,7 @@ CARS = Tracks(
 )
 NO_BOXES = np.zeros((0, 4))
 KNOWN = EgoMotion(12.0, 0.2)
+NO_SIGMA = dict.fromkeys(("mono", "fused"), 0.0)
 
 
 def frame(time_s: float = 0.0) -> Frame:
@@ -206,6 +209,38 @@ def test_all_distances_are_reported_with_their_shared_errors():
         np.testing.assert_allclose(
             wide[name].sigma_m, np.hypot(one.sigma_m, 0.1 * one.distance_m), rtol=1e-6
         )
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_a_wrong_focal_length_stretches_all_stages_alike(factor):
+    """What a camera with the right focal length gives, after the correction."""
+    results = []
+    for f in (1.0, factor):
+        camera = CAMERA.with_focal_length(100.0 * f)
+        focal = FocalScale(math.log(f))
+        stage, world, ego = FilterStage(camera), WorldStage(camera), EgoStage()
+        fusion = Fusion()
+        for k in range(15):
+            frame_ranges = measured(mono=ranges(f * (20.0 - k), 30.0 * f))
+            fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
+            scale = DriveScale(focal=focal)
+            shown = ego.update(frame(0.1 * k), NO_BOXES, KNOWN, scale=scale)
+            # turns are measured in pixels
+            motion = replace(shown.motion, yaw_rad_s=0.2 / f)
+            moved = stage.update(CARS, frame_ranges, fused, motion, 0.1 * k).corrected(focal)
+            distances = reported(frame_ranges, fused, moved, Doubt(shared_sigma=NO_SIGMA), focal)
+            true = focal.corrected_motion(motion)
+            placed = world.update(CARS, moved, distances, true, 0.1 * k, focal)
+        results.append((true, moved, distances, placed))
+    (true, moved, distances, placed), (true_f, moved_f, distances_f, placed_f) = results
+    assert true_f.speed_mps == pytest.approx(true.speed_mps) == KNOWN.speed_mps
+    assert true_f.yaw_rad_s == pytest.approx(true.yaw_rad_s)
+    for name, one in distances.items():
+        np.testing.assert_allclose(distances_f[name].distance_m, one.distance_m, rtol=0.01)
+    np.testing.assert_allclose(moved_f.fused.rate_mps, moved.fused.rate_mps, atol=0.02)
+    np.testing.assert_allclose(moved_f.fused.ttc_s, moved.fused.ttc_s, rtol=0.01)
+    np.testing.assert_allclose(moved_f.lateral.state.x, moved.lateral.state.x, rtol=0.05)
+    np.testing.assert_allclose(placed_f.xyz_m, placed.xyz_m, rtol=1e-6)
 
 
 def test_view_to_the_side_has_closing_speeds_but_no_times_to_collision():

@@ -249,7 +249,7 @@ def test_options_are_checked(plain_drive: Drive) -> None:
     with pytest.raises(tr.errors.ConfigError, match="unknown option"):
         tr.Pipeline.stereo(plain_drive.rig, out="here")  # type: ignore[call-arg]
     with pytest.raises(tr.errors.ConfigError, match="either focal_px or rig"):
-        tr.Pipeline.mono()
+        tr.Pipeline.mono(focal_px=360, rig=plain_drive.rig)
     with pytest.raises(tr.errors.ConfigError, match=r"focal_px: .*positive"):
         tr.Pipeline.mono(focal_px=-1)
     with pytest.raises(tr.errors.ConfigError, match=r"keep_s: .*positive"):
@@ -268,6 +268,36 @@ def test_options_are_checked(plain_drive: Drive) -> None:
         tr.Pipeline.stereo("missing.yaml")
     with pytest.raises(tr.errors.RigError, match=r"missing\.yaml"):
         tr.Pipeline.stereo(plain_drive.rig, align="missing.yaml")
+
+
+def test_focal_length_that_was_not_given_has_a_wide_sigma(plain_drive: Drive) -> None:
+    pairs = images(plain_drive)
+    with (
+        tr.Pipeline.mono(**OPTIONS) as unknown,
+        tr.Pipeline.mono(focal_px=360, **OPTIONS) as given,
+    ):
+        for left, _ in pairs:
+            wide = unknown.step(left.image, left.time_s)
+            known = given.step(left.image, left.time_s)
+    width_px = pairs[0][0].image.shape[1]
+    assert known.focal is None
+    assert wide.focal is not None
+    # the usual field of view of 75 degrees
+    assert wide.focal.focal_px == pytest.approx(width_px / 2 / math.tan(math.radians(37.5)))
+    assert (wide.focal.sigma, wide.focal.since_s) == (0.3, 0.0)
+    assert "usual field of view" in wide.focal.sentence
+    relative = np.nanmedian(wide.ranges["fused"].sigma_m / wide.ranges["fused"].distance_m)
+    assert 0.3 < relative < 0.45
+    assert any("estimated" in note for note in unknown.notes)
+
+
+def test_pair_without_a_rig_needs_images_of_one_size(plain_drive: Drive) -> None:
+    left, right = images(plain_drive)[0]
+    with tr.Pipeline.stereo(**OPTIONS) as pipeline:
+        with pytest.raises(tr.errors.RigError, match=r"rig: expected right images of"):
+            pipeline.step(left.image, right.image[:-4], 0.0)
+        result = pipeline.step(left.image, right.image, 0.0)
+    assert result.focal is not None
 
 
 def test_times_on_any_clock_and_grey_images(plain_drive: Drive) -> None:

@@ -211,8 +211,9 @@ class RecordingCalibration:
         )
         if len(self.sizes_px) == 1:
             return (
-                f"No calibration: {length}; all distances share its error, which a recording of a "
-                "drive reduces: track-range calibrate drive VIDEO --out rig.yaml.",
+                f"No calibration: {length}; all distances share its error, which turns and road "
+                "users reduce during a drive, and a recorded drive before it: track-range calibrate "
+                "drive VIDEO --out rig.yaml.",
             )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
@@ -388,14 +389,25 @@ def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) 
 
 
 def calibration_of(
-    cameras: Path | StereoRig | PinholeCamera, sizes_px: Sizes, view: LensView = WHOLE_VIEW
+    cameras: Path | StereoRig | PinholeCamera | None, sizes_px: Sizes, view: LensView = WHOLE_VIEW
 ) -> RecordingCalibration:
     """The calibration of one camera or a pair, for images of one or two sizes, from a file or from
-    camera models.
+    camera models; None = a usual focal length and an assumed baseline, which the drive corrects.
 
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as
     `find_calibration`.
     """
+    if cameras is None:
+        if sizes_px[0] != sizes_px[-1]:
+            (lw, lh), (rw, rh) = sizes_px
+            raise RigError(
+                f"rig: expected right images of {lw}x{lh} px like the left ones, found "
+                f"{rw}x{rh} px; different cameras require the calibration of both."
+            )
+        _check_view(None, view)
+        guess = default_guess(sizes_px[0][0])
+        stored = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
+        return _assumed(stored, sizes_px, guess, (guess,))
     if isinstance(cameras, Path):
         content = read_calibration(cameras, is_grey=False, is_pair=False)
         return _loaded(cameras, content, sizes_px, view, is_grey=False)
@@ -420,7 +432,7 @@ def _without_file(
     """One camera or a pair with a given focal length, or an estimate from the header of the left
     video.
     """
-    video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
+    video = videos[0]
     guesses, shown_px = tuple[FocalGuess, ...](), shown_size(sizes_px[0], aspect)
     if focal_px is None:
         guesses = focal_guesses(video)
@@ -454,18 +466,8 @@ def _without_file(
         f"{', '.join(other.cause for other in others)}. Pixels are taken as square, and sigma "
         "covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
     )
-    rig = replace(StereoRig.rectified(stored, _ASSUMED_BASELINE_M), baseline_sigma=_BASELINE_SIGMA)
-    pair = Rectifier(rig) if is_pair else None
-    return RecordingCalibration(
-        kind="focal length" if is_exact else "estimated",
-        camera=camera,
-        rectifier=pair or Undistorter(stored),
-        sizes_px=sizes_px,
-        rig=None if pair is None else replace(pair.rig, baseline_sigma=rig.baseline_sigma),
-        raw_rig=None if pair is None else rig,
-        raw_camera=stored,
-        guesses=guesses,
-        focal=None if is_exact else guess,
+    return replace(
+        _assumed(stored, sizes_px, guess, guesses),
         alternatives=others,
         pixel_aspect=aspect,
         file_notes=(
@@ -474,6 +476,30 @@ def _without_file(
             *([doubt] if others else []),
         ),
     )
+
+
+def _assumed(
+    stored: PinholeCamera, sizes_px: Sizes, focal: FocalGuess, guesses: tuple[FocalGuess, ...]
+) -> RecordingCalibration:
+    """One camera, or two alike with an assumed baseline, with a focal length of these guesses;
+    without guesses, it is given.
+    """
+    is_exact = not guesses and len(sizes_px) == 1
+    calibration = RecordingCalibration(
+        kind="focal length" if is_exact else "estimated",
+        camera=stored.squared(),
+        rectifier=Undistorter(stored),
+        sizes_px=sizes_px,
+        raw_camera=stored,
+        guesses=guesses,
+        focal=None if is_exact else focal,
+    )
+    if len(sizes_px) == 1:
+        return calibration
+    rig = replace(StereoRig.rectified(stored, _ASSUMED_BASELINE_M), baseline_sigma=_BASELINE_SIGMA)
+    pair = Rectifier(rig)
+    rectified = replace(pair.rig, baseline_sigma=rig.baseline_sigma)
+    return replace(calibration, rectifier=pair, rig=rectified, raw_rig=rig)
 
 
 def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:

@@ -172,16 +172,13 @@ class CameraEstimate:
     @property
     def sentence(self) -> str:
         """The estimate, how well it is known, and from what."""
-        focal_px, sigma = self.focal_px, self.sigma
+        focal = FocalGuess(self.focal_px, self.sigma, self.leading.source)
         lens = (
             f"; its distortion, k1 = {self.k1:+.3f} ± {self.k1_sigma:.3f}, is corrected"
             if self.distortion
             else ""
         )
-        return (
-            f"Focal length {focal_px:,.0f} ± {sigma * focal_px:,.0f} px ({100 * sigma:.1f} %), "
-            f"from {self.leading.source}{lens}."
-        )
+        return f"{focal.text}{lens}."
 
     @property
     def advice(self) -> tuple[str, ...]:

@@ -187,6 +187,12 @@ def geometry_sentences(summary: Summary) -> list[str]:
         )
         if estimate.get("is_distortion_corrected"):
             sentences.append(f"A distortion of k1 = {estimate['k1']:+.3f} was corrected.")
+    elif learnt := summary.get("learnt_focal"):
+        sentences[0] = (
+            "Not calibrated: the focal length was estimated during the run as "
+            f"{learnt['focal_px']:,.0f} px within {100 * learnt['focal_sigma']:.1f} %, from "
+            f"{learnt['source']}; distances have it from {learnt['since_s']:.1f} s on."
+        )
     if scale := summary.get("learnt_scale"):
         sentences.append(
             "The baseline was estimated from the drive, with "

@@ -100,6 +100,13 @@ def test_uncalibrated_run_names_its_uncertainty() -> None:
     assert all(figure in second for figure in ("7 tracks", "0.52 m", "800 px", "26 %"))
 
 
+def test_focal_length_of_the_run_is_named_with_its_evidence() -> None:
+    learnt = {"focal_px": 1148.2, "focal_sigma": 0.012, "source": "the turn at 0:42", "since_s": 45}
+    (sentence,) = geometry_sentences({"calibration": "estimated", "learnt_focal": learnt})
+    assert sentence.startswith("Not calibrated")
+    assert all(part in sentence for part in ("1,148 px", "1.2 %", "the turn at 0:42", "45.0 s"))
+
+
 def test_sigma_verdicts() -> None:
     methods = {
         "a": row(1.0, within_1_sigma=0.7),
