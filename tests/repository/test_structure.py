@@ -28,12 +28,13 @@ MOST_STATEMENTS = {
     # cameras, and vibration (507)
     # a given speed beside the images, by ratio, delay and moment (172); bundles of one camera in half
     # of the time: one product with all directions, and steps uphill (19)
-    "stereo": 8_869,
+    "stereo": 8_871,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
     # the frame rate (15); what would show the scale of a pair without a rig (3)
-    "ranging": 6_569,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # a focal length that is learnt while frames come, and its correction of depths and turns (85)
+    "ranging": 6_654,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -46,31 +47,33 @@ MOST_STATEMENTS = {
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
-    "foundation": 1_596,
+    "foundation": 1_599,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
     # right camera that moved (6); speeds by two sources (17); sigmas of positions (13); the scale
     # that a frame shows is used in it (9)
     # the right camera is followed also where the speed of the pair is not used (3)
-    "pipeline": 831,
+    # the correction of a learnt focal length, after the filters, and of given speeds (25)
+    "pipeline": 856,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
     # with any of OpenCV's coefficients (2)
-    "recording": 7_291,
+    # images in memory without a calibration (15)
+    "recording": 7_306,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
-    "results": 2_640,
+    "results": 2_645,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
     # a known distance of a run without a calibration (10); an estimate counts once (1)
-    "run": 2_313,
+    "run": 2_317,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
-    "views": 2_611,
+    "views": 2_613,
     "track_range": 98,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
