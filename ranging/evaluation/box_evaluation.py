@@ -17,10 +17,10 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.truth.errors import BANDS_M, MethodColumn, score_bands, score_rows
-from track_range.ranging.truth.labelled_boxes import CLASS_OF, BoxSet
+from track_range.ranging.truth.label_classes import SIZE_CLASS_ORDER as CLASSES
+from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
 
-CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
 # smallest distance in m of the metrics of a class, and of far objects
 NEAREST_M, FAR_M = 10.0, 30.0
 # s before and after a label of the central difference that is its true closing speed
@@ -74,12 +74,8 @@ def true_closing_mps(boxes: BoxSet) -> FloatArray:
     """(N,) true closing speed in m/s; NaN unless the track is labelled about half a second before
     and after.
     """
-    steps_s = np.diff(np.unique(boxes.time_s))
-    reach = (
-        round(CLOSING_HALF_SPAN_S / float(np.median(steps_s if len(steps_s) else 1.0)))
-        if len(boxes) > 1
-        else 1
-    )
+    step_s = boxes.time_step_s
+    reach = max(round(CLOSING_HALF_SPAN_S / step_s), 1) if step_s > 0 else 1
     keys = list(
         zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True)
     )

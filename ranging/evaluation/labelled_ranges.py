@@ -20,6 +20,7 @@ from track_range.ranging.fitting.cross_validation import folds
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.frame_times import TimeSource
 from track_range.ranging.truth.labelled_boxes import BoxSelection, BoxSet, box_set
 
 # value of --split: 3,712 training and 3,769 validation frames (Chen et al., 3DOP, NeurIPS 2015)
@@ -79,8 +80,9 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "region": settings.region,
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
+        "time_step_s": boxes.time_step_s if np.isfinite(boxes.time_step_s) else None,
         "methods": methods,
-        "notes": _notes(settings, len(boxes.sequence_names), n_folds),
+        "notes": [*_notes(settings, len(boxes.sequence_names), n_folds), *boxes.notes],
         "literature": box_evaluation.literature_metrics(boxes, measured),
         "risk_coverage": {name: curves for name, curves in risks.items() if curves},
     }
@@ -128,6 +130,7 @@ def _boxes(
         has_all_objects=settings.objects == "all",
         reference=settings.truth,
         velodyne=settings.velodyne,
+        times=TimeSource(settings.times, settings.frame_rate_hz),
     )
     return box_set(
         settings.labels,

@@ -24,6 +24,29 @@ NoiseField = Annotated[
     ),
 ]
 NoiseSeedField = Annotated[int, option("Random seed for the noise.", ge=0)]
+RegionField = Annotated[
+    Region,
+    option("Region of the recordings, whose road users differ in size; KITTI is from europe."),
+]
+TimesField = Annotated[
+    Path | None,
+    option(
+        "Folder of the times of the frames, named like the labels: NAME.csv with a column time_s, "
+        "or NAME.txt with a time in each line (default: the folder times, timestamps or ego beside "
+        "the labels; else KITTI's mean interval for its cameras, and 10 Hz for others).",
+        metavar="DIR",
+    ),
+]
+FrameRateField = Annotated[
+    float | None,
+    option(
+        "Frames per second of the labels, instead of their times.",
+        flag="--frame-rate",
+        metavar="HZ",
+        ge=0.1,
+        le=1000.0,
+    ),
+]
 
 
 class RangeEvaluationSettings(Options):
@@ -111,10 +134,9 @@ class RangeEvaluationSettings(Options):
         Path | None,
         option("Size curves of the mono method (default: the packaged curves).", metavar="FILE"),
     ] = None
-    region: Annotated[
-        Region,
-        option("Region of the recordings, whose road users differ in size; KITTI is from europe."),
-    ] = "unknown"
+    region: RegionField = "unknown"
+    times: TimesField = None
+    frame_rate_hz: FrameRateField = None
     camera_height_m: Annotated[
         float | None,
         option(

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASSES, road_class_of
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.tables.box_table import BoxTable
 from track_range.detection.formats.tables.errors import LabelFileError
@@ -26,7 +26,9 @@ from track_range.detection.formats.tables.table_checks import other_labels_note
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import quoted
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, BoxSet
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S
+from track_range.ranging.truth.label_classes import size_class_of
+from track_range.ranging.truth.labelled_boxes import BoxSet
 
 COLUMNS = (
     "class",
@@ -145,8 +147,8 @@ def _class_names(table: CsvTable) -> list[str]:
     """The class of each row, also van; LabelFileError for others."""
     names = []
     for row, text in enumerate(table.texts("class")):
-        name = "van" if text.lower() == "van" else road_class_of(text)
-        if name is None:
+        name = size_class_of(text)
+        if not name:
             raise table.fault(
                 row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}."
             )
@@ -185,7 +187,7 @@ def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tupl
         sequence=np.zeros(n, np.int64),
         frame=rows.frame,
         time_s=np.asarray(
-            rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps),
+            rows.frame * (ASSUMED_STEP_S if rows.video.fps is None else 1 / rows.video.fps),
             np.float64,
         ),
         track_id=np.where(rows.track_id < 0, rows.track_id.max() + 1 + np.arange(n), rows.track_id),

@@ -23,6 +23,7 @@ from track_range.ranging.truth.truth import Truth
 
 # edges of the distance bands for which errors are reported
 BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
+_GROSS_ERROR = 0.25  # relative error above which a distance is wrong rather than inaccurate
 MIN_IOU = 0.5  # of a matched track and label, as in KITTI's evaluation of people and cyclists
 # of methods in the common metrics; others would leave too few common track-frames
 _MIN_COMMON_COVERAGE = 0.5
@@ -128,6 +129,7 @@ def _score_with_bands(
         "mean_relative_error_pct",
         "median_relative_error_pct",
         "bias_pct",
+        "within_25_percent",
     )
     bands = [{key: band[key] for key in keys} for band in score_bands(column, true_m, in_span)]
     return {**score_rows(column, true_m, in_span), "bands": bands}
@@ -189,7 +191,11 @@ def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
     """Metrics of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
     names = ("mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
-    return {**_statistics(error, names, scale=100), **within_sigmas(in_sigmas)}
+    return {
+        **_statistics(error, names, scale=100),
+        "within_25_percent": fraction(np.abs(error) <= _GROSS_ERROR),
+        **within_sigmas(in_sigmas),
+    }
 
 
 def _statistics(

@@ -3,9 +3,9 @@ video.
 
 The true distance is the z at which the ray through the label's box centre first meets its 3-D box,
 in the frame of the left colour camera (`ranging.truth.reference_distance`). Labels are used if
-they have a 3-D box at 5-100 m, are not truncated, have occluded <= 1 and one of five KITTI types,
-with vans as a separate class. Boxes come from the labels, possibly with added noise, or from a
-detector; the true distance is always the distance in the label.
+they have a 3-D box at 5-100 m, are not truncated, have occluded <= 1 and a type with a size class
+(`label_classes`). Boxes come from the labels, possibly with added noise, or from a detector; the
+true distance is always the distance in the label.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,22 +32,18 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import first_line, quoted, read_text
 from track_range.ranging.truth import reference_distance
 from track_range.ranging.truth.errors import BANDS_M, MIN_IOU
+from track_range.ranging.truth.frame_times import FrameTimes, TimeSource, frame_times
+from track_range.ranging.truth.label_classes import (
+    SIZE_CLASS_ORDER,
+    not_counted_notes,
+    size_classes_of,
+)
 from track_range.ranging.truth.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 
-# KITTI types that are measured, with their class names in the results
-CLASS_OF: Mapping[str, str] = {
-    "Car": "car",
-    "Van": "van",
-    "Truck": "truck",
-    "Pedestrian": "person",
-    "Cyclist": "bicycle",
-}
 # road class that a detector reports for other classes
 DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
-# mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
-FRAME_STEP_S = 0.1036
 MIN_SCORE = 0.5  # smallest confidence of detections that are used
 # largest difference of alpha from -pi/2, and lateral offset, of a rear view
 REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0
@@ -67,6 +63,7 @@ _IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
 _MAX_FOCAL_DIFFERENCE_PX = 1e-3  # largest difference of focal lengths that count as equal
 # number of groups of images that serve as sequences for object labels, which have none
 _OBJECT_GROUPS = 10
+_UNUSED = f"none is at {BANDS_M[0]:g}-{BANDS_M[-1]:g} m, not truncated, occluded <= {MAX_OCCLUDED}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +76,7 @@ class BoxSet:
     time_s: FloatArray  # (N,) seconds from the sequence's first frame
     track_id: IntArray  # (N,) identity of the object, unique within a sequence
     kitti_type: npt.NDArray[np.str_]  # (N,) type of the label, as in the file
-    class_name: npt.NDArray[np.str_]  # (N,) class in the results: car, van, truck, person, bicycle
+    class_name: npt.NDArray[np.str_]  # (N,) size class (`label_classes`), that of the results
     xyxy_px: FloatArray  # (N, 4) box to measure: that of the label, with noise, or detected
     fxycxy_px: FloatArray  # (N, 4) fx, fy, cx, cy of the camera
     # (N, 2) width and height of the image, from the camera, or estimated from the boxes
@@ -92,13 +89,14 @@ class BoxSet:
     occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded
     # (N,) distance by `BoxSelection.reference`; None = `distance_m`
     reference_m: FloatArray | None = None
+    notes: tuple[str, ...] = ()  # boxes that are not counted, and the origin of the times
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def select(self, rows: BoolArray | IntArray) -> BoxSet:
         """The boxes selected by a mask or an index array."""
-        columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        columns = {name: getattr(self, name) for name in _columns()}
         return replace(
             self, **{name: column[rows] for name, column in columns.items() if column is not None}
         )
@@ -123,6 +121,13 @@ class BoxSet:
             rotation_y_rad=nan,
             occluded=occluded,
         )
+
+    @property
+    def time_step_s(self) -> float:
+        """Median time between two frames of a sequence in s; NaN = there is one frame."""
+        steps = np.diff(np.stack([self.sequence, self.frame, self.time_s]), axis=1)
+        steps = steps[:, (steps[0] == 0) & (steps[1] > 0)]
+        return float(np.median(steps[2] / steps[1])) if steps.shape[1] else np.nan
 
     @property
     def wh_over_f(self) -> FloatArray:
@@ -174,6 +179,13 @@ class BoxSelection:
     # definition of the distance (`reference_distance`)
     reference: reference_distance.ReferenceName = "surface"
     velodyne: Path | None = None  # folder of lidar files NAME.bin, for the reference "lidar"
+    times: TimeSource | None = None  # None = as `frame_times` finds them
+
+
+def _columns() -> list[str]:
+    """Names of the columns of a `BoxSet`, whose first axis is the rows."""
+    names = [field.name for field in fields(BoxSet)]
+    return [name for name in names if name not in ("sequence_names", "notes")]
 
 
 def box_set(
@@ -201,14 +213,16 @@ def box_set(
     if selection.frames is not None:
         files = _listed(files, selection.frames, labels)
     sequences = [_sequence(file, calib / file.name, boxes, selection) for file in files]
-    if not any(has_3d for _, has_3d in sequences):
+    if not any(sequence.has_3d for sequence in sequences):
         raise LabelFileError(
             f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box."
         )
-    usable = _concatenated([part for part, _ in sequences], files)
+    usable = replace(
+        _concatenated([sequence.boxes for sequence in sequences], files), notes=_notes(sequences)
+    )
     if not len(usable):
         raise LabelFileError(
-            f"{labels}: found no usable label; expected {', '.join(CLASS_OF)} at "
+            f"{labels}: found no usable label; expected {', '.join(SIZE_CLASS_ORDER)} at "
             f"{BANDS_M[0]:g}-{BANDS_M[-1]:g} m, not truncated, occluded <= "
             f"{MAX_OCCLUDED}{'' if boxes == 'labels' else ', with a matching detection'}."
         )
@@ -231,13 +245,49 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
     return [file for file in files if file.stem in listed]
 
 
-def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> tuple[BoxSet, bool]:
-    """Usable boxes of one file, as sequence 0, and whether any label of the file has a 3-D box."""
+def times_of(file: Path, calib: Path, source: TimeSource | None) -> FrameTimes:
+    """Times of the frames of a label file, whose calibration in `calib` has the same name."""
+    return _times(file, load_camera(calib / file.name, size_px=None)[0], source)
+
+
+def _times(file: Path, camera: PinholeCamera, source: TimeSource | None) -> FrameTimes:
+    return frame_times(file, is_kitti=_kitti_size_px(camera) is not None, source=source)
+
+
+class _Sequence(NamedTuple):
+    """Usable boxes of one file, as sequence 0."""
+
+    boxes: BoxSet
+    has_3d: bool  # whether any label of the file has a 3-D box
+    label_types: Sequence[str]  # (N,) types of all labels
+    is_counted: BoolArray  # (N,) whether they are usable
+    times: FrameTimes | None  # None = separate images
+
+
+def _notes(sequences: Sequence[_Sequence]) -> tuple[str, ...]:
+    """The time step of each origin, and the types of labels that are not counted."""
+    steps: dict[str, float] = {}
+    for sequence in sequences:
+        if sequence.times is not None:
+            steps.setdefault(sequence.times.origin, sequence.times.step_s)
+    times = "; ".join(f"{step_s:.4g} s ({origin})" for origin, step_s in steps.items())
+    return (
+        *([f"Time step: {times}."] if times else []),
+        *not_counted_notes(
+            [label_type for sequence in sequences for label_type in sequence.label_types],
+            np.concatenate([sequence.is_counted for sequence in sequences]),
+            _UNUSED,
+        ),
+    )
+
+
+def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> _Sequence:
     n_columns = len(first_line(file, LabelFileError, "KITTI labels").split())
     labels = read_kitti_image(file) if n_columns in (0, *_OBJECT_COLUMNS) else read_kitti(file)
     camera, _ = load_camera(calib, size_px=None)
     shift_m = left_from_reference_m(calib, is_grey=False)
-    box_set = _rows(labels, camera, shift_m)
+    times = _times(file, camera, selection.times)
+    box_set = _rows(labels, camera, shift_m, times)
     box_set = box_set if boxes == "labels" else _detected(box_set, labels, file.name, boxes)
     if selection.reference == "centre":
         box_set = replace(
@@ -256,12 +306,19 @@ def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> t
     is_chosen = distance_m > 0 if selection.has_all_objects else in_span & is_visible
     is_usable = is_chosen & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
     rows = np.flatnonzero(is_usable & (box_set.class_name != ""))
-    return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(
-        labels.has_3d_box.any()
+    is_sequence = bool((labels.track_id >= 0).any())
+    return _Sequence(
+        box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]),
+        bool(labels.has_3d_box.any()),
+        labels.kitti_type.tolist(),
+        is_usable & (box_set.class_name != ""),
+        times if is_sequence else None,
     )
 
 
-def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> BoxSet:
+def _rows(
+    labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray, times: FrameTimes
+) -> BoxSet:
     """All labels of a file, usable or not."""
     n = len(labels)
     location_m = labels.location_m
@@ -269,12 +326,10 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
         sequence_names=("",),
         sequence=np.zeros(n, np.int64),
         frame=labels.frame,
-        time_s=labels.frame.astype(np.float64) * FRAME_STEP_S,
+        time_s=times.at(labels.frame),
         track_id=labels.track_id,
         kitti_type=labels.kitti_type,
-        class_name=np.array(
-            [CLASS_OF.get(str(kitti_type), "") for kitti_type in labels.kitti_type], np.str_
-        ),
+        class_name=np.array(size_classes_of(labels.kitti_type.tolist()), np.str_),
         xyxy_px=labels.xyxy_px,
         fxycxy_px=np.tile([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px], (n, 1)),
         size_px=np.tile(_image_size_px(labels, camera), (n, 1)),
@@ -287,15 +342,22 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
     )
 
 
+def _kitti_size_px(camera: PinholeCamera) -> tuple[int, int] | None:
+    """Image size of the camera of KITTI that has this focal length; None = no camera of KITTI."""
+    for focal_px, size_px in _IMAGE_SIZE_PX.items():
+        if abs(camera.fx_px - focal_px) < _MAX_FOCAL_DIFFERENCE_PX:
+            return size_px
+    return None
+
+
 def _image_size_px(labels: KittiLabels, camera: PinholeCamera) -> IntArray:
     """(2,) width and height of the image: of the camera, of KITTI, or the smallest that contains
     the labels.
     """
     if camera.width_px > 0:
         return np.array([camera.width_px, camera.height_px])
-    for focal_px, size_px in _IMAGE_SIZE_PX.items():
-        if abs(camera.fx_px - focal_px) < _MAX_FOCAL_DIFFERENCE_PX:
-            return np.array(size_px)
+    if (size_px := _kitti_size_px(camera)) is not None:
+        return np.array(size_px)
     objects_px = labels.xyxy_px[labels.kitti_type != "DontCare"]  # regions end one pixel farther
     extent_px = np.ceil(np.max(objects_px[:, 2:], axis=0, initial=0.0)).astype(np.int64) + 1
     return np.asarray(np.maximum(extent_px, [round(2 * camera.cx_px), round(2 * camera.cy_px)]))
@@ -366,11 +428,10 @@ def _concatenated(parts: Sequence[BoxSet], files: Sequence[Path]) -> BoxSet:
         else tuple(file.stem for file in files)
     )
     numbers = [k * _OBJECT_GROUPS // len(parts) if is_images else k for k in range(len(parts))]
-    names_of_columns = [
-        field.name for field in fields(BoxSet)[2:] if getattr(parts[0], field.name) is not None
-    ]
-    columns = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in names_of_columns
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in _columns()
+        if name != "sequence" and getattr(parts[0], name) is not None
     }
     if is_images:
         columns["frame"] = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])

@@ -22,7 +22,10 @@ from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
 from track_range.detection.formats.label_formats import label_format_of, read_labels
 from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.detection.formats.tables.table_checks import other_labels_note
+from track_range.detection.formats.tables.table_checks import (
+    other_classes_note,
+    other_labels_note,
+)
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -146,6 +149,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     if len(labels.frame) and not np.isfinite(labels.distance_m).any():
         raise LabelFileError(f"{path}: expected a distance_m in at least one row, found none.")
     scored = ~_is_cut(labels.xyxy_px, camera) & (labels.visible_share >= MIN_VISIBLE_FRACTION)
+    is_other = (labels.class_id < 0) & (labels.track_id >= 0)
     return Truth(
         frame=labels.frame,
         track_id=labels.track_id,
@@ -155,6 +159,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
         distance_m=np.where(scored, labels.distance_m, np.nan),
         closing_mps=labels.closing_mps,
         protocol=CSV_PROTOCOL,
+        notes=other_classes_note(path, labels.class_name[is_other]),
     )
 
 

@@ -9,7 +9,8 @@ from track_range.ranging.evaluation.box_evaluation import (
 )
 from track_range.ranging.fitting.cross_validation import cross_validated, folds, within_drives
 from track_range.ranging.truth.errors import MethodColumn
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S
+from track_range.ranging.truth.labelled_boxes import box_set
 
 
 @pytest.fixture
@@ -112,7 +113,9 @@ def test_rows_by_frame(box_set_of, row):
 
 def test_closing_speed_is_a_central_difference(box_set_of, row):
     speed_mps = 8.0
-    boxes = box_set_of(a=[row(k, 4, "Car", 60.0 - speed_mps * FRAME_STEP_S * k) for k in range(20)])
+    boxes = box_set_of(
+        a=[row(k, 4, "Car", 60.0 - speed_mps * ASSUMED_STEP_S * k) for k in range(20)]
+    )
     true_mps = true_closing_mps(boxes)
     assert np.isnan(true_mps[:5]).all()
     assert np.isnan(true_mps[-5:]).all()

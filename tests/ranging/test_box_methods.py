@@ -5,7 +5,8 @@ from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 from track_range.ranging.truth.errors import MethodColumn
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S
+from track_range.ranging.truth.labelled_boxes import box_set
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_mono_ground_and_their_fusion(many_drives):
 
 
 def approaching(tmp_path, row, drives, n=60, speed_mps=8.0):
-    rows = [row(k, 1, "Car", 60.0 - speed_mps * FRAME_STEP_S * k) for k in range(n)]
+    rows = [row(k, 1, "Car", 60.0 - speed_mps * ASSUMED_STEP_S * k) for k in range(n)]
     return box_set(*drives(tmp_path, {"a": rows, "b": rows[:3]}))
 
 
@@ -83,7 +84,7 @@ def test_paper_filter_by_hand(tmp_path, row, drives):
     first, second, third = 10.0, 10.0 + 2 / 3 * 3.0, 12.0 + 5 / 8 * (9.0 - 12.0)
     # each drive has its own filter
     assert column.distance_m == pytest.approx([first, second, third] * 2)
-    assert closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
+    assert closing_mps[1] == pytest.approx(-2.0 / ASSUMED_STEP_S)
     assert filtered(boxes, MethodColumn(z, z), "none")[0].distance_m is z
 
 

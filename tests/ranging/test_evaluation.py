@@ -218,6 +218,14 @@ def test_truth_from_csv(tmp_path):
     assert truth.select(truth.frame == 1).protocol == CSV_PROTOCOL
 
 
+def test_other_classes_of_a_csv_are_named(tmp_path):
+    rows = "0,1,car,295,240,345,265,18,,", "0,2,misc,295,240,345,265,18,,"
+    truth = csv_truth(tmp_path / "t.csv", *rows)
+    assert truth.class_id.tolist() == [2, -1]
+    (note,) = truth.notes
+    assert "misc (1)" in note
+
+
 @pytest.mark.parametrize(
     ("box", "is_cut"),
     [

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S
+from track_range.ranging.truth.labelled_boxes import box_set, greedy_matches
 from track_range.stereo.geometry.rig import RigError
 
 
@@ -13,7 +14,7 @@ def test_car_seen_from_behind_by_hand(tmp_path, row, drives):
     assert boxes.distance_m == pytest.approx([20.0], abs=1e-4)
     assert boxes.xyxy_px[0, 2:] - boxes.xyxy_px[0, :2] == pytest.approx([59.5, 52.5], abs=1e-4)
     assert boxes.wh_over_f == pytest.approx(np.array([[0.085, 0.075]]), abs=1e-6)
-    assert boxes.time_s == pytest.approx([3 * FRAME_STEP_S])
+    assert boxes.time_s == pytest.approx([3 * ASSUMED_STEP_S])
     assert (boxes.class_name[0], boxes.kitti_type[0], boxes.track_id[0]) == ("car", "Car", 7)
     assert boxes.is_rear_view.all()
 
@@ -175,3 +176,15 @@ def test_image_size(tmp_path, drives, row):
     text = (calib / "0000.txt").read_text().replace("700.0 ", "718.3351 ")
     (calib / "0000.txt").write_text(text)
     assert box_set(labels, calib).size_px[0].tolist() == [1238, 374]
+
+
+def test_classes_that_kitti_does_not_have_are_counted(tmp_path, row, drives):
+    rows = [
+        row(0, 1, "Car", 20.0).replace("Car", "Bus"),
+        row(0, 2, "Car", 30.0, x_m=6.0).replace("Car", "Pickup"),
+        row(0, 3, "Car", 40.0, occluded=2).replace("Car", "Motorcycle"),
+        row(0, 4, "Car", 50.0, x_m=9.0).replace("Car", "Misc"),
+    ]
+    boxes = box_set(*drives(tmp_path, {"a": rows}))
+    assert boxes.class_name.tolist() == ["bus", "car"]
+    assert [note.split(":")[0] for note in boxes.notes] == ["Time step", "Misc", "Motorcycle"]

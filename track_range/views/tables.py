@@ -110,10 +110,13 @@ def from_normal(expected: float) -> Cost:
     return lambda value: abs(value - expected)
 
 
+# the share of distances that are not grossly wrong, which a mean error hides
+WITHIN_25: ColumnSpec = ("within 25 %", "within_25_percent", "{:.1f}", 100.0, largest)
 METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, largest),
     ("n", "n", "{:.0f}"),
     ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
+    WITHIN_25,
     ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
     (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),

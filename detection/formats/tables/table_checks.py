@@ -136,12 +136,16 @@ def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
 def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
     """A note that names the labels of boxes that are not road classes, such as renamed labels."""
     is_other = (table.class_id < 0) & ~table.is_region & (table.class_name != "")
-    if not is_other.any():
+    return other_classes_note(path, table.class_name[is_other])
+
+
+def other_classes_note(path: Path, names: npt.NDArray[np.str_]) -> tuple[str, ...]:
+    """A note that names the classes of (N,) boxes that are not road classes; none if N = 0."""
+    if not len(names):
         return ()
     return (
         f"{path.name}: ignored boxes whose labels are not road classes: "
-        f"{names_with_counts(table.class_name[is_other])}; the classes are "
-        f"{', '.join(ROAD_CLASSES)}.",
+        f"{names_with_counts(names)}; the classes are {', '.join(ROAD_CLASSES)}.",
     )
 
 

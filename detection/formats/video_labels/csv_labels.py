@@ -8,7 +8,8 @@ converted to this format.
 
     frame           frame number from 0, of the left video
     id              integer from 0, one per object
-    class           a road class or a synonym (van, pedestrian, ...); dontcare = a region that is not evaluated
+    class           a road class or a synonym (van, pedestrian, ...); other names are objects that are not
+                    scored; dontcare = a region that is not evaluated
     x1 y1 x2 y2     rectified pixels, 0-based
     distance_m      z of the visible surface at the centre of the box, in the left camera's frame
     visible_share   visible fraction 0..1 of the object, neither occluded nor outside the image
@@ -24,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_of
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tables.limits import (
     MAX_COORDINATE_PX,
@@ -58,7 +59,7 @@ class CsvLabels:
     frame: IntArray  # (N,) frame number from 0
     track_id: IntArray  # (N,) identity; -1 = a region that is not evaluated
     class_name: npt.NDArray[np.str_]  # (N,) class name in the file, in lower case
-    class_id: IntArray  # (N,) road class; -1 = a region that is not evaluated
+    class_id: IntArray  # (N,) road class; -1 = not a road class, or a region
     xyxy_px: FloatArray  # (N, 4) box in rectified pixels
     distance_m: FloatArray  # (N,) z in the left camera's frame; NaN = unknown
     visible_share: FloatArray  # (N,) visible fraction 0..1; 1 if unknown
@@ -95,7 +96,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
     """The rows of a CSV label file.
 
     LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out
-    of range, a box has x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
+    of range, a box has x1 >= x2 or y1 >= y2, no class is known, or an id occurs twice in a frame.
     """
     expected = (
         f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
@@ -107,13 +108,18 @@ def read_csv_labels(path: Path) -> CsvLabels:
     table.refuse_duplicates(OPTIONAL)
     names = [name.lower() for name in table.texts("class")]
     for row, name in enumerate(names):
-        if name != DONT_CARE and road_class_of(name) is None:
-            known = ", ".join(ROAD_CLASSES)
+        if not name:
             raise table.fault(
-                row,
-                f"expected one of the classes {known}, or {DONT_CARE} for a region, got "
-                f"{quoted(name)}.",
+                row, f"expected a class, or {DONT_CARE} for a region, got {quoted(name)}."
             )
+    class_id = map_to_road_classes(names)
+    if len(names) and (class_id < 0).all() and set(names) != {DONT_CARE}:
+        known = ", ".join(ROAD_CLASSES)
+        raise table.fault(
+            0,
+            f"expected a row with one of the classes {known}; all rows have other classes, such as "
+            f"{quoted(names[0])}.",
+        )
     is_region = np.array([name == DONT_CARE for name in names], np.bool_)
     numbers = {name: _numbers(table, name, is_region) for name in _PLAUSIBLE}
     boxes = np.stack([numbers[name] for name in _BOX], axis=1)
@@ -132,7 +138,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
         frame=frame,
         track_id=track_id,
         class_name=np.array(names, np.str_),
-        class_id=map_to_road_classes(names),
+        class_id=class_id,
         xyxy_px=boxes,
         distance_m=np.where(is_region, np.nan, numbers["distance_m"]),
         visible_share=np.where(np.isnan(numbers["visible_share"]), 1.0, numbers["visible_share"]),

@@ -64,8 +64,7 @@ def test_regions_have_no_identity(tmp_path):
         ("0,-1,car,10,20,30,40,5", "line 3: .*id, got '-1'"),
         ("0,,car,10,20,30,40,5", "line 3: .*id, got ''"),
         ("0,a,car,10,20,30,40,5", "line 3: .*id, got 'a'"),
-        ("0,1,tractor,10,20,30,40,5", "line 3: .*dontcare.*got 'tractor'"),
-        ("0,1,,10,20,30,40,5", "line 3: .*got ''"),
+        ("0,1,,10,20,30,40,5", "line 3: .*dontcare.*got ''"),
         ("0,1,car,nan,20,30,40,5", "line 3: .*x1, got 'nan'"),
         ("0,1,car,10,inf,30,40,5", "line 3: .*y1, got 'inf'"),
         ("0,1,car,10,20,30,,5", "line 3: .*y2, got ''"),
@@ -82,6 +81,15 @@ def test_invalid_row_names_its_line(tmp_path, row, message):
     file = written(tmp_path / "t.csv", HEADER, "0,9,car,10,20,30,40,5", row)
     with pytest.raises(LabelFileError, match=rf"t\.csv.*{message}"):
         read_csv_labels(file)
+
+
+def test_other_classes_are_objects_that_are_not_scored(tmp_path):
+    rows = "0,9,car,10,20,30,40,5", "0,1,tractor,10,20,30,40,5"
+    labels = read_csv_labels(written(tmp_path / "t.csv", HEADER, *rows))
+    assert labels.class_id.tolist() == [2, -1]
+    assert labels.track_id.tolist() == [9, 1]
+    with pytest.raises(LabelFileError, match="all rows have other classes, such as 'tractor'"):
+        read_csv_labels(written(tmp_path / "t.csv", HEADER, rows[1]))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from track_range.evaluation.motion.nuscenes import nuscenes_motion
 from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
 from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S, KITTI_STEP_S
 
 EGO_MPS, LEAD_MPS, N_FRAMES = 10.0, 6.0, 45
 
@@ -24,7 +24,7 @@ def labels_calib_poses(tmp_path):
     m/s, without turns."""
     for name in ("labels", "calib", "poses"):
         (tmp_path / name).mkdir()
-    times_s = FRAME_STEP_S * np.arange(N_FRAMES)
+    times_s = ASSUMED_STEP_S * np.arange(N_FRAMES)
     rows = []
     for frame, t in enumerate(times_s):
         rows.append(row(frame, 1, "Car", 70.0 - EGO_MPS * t, x_m=3.0))
@@ -48,16 +48,16 @@ def test_true_motion_is_that_of_the_drive(labels_calib_poses):
     assert truth.ego_mps == pytest.approx(EGO_MPS)
     assert truth.yaw_rad_s == pytest.approx(0.0)
     first = inner & ~is_parked & (truth.boxes.frame == 10)
-    rear_m = 40.0 - 4.0 * FRAME_STEP_S * 10
+    rear_m = 40.0 - 4.0 * ASSUMED_STEP_S * 10
     assert truth.ttc_s[first] == pytest.approx(rear_m / 4.0, rel=2e-3)
-    assert truth.duration_s == pytest.approx(N_FRAMES * FRAME_STEP_S)
+    assert truth.duration_s == pytest.approx(N_FRAMES * ASSUMED_STEP_S)
 
 
 def test_yaw_of_the_camera_is_no_speed_of_objects(labels_calib_poses):
     """The camera stands and turns to the right by 0.1 rad/s: a standing car moves in its frame, but
     not over ground."""
     labels, calib, poses = labels_calib_poses
-    angles = 0.1 * FRAME_STEP_S * np.arange(N_FRAMES)
+    angles = 0.1 * ASSUMED_STEP_S * np.arange(N_FRAMES)
     rows, pose = [], []
     for frame, a in enumerate(angles):
         x_m, z_m = np.cos(a) * 2.0 - np.sin(a) * 32.0, np.sin(a) * 2.0 + np.cos(a) * 32.0
@@ -104,7 +104,7 @@ def test_exact_boxes_give_the_true_motion(labels_calib_poses, cli, tmp_path):
     assert figures["speed"]["bands"]["10-40"]["median_mps"] < 0.15
     assert set(figures["ttc"]["below_6_s"]) >= {"n", "median_pct", "rte_pct", "mid"}
     assert 0 < figures["ttc"]["below_20_s"]["rte_pct"] < 10
-    assert figures["warnings"]["hours"] == pytest.approx(N_FRAMES * FRAME_STEP_S / 3600, abs=1e-4)
+    assert figures["warnings"]["hours"] == pytest.approx(N_FRAMES * ASSUMED_STEP_S / 3600, abs=1e-4)
     assert figures["warnings"]["false_alarms"] == 0
     assert "Time to collision" in printed
 
@@ -185,7 +185,7 @@ def test_false_alarms_by_cause(labels_calib_poses):
     figures = motion_figures(truth, found)["warnings"]
     assert figures["false_alarms"] == 3
     assert figures["by_cause"] == {"driver": 2, "wrong path": 1}
-    assert figures["in_alarm_s"] == pytest.approx((9 + 4 + 3) * FRAME_STEP_S, abs=0.01)
+    assert figures["in_alarm_s"] == pytest.approx((9 + 4 + 3) * ASSUMED_STEP_S, abs=0.01)
     assert figures["per_hour"] == pytest.approx(3 / truth.duration_s * 3600, abs=0.01)
     true_m[boxes.track_id == 1] *= 0.8
     closing[boxes.track_id == 2] += 2.0
@@ -232,7 +232,7 @@ def test_a_given_sequence(shared_data, tmp_path):
     assert 0.1 < figures["speed"]["bands"]["10-40"]["median_mps"] < 0.9
     assert 0.9 < figures["speed"]["bands"]["10-40"]["within_2_sigma"] <= 1.0
     assert 3 < figures["ttc"]["below_6_s"]["rte_pct"] < 15
-    assert figures["warnings"]["hours"] == pytest.approx(314 * FRAME_STEP_S / 3600, abs=1e-4)
+    assert figures["warnings"]["hours"] == pytest.approx(314 * KITTI_STEP_S / 3600, abs=1e-4)
     assert figures["warnings"]["false_alarms"] <= 1
 
 

@@ -12,6 +12,7 @@ from track_range.evaluation.motion.settings import MotionEvaluationSettings
 from track_range.evaluation.motion.tusimple import tusimple_motion
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_methods import MethodOptions
+from track_range.ranging.truth.frame_times import TimeSource
 
 
 def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
@@ -29,19 +30,24 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     else:
         truth = _truth(settings)
         sigma_px = settings.noise_px if settings.boxes == "labels" else None
-        options = MethodOptions(is_cross_validated=settings.cross_validate, box_sigma_px=sigma_px)
+        options = MethodOptions(
+            is_cross_validated=settings.cross_validate,
+            box_sigma_px=sigma_px,
+            region=settings.region,
+        )
         known = {"is_ego_known": settings.ego == "poses", "look_ahead": settings.look_ahead}
         measured = measured_motion(truth, settings.method, options, **known)
         figures, note = motion_figures(truth, measured), f"Ego speed: {settings.ego}."
-        names = ("boxes", "noise_px", "seed", "method", "ego", "look_ahead")
+        names = ("boxes", "noise_px", "seed", "method", "region", "ego", "look_ahead")
         shown |= {name: getattr(settings, name) for name in names} | {
             "cross_validated": settings.cross_validate
         }
     return {
         **shown,
         "n_boxes": len(truth.boxes),
+        "time_step_s": truth.boxes.time_step_s if len(truth.boxes) else None,
         **figures,
-        "notes": [f"Truth: {truth.protocol}. {note}"],
+        "notes": [f"Truth: {truth.protocol}. {note}", *truth.boxes.notes],
     }
 
 
@@ -59,4 +65,5 @@ def _truth(settings: MotionEvaluationSettings) -> LabelledMotion:
         boxes=settings.boxes,
         noise_px=settings.noise_px,
         seed=settings.seed,
+        times=TimeSource(settings.times, settings.frame_rate_hz),
     )

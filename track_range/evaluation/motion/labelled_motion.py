@@ -18,7 +18,8 @@ import numpy as np
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
-from track_range.ranging.truth.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set
+from track_range.ranging.truth.frame_times import TimeSource
+from track_range.ranging.truth.labelled_boxes import BoxSelection, BoxSet, box_set, times_of
 
 _HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
@@ -56,21 +57,24 @@ def kitti_motion(
     boxes: str = "labels",
     noise_px: float = 0.0,
     seed: int = 0,
+    times: TimeSource | None = None,
 ) -> LabelledMotion:
     """Boxes of KITTI tracking labels with their true motion; for the arguments see `box_set`.
 
     Raises LabelFileError: labels, poses or detections cannot be read, or a label has no pose;
     RigError: a calibration cannot be read.
     """
-    every = box_set(labels, calib, selection=BoxSelection(has_all_objects=True, reference="centre"))
-    every = every.with_reference()
-    measured = box_set(labels, calib, boxes=boxes, noise_px=noise_px, seed=seed)
+    selection = BoxSelection(has_all_objects=True, reference="centre", times=times)
+    every = box_set(labels, calib, selection=selection).with_reference()
+    selection = BoxSelection(times=times)
+    measured = box_set(
+        labels, calib, boxes=boxes, noise_px=noise_px, seed=seed, selection=selection
+    )
     ego_mps, yaw_rad_s = np.full((2, len(measured)), np.nan)
     position_m = np.full((len(every), 2), np.nan)
-    n_frames = 0
+    duration_s = 0.0
     for number, name in enumerate(every.sequence_names):
         pose = read_poses(poses / f"{name}.txt")
-        n_frames += len(pose)
         rows = every.sequence == number
         if rows.any() and every.frame[rows].max() >= len(pose):
             raise LabelFileError(
@@ -82,7 +86,10 @@ def kitti_motion(
         position_m[rows] = (
             np.einsum("nij,nj->ni", pose_of[:, :, :3], camera_m) + pose_of[:, :, 3]
         )[:, ::2]
-        speed_mps, yaw = _ego_motion(pose)
+        clock = times_of(labels / f"{name}.txt", calib, times)
+        time_s = clock.at(np.arange(len(pose)))
+        duration_s += float(time_s[-1]) + clock.step_s
+        speed_mps, yaw = _ego_motion(pose, time_s)
         rows = measured.sequence == number
         ego_mps[rows], yaw_rad_s[rows] = speed_mps[measured.frame[rows]], yaw[measured.frame[rows]]
 
@@ -97,7 +104,7 @@ def kitti_motion(
         speed_mps=np.hypot(*slopes[index, 1:].T),
         ego_mps=ego_mps,
         yaw_rad_s=yaw_rad_s,
-        duration_s=n_frames * FRAME_STEP_S,
+        duration_s=duration_s,
         protocol="slopes over +-0.5 s of the depth of the label's centre, and of its position by "
         "the poses",
     )
@@ -125,13 +132,12 @@ def read_poses(path: Path) -> FloatArray:
     return values.reshape(-1, 3, 4)
 
 
-def _ego_motion(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _ego_motion(pose: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N,) speed along the camera's axis and yaw rate (positive = to the right) from (N, 3, 4)
-    poses.
+    poses at the times (N,).
     """
     n, axis = len(pose), pose[:, :, 2]
     heading_rad = np.unwrap(np.arctan2(axis[:, 0], axis[:, 2]))
-    time_s = np.arange(n, dtype=np.float64) * FRAME_STEP_S
     values = np.column_stack([pose[:, :, 3], heading_rad])
     slopes = track_slopes(
         np.zeros((1, n), np.int64), time_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from track_range.detection.classes import road_class_of
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, read_text
 from track_range.foundation.files.structured_text import parse_json
+from track_range.ranging.truth.label_classes import not_counted_notes, size_class_of
 from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.ranging.truth.reference_distance import surface_distance_m
 
@@ -54,14 +54,14 @@ def read_mono3d(path: Path) -> Mono3dLabels:
         ) from error
 
 
-# nuScenes' categories that are evaluated
-_CLASSES = ("car", "truck", "bus", "bicycle", "motorcycle", "pedestrian")
-
-
 def _labels(content: Any) -> Mono3dLabels:
     names = {category["id"]: category["name"] for category in content["categories"]}
     image_of = {image["id"]: image for image in content["images"]}
-    rows = [row for row in content["annotations"] if names[row["category_id"]] in _CLASSES]
+    every = content["annotations"]
+    types = [names[row["category_id"]] for row in every]
+    class_of = {name: size_class_of(name) for name in set(types)}
+    is_counted = np.array([class_of[name] != "" for name in types])
+    rows = [row for row, name in zip(every, types, strict=True) if class_of[name]]
     images = [image_of[row["image_id"]] for row in rows]
     K = np.array([image["cam_intrinsic"] for image in images], np.float64)
     cameras, sequence = np.unique(
@@ -92,7 +92,7 @@ def _labels(content: Any) -> Mono3dLabels:
         time_s=time_s - time_s.min(),
         track_id=np.unique(size_hwl_m.round(3), axis=0, return_inverse=True)[1].reshape(-1),
         kitti_type=np.array([names[row["category_id"]] for row in rows]),
-        class_name=np.array([road_class_of(names[row["category_id"]]) for row in rows]),
+        class_name=np.array([class_of[names[row["category_id"]]] for row in rows]),
         xyxy_px=np.stack([left, top, left + width, top + height], axis=1),
         fxycxy_px=K[:, [0, 1, 0, 1], [0, 1, 2, 2]],
         size_px=size_px,
@@ -102,6 +102,7 @@ def _labels(content: Any) -> Mono3dLabels:
         size_hwl_m=size_hwl_m,
         rotation_y_rad=yaw_rad,
         occluded=np.zeros(len(rows), np.int64),
+        notes=not_counted_notes(types, is_counted, ""),
     )
     is_whole = (
         (left > _BORDER_PX)

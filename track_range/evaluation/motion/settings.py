@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.schemas.options import Options, option
-from track_range.ranging.evaluation.settings import BoxesField, NoiseField, NoiseSeedField
+from track_range.ranging.evaluation.settings import (
+    BoxesField,
+    FrameRateField,
+    NoiseField,
+    NoiseSeedField,
+    RegionField,
+    TimesField,
+)
 
 
 class MotionEvaluationSettings(Options):
@@ -50,6 +57,9 @@ class MotionEvaluationSettings(Options):
             metavar="NAME[+NAME]",
         ),
     ] = "mono"
+    region: RegionField = "unknown"
+    times: TimesField = None
+    frame_rate_hz: FrameRateField = None
     ego: Annotated[
         Literal["poses", "none"],
         option(

@@ -17,6 +17,7 @@ ERROR_FIGURES = (
     "median_relative_error_pct",
     "mean_relative_error_pct",
     "bias_pct",
+    "within_25_percent",
     "within_1_sigma",
     "within_2_sigma",
 )

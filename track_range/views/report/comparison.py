@@ -71,6 +71,7 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
 _METHOD_GRIDS = (  # title, key in a method's row, format, scale and cost
     ("Median distance error on own coverage, %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("Mean distance error, %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("Distances within 25 %, %", "within_25_percent", "{:.1f}", 100.0, largest),
     ("Bias, %", "bias_pct", "{:+.2f}", 1.0, abs),
     ("Coverage, %", "coverage", "{:.1f}", 100.0, largest),
     (

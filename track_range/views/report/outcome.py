@@ -21,8 +21,8 @@ from track_range.views.tables import NOTHING, Cell, Grid
 
 MOST_EVENTS = 5  # that are listed in the terminal, the most severe ones
 _DISTANCE_FIGURES = (
-    "median error {median_relative_error_pct:.1f} %, mean {mean_relative_error_pct:.1f} %, over "
-    "{n} boxes"
+    "median error {median_relative_error_pct:.1f} %, mean {mean_relative_error_pct:.1f} %, "
+    "{within_25_percent:.1%} within 25 %, over {n} boxes"
 )
 _EXTREMES = (  # heading, key, key of its sigma and sign of the value that comes first
     ("nearest m", "min_distance_m", "min_distance_sigma_m", 1),

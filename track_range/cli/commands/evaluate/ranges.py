@@ -44,6 +44,7 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0),
     ("n", "n", "{:.0f}"),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
+    tables.WITHIN_25,
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
     (
