@@ -110,7 +110,7 @@ def from_normal(expected: float) -> Cost:
     return lambda value: abs(value - expected)
 
 
-# the share of distances that are not grossly wrong, which a mean error hides
+# the fraction of distances that are not grossly wrong, which a mean error hides
 WITHIN_25: ColumnSpec = ("within 25 %", "within_25_percent", "{:.1f}", 100.0, largest)
 METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, largest),
