@@ -26,6 +26,10 @@ hypothesis is a linear model with normal errors, whose probability is its margin
 
 with the covariances P0 before and P after the evidence. Sigmas are those of the mixture: a mistake
 widens them in proportion to how probable it is, and there is no threshold.
+
+A curve of the focal length (`Prior.curve`) is its prior instead of a normal one. Its narrow parts
+are normal, so that each is one more equation, and every hypothesis becomes as many components as
+the curve has probable parts.
 """
 
 import math
@@ -34,9 +38,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.unknowns import (
     CameraPriors,
@@ -50,6 +54,8 @@ from track_range.ranging.cameras.unknowns import (
 _WITHIN = 2 * ndtr([2.0, 1.0]) - 1  # probabilities of errors within 2 and 1 sigma
 _N_BISECTIONS = 30
 _MAX_ERROR = 20.0  # largest relative error that sigma can have
+# parts of a curve, and the smallest log weight of a component relative to the largest one
+_N_PARTS, _MIN_LOG_WEIGHT = 64, -16.0
 
 
 class _Hypothesis(NamedTuple):
@@ -114,6 +120,12 @@ class CameraPosterior:
         mean, variance = self._sum(of)
         return _covering(self.weight, mean - corrected, np.sqrt(variance))
 
+    def log_density(self, of: Sum, values: FloatArray) -> FloatArray:
+        """(G,) log probability density of a sum of unknowns over all hypotheses, at values (G,)."""
+        mean, variance = self._sum(of)
+        log_p = -0.5 * (values[:, None] - mean) ** 2 / variance
+        return np.asarray(logsumexp(log_p, axis=1, b=self.weight / np.sqrt(variance)))
+
     def covariance_of(self, a: Sum, b: Sum) -> float:
         """Covariance of two sums of unknowns over all hypotheses."""
         (mean_a, _), (mean_b, _) = self._sum(a), self._sum(b)
@@ -155,7 +167,7 @@ def posterior(
     unknowns, items = tuple(priors), [*evidence, *bounds]
     named = {unknown for item in items for unknown in item.of}
     hypotheses = _hypotheses(priors, evidence, named)
-    usual = [PriorPart(0.0, 0.0, prior.sigma) for prior in priors.values()]
+    usual = [prior.part for prior in priors.values()]
     parts = [
         [one.parts.get(unknown, part) for unknown, part in zip(unknowns, usual, strict=True)]
         for one in hypotheses
@@ -176,9 +188,37 @@ def posterior(
     used[:, len(evidence) :] &= (x @ A.T < value)[:, len(evidence) :]
     x, P, log_p = _solved(mean0, sigma0, A, value, sigma, used)
     log_p = log_p + [one.log_weight for one in hypotheses]
+    cause = np.arange(len(hypotheses))
+    for k, prior in enumerate(priors.values()):
+        if prior.curve is not None:
+            p, mean, sigma = prior.curve.parts(_N_PARTS)
+            parts_of_curve = np.log(p), math.log(prior.value) - mean, sigma
+            cause, log_p, x, P = _along_curve(k, *parts_of_curve, log_p, x, P)
     weight = np.exp(log_p - log_p.max())
-    causes = tuple(one.cause for one in hypotheses)
+    causes = tuple(hypotheses[k].cause for k in cause.tolist())
     return CameraPosterior(unknowns, causes, weight / weight.sum(), x, P)
+
+
+def _along_curve(
+    k: int,
+    log_part: FloatArray,
+    value: FloatArray,
+    sigma: FloatArray,
+    log_p: FloatArray,
+    x: FloatArray,
+    P: FloatArray,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Hypotheses (C,) after unknown `k` is within one of the parts (K,) of a curve: for each
+    component (N,) its hypothesis, log weight, mean and covariance.
+    """
+    variance = P[:, k, k, None] + sigma**2  # (C, K)
+    error = value - x[:, k, None]
+    log_weight = log_p[:, None] + log_part - 0.5 * (error**2 / variance + np.log(variance))
+    c, j = np.nonzero(log_weight > log_weight.max() + _MIN_LOG_WEIGHT)
+    gain = P[c, :, k] / variance[c, j, None]  # (N, U)
+    mean = x[c] + gain * error[c, j, None]
+    covariance = P[c] - np.einsum("nu,nv->nuv", gain, P[c, :, k])
+    return c, log_weight[c, j], mean, covariance
 
 
 def _solved(

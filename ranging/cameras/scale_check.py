@@ -19,6 +19,7 @@ from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
 from track_range.ranging.cameras.shape_evidence import ShapeEvidence
 from track_range.ranging.cameras.unknowns import (
+    FREE_SIGMA,
     OF_BASELINE,
     OF_PAIR,
     USUAL_HEIGHT_M,
@@ -43,7 +44,6 @@ from track_range.stereo.geometry.rig import StereoRig
 
 _DOUBTFUL, _RESOLVED = 2.0, 0.5  # odds of a mistake at which a doubt starts and ends
 _NEARLY = 0.135  # smallest probability of a cause, over that of the most likely one
-_FREE_SIGMA = 3.0  # of a baseline that is not known at all
 # heights by the speeds of a pair and of the road, and by a given speed and that of the road
 _RIG_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.BASELINE: 1.0}
 _ROAD_HEIGHT: Sum = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0}
@@ -288,7 +288,7 @@ class ScaleCheck:
         self, priors: CameraPriors, evidence: Sequence[Evidence], names: str
     ) -> Agreement:
         """The baseline that the drive shows by itself."""
-        unknown = replace(priors[Unknown.BASELINE], sigma=_FREE_SIGMA, kind="unknown")
+        unknown = replace(priors[Unknown.BASELINE], sigma=FREE_SIGMA, kind="unknown")
         shown = posterior({**priors, Unknown.BASELINE: unknown}, evidence).estimate(OF_BASELINE)
         of_distances = self.cameras.sigma_of(OF_BASELINE)
         return Agreement(math.exp(shown.mean), shown.sigma, names, of_distances)

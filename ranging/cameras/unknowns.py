@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 
 from track_range.ranging.size_models.region import Region
+from track_range.stereo.geometry.focal_curve import FocalCurve
 
 Kind = Literal["given", "usual", "unknown"]
 """given: by a file or an option, and doubted if the drive excludes it; usual: of most cameras, with
@@ -53,11 +54,19 @@ class Prior:
     sigma: float  # standard deviation of its logarithm
     kind: Kind = "given"
     value: float = 1.0  # the assumed value, in m or px; 1 = a factor
+    # of the focal length by a drive, which is no normal distribution; None = it is
+    curve: FocalCurve | None = None
+
+    @property
+    def part(self) -> PriorPart:
+        """The normal distribution; beside a curve, one that says nothing."""
+        return PriorPart(0.0, 0.0, self.sigma if self.curve is None else FREE_SIGMA)
 
 
 CameraPriors = Mapping[Unknown, Prior]
 """Priors by unknown; what the cameras do not have is absent."""
 
+FREE_SIGMA = 3.0  # of the logarithm of a value that is not known at all
 USUAL_HEIGHT_M, _HEIGHT_SIGMA = 1.45, 0.22  # of cameras behind a windscreen
 KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estimated from shapes
 # of a value that is unusual in its kind, and the probability of that

@@ -1,6 +1,7 @@
 """The posterior of the cameras against hand-worked numbers, and its sigmas against drawn truths."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.unknowns import Prior, Unknown, camera_priors, mistakes
+from track_range.stereo.geometry.focal_curve import FocalCurve
+from track_range.stereo.geometry.focal_guess import FocalGuess
 
 RIG, FOCAL, HEIGHT = {Unknown.BASELINE: 1.0}, {Unknown.FOCAL: 1.0}, {Unknown.HEIGHT: 1.0}
 
@@ -56,6 +59,62 @@ def test_sigma_grows_steadily_with_a_contradiction():
     assert np.max(np.diff(sigmas)) < 0.03
     # in the end, sigma covers both scales
     assert sigmas[-1] == pytest.approx(1 - math.exp(-0.57), abs=0.06)
+
+
+def two_peaks(first_px, second_px, sigma=0.02):
+    """A curve with two normal peaks of equal probability."""
+    log_focal = np.linspace(math.log(400), math.log(1600), 1201)
+    peaks = [(log_focal - math.log(px)) / sigma for px in (first_px, second_px)]
+    return FocalCurve(log_focal, np.logaddexp(*(-0.5 * peak**2 for peak in peaks)))
+
+
+def test_a_normal_curve_is_a_normal_prior():
+    log_focal = np.linspace(math.log(400), math.log(1600), 1201)
+    curve = FocalCurve.of_guess(FocalGuess(840.0, 0.05, ""), log_focal)
+    shown = Evidence("the speed", {**HEIGHT, Unknown.FOCAL: -1.0}, 0.1, 0.03)
+    sizes = Evidence("sizes", HEIGHT, 0.02, 0.08)
+    both = []
+    for focal in (Prior(0.05, "unknown", 800.0, curve), Prior(0.05, "unknown", 840.0)):
+        cameras = posterior(
+            {Unknown.FOCAL: focal, Unknown.HEIGHT: Prior(0.2, "unknown")},
+            [replace(shown, value=0.1 + math.log(840 / 800) * (focal.curve is not None)), sizes],
+        )
+        both.append(
+            [
+                *cameras.estimate(HEIGHT),
+                cameras.estimate(FOCAL).mean - math.log(focal.value),
+                cameras.estimate(FOCAL).sigma,
+                cameras.covariance_of(HEIGHT, FOCAL),
+            ]
+        )
+    assert both[0] == pytest.approx(both[1], rel=0.02)
+
+
+def test_evidence_chooses_between_the_peaks_of_a_curve():
+    """Heights of 1.2 times the expected one belong to 1 / 1.2 of the focal length."""
+    priors = {
+        Unknown.FOCAL: Prior(0.3, "unknown", 800.0, two_peaks(800.0, 1000.0)),
+        Unknown.HEIGHT: Prior(0.05, "given", 1.5),
+    }
+    alone = posterior(priors, [])
+    mean, sigma = alone.estimate(FOCAL)
+    assert mean == pytest.approx(-math.log(1000 / 800) / 2, abs=1e-3)
+    assert sigma == pytest.approx(math.hypot(math.log(1000 / 800) / 2, 0.02), rel=0.01)
+    # h - f = log(1.25): either f = log(800 / 1000), or the height is 4.5 sigma too small
+    cameras = posterior(
+        priors, [Evidence("the speed", {**HEIGHT, Unknown.FOCAL: -1.0}, math.log(1.25), 0.01)]
+    )
+    assert cameras.correction(FOCAL) == pytest.approx(math.log(800 / 1000), abs=0.02)
+    assert cameras.correction(HEIGHT) == pytest.approx(0.0, abs=0.03)
+
+
+def test_curve_of_a_sum_of_unknowns():
+    """By the speed and the height, the focal length is known as well as both together."""
+    priors = {Unknown.FOCAL: Prior(3.0, "unknown"), Unknown.HEIGHT: Prior(0.04, "unknown")}
+    cameras = posterior(priors, [Evidence("the speed", {**HEIGHT, Unknown.FOCAL: -1.0}, 0.2, 0.03)])
+    values = np.array([-0.2, -0.2 + 0.05, -0.2 - 0.1])
+    log_p = cameras.log_density(FOCAL, values)
+    assert log_p[0] - log_p[1:] == pytest.approx([0.5, 2.0], rel=0.01)
 
 
 @pytest.mark.slow

@@ -186,7 +186,8 @@ def _camera_priors(context: MethodContext, calibration: RecordingCalibration) ->
     if calibration.estimate is None:
         return priors
     # its evidence is from this drive, and counts once
-    return {**priors, Unknown.FOCAL: replace(priors[Unknown.FOCAL], kind="unknown")}
+    shown = replace(priors[Unknown.FOCAL], kind="unknown", curve=calibration.estimate.curve)
+    return {**priors, Unknown.FOCAL: shown}
 
 
 def _focal_before(calibration: RecordingCalibration) -> FocalEstimate | None:

@@ -8,10 +8,10 @@ from hypothesis import given, strategies as st
 
 from track_range.recording.cameras.camera_estimate import (
     CameraEstimate,
-    focal_grid_px,
     source_of_curve,
     source_of_guess,
 )
+from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.geometry.focal_guess import FocalGuess
 
 SIZE_PX = (1280, 720)
@@ -54,14 +54,14 @@ def test_sigma_widens_with_a_contradiction():
 
 
 def test_curve_is_continued_beyond_its_ends():
-    focal_px = np.geomspace(800, 1200, 41)
-    curve = -0.5 * (np.log(focal_px / 1000) / 0.05) ** 2
-    by_curve = estimate(source_of_curve("motion", "a turn", focal_px, curve, SIZE_PX[0]))
+    log_focal = np.log(np.geomspace(800, 1200, 41))
+    curve = FocalCurve(log_focal, -0.5 * ((log_focal - math.log(1000)) / 0.05) ** 2)
+    by_curve = estimate(source_of_curve("motion", "a turn", curve, SIZE_PX[0]))
     by_guess = estimate(source(1000.0, 0.05, "motion"))
     assert by_curve.focal_px == pytest.approx(by_guess.focal_px, rel=2e-3)
     assert by_curve.sigma == pytest.approx(by_guess.sigma, rel=0.05)
-    rising = source_of_curve("motion", "a turn", focal_px, np.log(focal_px), SIZE_PX[0])
-    assert np.argmax(rising.log_likelihood) >= np.searchsorted(focal_grid_px(SIZE_PX[0]), 1199)
+    rising = source_of_curve("motion", "a turn", FocalCurve(log_focal, log_focal), SIZE_PX[0]).curve
+    assert rising.log_focal[np.argmax(rising.log_likelihood)] >= math.log(1199)
 
 
 def test_sentences():
@@ -78,9 +78,14 @@ def test_sentences():
 
 def test_distortion_is_corrected_where_it_is_significant_and_visible():
     motion = source(900.0, 0.01, "motion")
-    assert estimate(motion, k1=-0.2, k1_sigma=0.01).distortion == (-0.2, 0.0, 0.0, 0.0)
-    assert estimate(motion, k1=-0.2, k1_sigma=0.1).distortion == ()
-    assert estimate(motion, k1=-0.001, k1_sigma=0.0001).distortion == ()
+    assert estimate(motion, coefficients=(-0.2, 0.0, 0.0, 0.0), k1_sigma=0.01).distortion == (
+        -0.2,
+        0.0,
+        0.0,
+        0.0,
+    )
+    assert estimate(motion, coefficients=(-0.2, 0.0, 0.0, 0.0), k1_sigma=0.1).distortion == ()
+    assert estimate(motion, coefficients=(-0.001, 0.0, 0.0, 0.0), k1_sigma=0.0001).distortion == ()
     assert estimate(motion).distortion == ()
 
 

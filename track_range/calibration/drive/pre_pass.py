@@ -35,6 +35,7 @@ from track_range.recording.cameras.camera_estimate import (
     source_of_guess,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
@@ -151,8 +152,8 @@ class PrePass:
         flat = replace(default_guess(size_px[0]), sigma=_FLAT_SIGMA)
         shapes = focal_posterior([flat], thinned(scene), size_px, cuboids)
         if shapes.n_tracks:
-            curve = np.log(shapes.density + 1e-300)
-            by_shape = source_of_curve("shapes", shapes.shapes, shapes.focal_px, curve, size_px[0])
+            curve = FocalCurve(np.log(shapes.focal_px), np.log(shapes.density + 1e-300))
+            by_shape = source_of_curve("shapes", shapes.shapes, curve, size_px[0])
             estimate = replace(estimate, sources=(*estimate.sources, by_shape))
         return DriveCamera(estimate=estimate, shapes=shapes, scene=scene, n_frames=view.n_frames)
 
@@ -205,11 +206,9 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimat
     source = f"the turn at {minutes}:{seconds:02}"
     if motion.turn_deg < _TURN_DEG:
         source = f"the motion of the static scene at {minutes}:{seconds:02}"
-    focal_px = np.exp(motion.log_focal)
-    by_motion = source_of_curve(
-        "motion", source, focal_px, motion.log_likelihood, before.size_px[0]
-    )
-    sigma = CameraEstimate(size_px=before.size_px, sources=(by_motion,)).sigma
+    curve = FocalCurve(motion.log_focal, motion.log_likelihood)
+    by_motion = source_of_curve("motion", source, curve, before.size_px[0])
+    sigma = by_motion.curve.estimate[1]
     if sigma > _UNKNOWN_SIGMA:
         return before
     estimate = replace(before, sources=(*before.sources, by_motion))

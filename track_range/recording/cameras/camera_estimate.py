@@ -8,9 +8,10 @@ kind; it then says nothing. The posterior is the mean over both hypotheses of ev
     p(log f)  ~  prod_i [ (1 - e_i) L_i(log f) / integral(L_i) + e_i M_i(log f) ]
 
 with a constant M_i, or for what replaces the usual field of view of road cameras (metadata, a given
-calibration) that field. The uncertainty widens with the contradiction of the
-sources, without a threshold. Its sigma is that of the intervals of 68 and 95 %, the larger one:
-the second moment of such a mixture would state the size of its rare mistakes.
+calibration) that field. The uncertainty widens with the contradiction of the sources, without a
+threshold. The curve is the prior of the focal length in the posterior of the cameras
+(`ranging/cameras/posterior`), in which equations with other unknowns (speed, known metres) are
+sources: the curve of the focal length by them.
 """
 
 import math
@@ -21,6 +22,7 @@ from typing import Any, Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
 from track_range.stereo.lenses.pinhole import first_radial
 
@@ -29,8 +31,6 @@ SourceKind = Literal["given", "usual", "metadata", "shapes", "motion", "speed", 
 
 FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 1201  # points of the grid, 0.25 % apart
-# probabilities below the bounds of the intervals of one and two standard deviations, and the median
-_QUANTILES = (0.0228, 0.1587, 0.5, 0.8413, 0.9772)
 # Probability that a source is a mistake; assumed. Metadata of cropped or stabilised video is wrong
 # most often. Motion checks itself.
 _MISTAKE = {
@@ -78,19 +78,13 @@ class FocalSource:
 
     kind: SourceKind
     source: str  # where it comes from, as it continues "focal length from ..."
-    log_likelihood: FloatArray  # (G,) at the points of the grid, up to a constant
-
-    @property
-    def density(self) -> FloatArray:
-        """(G,) probability of each point, as if nothing else were known."""
-        density = np.exp(self.log_likelihood - self.log_likelihood.max())
-        return np.asarray(density / density.sum())
+    curve: FocalCurve  # at the points of the grid
 
     def robust_log_density(self, usual: FloatArray) -> FloatArray:
         """(G,) log probability of each point, if the source may be a mistake; `usual` is the
         density of the usual field of view.
         """
-        mistake, density = _MISTAKE[self.kind], self.density
+        mistake, density = _MISTAKE[self.kind], self.curve.density
         otherwise = usual if self.kind in _REPLACE_USUAL else np.full_like(usual, 1 / len(usual))
         return np.asarray(np.log((1 - mistake) * density + mistake * otherwise + 1e-300))
 
@@ -105,33 +99,27 @@ class CameraEstimate:
     k1_sigma: float = math.nan  # standard deviation of k1; NaN = not estimated
 
     @property
-    def focal_grid_px(self) -> FloatArray:
-        """(G,) focal lengths of the grid."""
-        return focal_grid_px(self.size_px[0])
-
-    @property
-    def density(self) -> FloatArray:
-        """(G,) probability of each point of the grid by all sources."""
-        width_px = self.size_px[0]
-        usual = source_of_guess(default_guess(width_px), "usual", width_px).density
+    def curve(self) -> FocalCurve:
+        """The focal length by all sources, at the points of the grid."""
+        log_focal = log_focal_grid(self.size_px[0])
+        usual = FocalCurve.of_guess(default_guess(self.size_px[0]), log_focal).density
         log_p = np.sum([source.robust_log_density(usual) for source in self.sources], axis=0)
-        density = np.exp(log_p - log_p.max())
-        return np.asarray(density / density.sum())
+        return FocalCurve(log_focal, log_p)
 
     @property
     def focal_px(self) -> float:
         """The focal length in px (median)."""
-        return self._moments(self.density)[0]
+        return self.curve.estimate[0]
 
     @property
     def sigma(self) -> float:
         """Its relative standard deviation."""
-        return self._moments(self.density)[1]
+        return self.curve.estimate[1]
 
     @property
     def weights(self) -> tuple[float, ...]:
         """Weight of each source in the information on the focal length; their sum is 1."""
-        precision = [self._moments(source.density)[1] ** -2 for source in self.sources]
+        precision = [source.curve.estimate[1] ** -2 for source in self.sources]
         return tuple(value / sum(precision) for value in precision)
 
     @property
@@ -193,18 +181,21 @@ class CameraEstimate:
 
     def summary(self) -> dict[str, Any]:
         """Entry `camera_estimate` of summary.json, with the curves for the report's picture."""
-        shown = self._shown_points()
-        sources = [
-            {
-                "kind": source.kind,
-                "source": source.source,
-                "focal_px": round(self._moments(source.density)[0], 1),
-                "sigma": round(self._moments(source.density)[1], 4),
-                "weight": round(weight, 3),
-                "density": _rounded_curve(source.density[shown]),
-            }
-            for source, weight in zip(self.sources, self.weights, strict=True)
-        ]
+        curve = self.curve
+        shown = _shown_points(curve)
+        sources = []
+        for source, weight in zip(self.sources, self.weights, strict=True):
+            focal_px, sigma = source.curve.estimate
+            sources.append(
+                {
+                    "kind": source.kind,
+                    "source": source.source,
+                    "focal_px": round(focal_px, 1),
+                    "sigma": round(sigma, 4),
+                    "weight": round(weight, 3),
+                    "density": _rounded_curve(source.curve.density[shown]),
+                }
+            )
         helpful = self.remedy
         return {
             "focal_px": round(self.focal_px, 2),
@@ -213,57 +204,37 @@ class CameraEstimate:
             "k1_sigma": round(self.k1_sigma, 4) if math.isfinite(self.k1_sigma) else None,
             "is_distortion_corrected": bool(self.distortion),
             "distortion": [round(value, 5) for value in self.distortion],
-            "curve_px": [round(float(value), 1) for value in self.focal_grid_px[shown]],
-            "density": _rounded_curve(self.density[shown]),
+            "curve_px": [round(value, 1) for value in np.exp(curve.log_focal[shown]).tolist()],
+            "density": _rounded_curve(curve.density[shown]),
             "sources": sources,
             "remedy": None
             if helpful is None
             else {"evidence": helpful[0].what, "focal_sigma": round(helpful[1], 4)},
         }
 
-    def _shown_points(self) -> IntArray:
-        """(S,) points of the grid that a picture needs: some everywhere, more where the density
-        is.
-        """
-        is_near = self.density > _SHOWN_DENSITY * self.density.max()
-        near = np.flatnonzero(is_near)
-        coarse = np.arange(0, _N_GRID, _N_GRID // _N_SHOWN)
-        return np.union1d(coarse, near[:: max(1, len(near) // _N_SHOWN)])
 
-    def _moments(self, density: FloatArray) -> tuple[float, float]:
-        """Median in px and relative standard deviation of a density on the grid."""
-        log_f, below = np.log(self.focal_grid_px), np.cumsum(density) - density / 2
-        quantiles = np.interp(_QUANTILES, below, log_f)
-        low_95, low_68, middle, high_68, high_95 = quantiles.tolist()
-        return math.exp(middle), max((high_68 - low_68) / 2, (high_95 - low_95) / 4)
-
-
-def focal_grid_px(width_px: int) -> FloatArray:
-    """(G,) focal lengths of images of this width, evenly spaced in their logarithm."""
-    low, high = (focal_of_field(field_deg, width_px) for field_deg in FIELDS_DEG)
-    return np.asarray(np.geomspace(low, high, _N_GRID))
+def log_focal_grid(width_px: int) -> FloatArray:
+    """(G,) logarithms of focal lengths in px of images of this width, evenly spaced."""
+    low, high = (math.log(focal_of_field(field_deg, width_px)) for field_deg in FIELDS_DEG)
+    return np.linspace(low, high, _N_GRID)
 
 
 def source_of_guess(guess: FocalGuess, kind: SourceKind, width_px: int) -> FocalSource:
     """A focal length with a standard deviation as a source."""
-    deviation = np.log(focal_grid_px(width_px) / guess.focal_px) / guess.sigma
-    return FocalSource(kind, guess.source, np.asarray(-0.5 * deviation**2))
+    return FocalSource(kind, guess.source, FocalCurve.of_guess(guess, log_focal_grid(width_px)))
 
 
-def source_of_curve(
-    kind: SourceKind, source: str, focal_px: FloatArray, log_likelihood: FloatArray, width_px: int
-) -> FocalSource:
-    """A log likelihood (K,) at other focal lengths (K,), ascending, as a source; outside of them it
-    falls as its ends do.
-    """
-    log_f, log_grid = np.log(focal_px), np.log(focal_grid_px(width_px))
-    inside = np.interp(log_grid, log_f, log_likelihood)
-    for end, neighbour in ((0, 1), (-1, -2)):
-        slope = (log_likelihood[end] - log_likelihood[neighbour]) / (log_f[end] - log_f[neighbour])
-        beyond = log_grid < log_f[0] if end == 0 else log_grid > log_f[-1]
-        falling = min(slope, 0.0) if end == -1 else max(slope, 0.0)
-        inside[beyond] = log_likelihood[end] + falling * (log_grid[beyond] - log_f[end])
-    return FocalSource(kind, source, np.asarray(inside))
+def source_of_curve(kind: SourceKind, source: str, curve: FocalCurve, width_px: int) -> FocalSource:
+    """A likelihood at other focal lengths as a source."""
+    return FocalSource(kind, source, curve.at(log_focal_grid(width_px)))
+
+
+def _shown_points(curve: FocalCurve) -> IntArray:
+    """(S,) points of the grid that a picture needs: some everywhere, more where the density is."""
+    density = curve.density
+    near = np.flatnonzero(density > _SHOWN_DENSITY * density.max())
+    coarse = np.arange(0, _N_GRID, _N_GRID // _N_SHOWN)
+    return np.union1d(coarse, near[:: max(1, len(near) // _N_SHOWN)])
 
 
 def _rounded_curve(density: FloatArray) -> list[float]:
