@@ -2,7 +2,8 @@
 
 Between two images the upper half, which shows little of the road, is shifted by about f times the
 yaw: phase correlation (Kuglin and Hines, 1975) measures shifts of up to half of the image. The
-expansion of the image while the camera drives straight ahead is symmetric and shifts nothing.
+expansion of the image while the camera drives straight ahead is symmetric and shifts nothing. Images
+that are farther apart differ too much: between them the camera turns as before and after.
 """
 
 import math
@@ -17,7 +18,8 @@ from track_range.stereo.geometry.frames import grey
 
 _WIDTH_PX = 160  # of the small images
 _UPPER = 0.6  # fraction of the rows, from the top
-_MAX_GAP_S = 1.1  # longest time between two images that are compared
+# longest time between two images that are compared, and in which the rate is interpolated
+_MAX_GAP_S, _MAX_UNSEEN_S = 0.6, 1.3
 _MIN_RESPONSE = 0.03  # of the phase correlation; smaller ones are chance
 
 
@@ -40,8 +42,8 @@ def turning_spans(
     """At most `n_spans` spans of at most `span_s` seconds that do not overlap, the largest turn
     first.
 
-    `images` are times and images (H, W) or (H, W, 3), 2 to 5 per second, of any size;
-    `focal_fraction` is the assumed focal length in image widths.
+    `images` are times and images (H, W) or (H, W, 3) of any size, 2 to 10 per second, or two of
+    these each second; `focal_fraction` is the assumed focal length in image widths.
     """
     times_s, heading_rad = _headings(images, focal_fraction)
     spans = list[TurningSpan]()
@@ -63,22 +65,26 @@ def _headings(
     images: Iterable[tuple[float, Image]], focal_fraction: float
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) times, and (N,) sums of the yaw since the first image, rad."""
-    times_s, heading_rad = list[float](), [0.0]
-    before, window = None, None
+    times_s, rates, before, window = list[float](), list[float](), None, None
     for time_s, image in images:
         small = _small(image)
         if before is not None and window is not None:
-            yaw_rad = 0.0
-            if before.shape == small.shape and time_s - times_s[-1] <= _MAX_GAP_S:
+            gap_s, yaw_rad = time_s - times_s[-1], math.nan
+            if before.shape == small.shape and gap_s <= _MAX_GAP_S:
                 (shift_px, _), response = cv2.phaseCorrelate(before, small, window)
-                if response > _MIN_RESPONSE:
-                    yaw_rad = -math.atan(shift_px / (focal_fraction * _WIDTH_PX))
-            heading_rad.append(heading_rad[-1] + yaw_rad)
+                tangent = shift_px / (focal_fraction * _WIDTH_PX)
+                yaw_rad = -math.atan(tangent) if response > _MIN_RESPONSE else 0.0
+            rates.append(yaw_rad / gap_s)
         if window is None or window.shape != small.shape:
             window = cv2.createHanningWindow(small.shape[::-1], cv2.CV_32F)
         before = small
         times_s.append(time_s)
-    return np.array(times_s), np.array(heading_rad[: len(times_s)])
+    steps_s, rate = np.diff(times_s), np.array(rates)
+    if np.isfinite(rate).any():
+        seen = np.flatnonzero(np.isfinite(rate))
+        rate = np.interp(np.arange(len(rate)), seen, rate[seen])
+    yaws_rad = np.where((steps_s > _MAX_UNSEEN_S) | np.isnan(rate), 0.0, rate * steps_s)
+    return np.array(times_s), np.concatenate([[0.0], np.cumsum(yaws_rad)])[: len(times_s)]
 
 
 def _small(image: Image) -> FloatArray:

@@ -33,3 +33,14 @@ def test_the_two_turns_of_a_drive_are_found_in_the_order_of_their_size() -> None
 def test_a_straight_drive_has_no_turn() -> None:
     assert turning_spans(images([0.0] * 30)) == ()
     assert turning_spans([]) == ()
+
+
+def test_pairs_of_images_each_second_show_the_turn_between_them() -> None:
+    every = images([0.0] * 40 + [0.5] * 60 + [0.0] * 40, step_s=0.1)
+    pairs = [one for number, one in enumerate(every) if number % 10 in (0, 2)]
+    (turn,) = turning_spans(pairs, span_s=10.0)
+    assert turn.turn_deg == pytest.approx(30.0, rel=0.15)
+    assert turn.start_s <= 4.5
+    assert turn.end_s >= 9.5
+    # images that miss each other by seconds show nothing
+    assert turning_spans(every[::30], span_s=10.0) == ()

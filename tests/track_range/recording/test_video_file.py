@@ -102,6 +102,23 @@ def test_frames_before_the_start_are_not_decoded(tmp_path: Path, film: Film) -> 
     assert ([frame.index for frame in late], late.notes) == (list(range(20, 40)), ())
 
 
+@pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts"])
+def test_images_shortly_after_keyframes_that_follow_each_other_closely(
+    tmp_path: Path, film: Film, number_in: NumberIn, suffix: str
+) -> None:
+    reader = open_video(film(tmp_path / f"close.{suffix}", EVEN_S, gop=10))
+    reader.burst_s = 0.25
+    frames = frames_of(reader, number_in)
+    assert [index for index, _, _ in frames] == [number for _, _, number in frames]
+    # with B-frames the third picture that is stored is not the third one in time
+    few = [sum(start <= index < start + 10 for index, _, _ in frames) for start in (0, 10, 20, 30)]
+    assert few == [10, 3, 3, 10]
+    assert {0, 10, 20, 30} < {index for index, _, _ in frames}
+    apart = open_video(film(tmp_path / f"apart.{suffix}", EVEN_S, gop=20))
+    apart.burst_s = 0.25
+    assert [number for _, _, number in frames_of(apart, number_in)] == list(range(40))
+
+
 def test_part_of_a_video_and_its_number_of_frames(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
     reader = open_video(path, start_s=1.0, duration_s=0.5)

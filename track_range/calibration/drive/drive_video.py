@@ -20,8 +20,8 @@ from track_range.stereo.self_calibration.turns import turning_spans
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0
 # Length in which turns are sought: decoding an hour would take minutes. Time between the images,
-# and the smallest turn after which no other part is read.
-_SCANNED_S, _SCAN_S, _MIN_TURN_DEG = 180.0, 0.25, 20.0
+# time after keyframes in which they are, and the smallest turn after which no other part is read.
+_SCANNED_S, _SCAN_S, _BURST_S, _MIN_TURN_DEG = 180.0, 0.14, 0.25, 20.0
 # starts of the parts of a longer recording, as fractions of it
 _PARTS = (0.0, 0.5, 0.85)
 
@@ -82,6 +82,7 @@ class DriveVideo:
         if 0 < length_s <= (_PART_S if self.speed is None else _WHOLE_S):
             return [(start_s, given_s)]  # straight parts, too, show the scale of a given speed
         with self.opened(start_s, min(length_s or _SCANNED_S, _SCANNED_S)) as recording:
+            recording.videos[0].whole.burst_s = _BURST_S
             images = ((frame.time_s, frame.left) for frame in every_step(_SCAN_S, recording.frames))
             turns = turning_spans(images, span_s=_PART_S, min_turn_deg=_MIN_TURN_DEG)
         if turns:

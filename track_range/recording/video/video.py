@@ -48,6 +48,9 @@ class Video(ABC):
     camera: CameraInfo | None = None  # calibration that the source contains; None = none
     is_rectified = False  # whether the source states that its images are
     first_image: Image | None = None  # as long as it is needed
+    # only the images up to this time after each keyframe are read, s, where keyframes follow each
+    # other closely; set before reading, None = all images. Sources without keyframes read all.
+    burst_s: float | None = None
     # time spent reading and decoding so far: CPU time of this thread, or wall time with several
     # threads of FFmpeg
     busy_s = 0.0

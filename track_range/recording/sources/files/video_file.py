@@ -69,6 +69,8 @@ _MAX_ENTRIES = 10_000  # entries of the index of a file that are compared: ten h
 # step back in time from which the clock was set back; frames are stored in another order within
 # less
 _RESET_S = 1.0
+# time between keyframes up to which the images shortly after each of them stand for all
+_CLOSE_KEYFRAMES_S = 1.25
 # time base of Matroska, and largest error of its rounding, s
 _MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006
 
@@ -176,6 +178,8 @@ class VideoFile(RecordedVideo):
         self._log = reading.log
         with closing(reading):
             reading.skip_to(from_s)
+            if self.burst_s is not None:
+                reading.read_in_bursts(self.burst_s)
             for index, time_s, frame in itertools.chain(() if first is None else (first,), reading):
                 if time_s >= until_s - TIME_EPSILON_S:
                     return
@@ -400,6 +404,12 @@ class _Reading:
                 break
         self.packets = itertools.chain(waiting, self.packets)
 
+    def read_in_bursts(self, burst_s: float) -> None:
+        """Skip the packets that come later than `burst_s` after a keyframe, if the next follows it."""
+        if self._is_stamped:
+            ticks = 1 / float(self.time_base)
+            self.packets = in_bursts(self.packets, burst_s * ticks, _CLOSE_KEYFRAMES_S * ticks)
+
     def __iter__(self) -> Generator[tuple[int, float, av.VideoFrame], None, None]:
         """Number, time and image of the frames that were not read yet."""
         interval_s, log = 1 / self.fps, self.log
@@ -478,6 +488,42 @@ class _Reading:
             packet.dts = None if packet.dts is None else packet.dts + self._shift
             packet.pts = None if packet.pts is None else packet.pts + self._shift
         self._last_stamp = stamp + self._shift
+
+
+def in_bursts(
+    packets: Iterator[Packet[VideoStream] | None], burst: float, longest: float
+) -> Iterator[Packet[VideoStream] | None]:
+    """The packets up to `burst` after each keyframe in the order of decoding, or all of them if the
+    next keyframe does not follow within `longest`; both in ticks.
+
+    No packet depends on one that was left out; those before the first keyframe are all read.
+    """
+    key, first = -math.inf, -math.inf
+    waiting: list[Packet[VideoStream] | None] = []
+    for packet in packets:
+        stamp, shown = _stamps(packet)
+        if packet is not None and packet.is_keyframe:
+            # pictures of earlier times that follow a keyframe depend on those before it
+            first = shown if waiting else -math.inf
+            key = stamp
+            waiting.clear()
+        elif not stamp <= key + longest:  # also without a time
+            yield from waiting
+            waiting.clear()
+            key = math.inf
+        if waiting or stamp > key + burst:
+            waiting.append(packet)
+        elif not shown < first:
+            yield packet
+    yield from waiting
+
+
+def _stamps(packet: Packet[VideoStream] | None) -> tuple[float, float]:
+    """Times of decoding and of the picture, in ticks; NaN = unknown."""
+    if packet is None:
+        return math.nan, math.nan
+    shown = math.nan if packet.pts is None else packet.pts
+    return shown if packet.dts is None else packet.dts, shown
 
 
 def _check_times(path: Path, n_frames: int, n_times: int) -> None:

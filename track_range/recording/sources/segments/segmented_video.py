@@ -174,6 +174,7 @@ class SegmentedVideo(RecordedVideo):
                 continue
             video, n_read, earliest_s = self._opened(segment), 0, last_s + _CUT_STEP_S
             if video is not None:
+                video.burst_s = self.burst_s
                 later_s = start_s - video.first_time_s
                 with closing(video.frames(from_s - later_s, until_s - later_s)) as frames:
                     for frame in frames:
