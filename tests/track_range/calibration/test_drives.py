@@ -15,17 +15,21 @@ from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.pre_pass import (
     DriveCamera,
     MountedCamera,
+    _shown_names,
     thinned,
     undistorted,
     with_motion,
     with_speed,
 )
+from track_range.calibration.drive.road_evidence import RoadEvidence
+from track_range.detection.detections import Detections
 from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import video_name
 from track_range.recording.video.options import RecordingOptions
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
@@ -66,6 +70,36 @@ def test_turn_gives_the_focal_length_and_the_distortion():
     straight = with_motion(usual(), motion(turn_deg=1.0, k1_sigma=0.1, span_s=(62.0, 64.0)))
     assert "from the motion of the static scene at 1:02" in straight.sentence
     assert straight.distortion == ()
+
+
+def test_turn_of_several_recordings_names_its_video():
+    estimate = with_motion(usual(), motion(), "drive2.mp4")
+    assert "from the turn at 0:42 of drive2.mp4" in estimate.sentence
+    assert _shown_names(["a/drive1.mp4", "a/drive2.mp4"]) == ["drive1.mp4", "drive2.mp4"]
+    assert _shown_names(["a/drive.mp4", "b/drive.mp4"]) == ["a/drive.mp4", "b/drive.mp4"]
+
+
+def shifted_frames(start_s, shifts_px):
+    """Frames of 5 Hz of a texture that moves by pixels per frame."""
+    noise = np.random.default_rng(4).integers(0, 255, (240, 1200), np.uint8)
+    texture = cv2.cvtColor(cv2.GaussianBlur(noise, (0, 0), 2.0), cv2.COLOR_GRAY2BGR)
+    for number, left in enumerate(np.cumsum(shifts_px).tolist()):
+        image = np.ascontiguousarray(texture[:, left : left + 400])
+        yield Frame(number, start_s + 0.2 * number, image, None)
+
+
+def test_time_and_video_of_the_motion():
+    camera = PinholeCamera.of_focal_length(300.0, (400, 240))
+    view = RoadEvidence(has_horizon=False)
+    parts = {"straight.mp4": (5.0, [0] * 8), "turn.mp4": (61.0, [0] * 6 + [6] * 12)}
+    for video, (start_s, shifts_px) in parts.items():
+        frames = shifted_frames(start_s, shifts_px)
+        view.add(video, camera, frames, lambda _frame: Detections.empty(), lambda *_: None)
+    found, video = view.motion_estimate()
+    assert video == "turn.mp4"
+    # the standing camera has one keyframe at 61 s; the camera moves from 62.0 to 64.4 s
+    assert 61.0 <= found.span_s[0] <= 62.5
+    assert found.span_s[1] == pytest.approx(64.4, abs=0.3)
 
 
 def test_views_of_one_object_are_thinned():

@@ -9,6 +9,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -131,12 +132,12 @@ class PrePass:
         """What the images of the drives show."""
         view = RoadEvidence(has_horizon=has_horizon)
         with self.progress("estimating the focal length") as advance:
-            for drive in drives:
+            names = _shown_names([str(drive.name) for drive in drives])
+            for drive, name in zip(drives, names, strict=True):
                 for start_s, duration_s in drive.parts_s():
                     with drive.opened(start_s, duration_s) as recording:
-                        view.add(
-                            recording.camera, recording.frames, self.detect, advance, drive.speed
-                        )
+                        frames, camera = recording.frames, recording.camera
+                        view.add(name, camera, frames, self.detect, advance, drive.speed)
         return view
 
     def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
@@ -145,7 +146,7 @@ class PrePass:
         estimate = self._without_images(drive)
         motion = view.motion_estimate()
         if motion is not None:
-            estimate = with_motion(estimate, motion)
+            estimate = with_motion(estimate, *motion)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
         cuboids = self.sizes if isinstance(self.sizes, CuboidSizes) else None
@@ -184,6 +185,12 @@ class PrePass:
         return MountedCamera(drive_camera, before, fit)
 
 
+def _shown_names(paths: Sequence[str]) -> list[str]:
+    """Names of videos without their folders, unless two have the same one."""
+    names = [Path(path).name for path in paths]
+    return names if len(set(names)) == len(set(paths)) else [*paths]
+
+
 def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
     """The likelihood that takes the estimate before the measurements to the fit with them; None =
     they say nothing of the focal length.
@@ -198,14 +205,13 @@ def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
     return source_of_guess(guess, "known metres", before.size_px[0])
 
 
-def with_motion(before: CameraEstimate, motion: MotionEstimate) -> CameraEstimate:
+def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "") -> CameraEstimate:
     """The estimate with the evidence of the motion of the static scene, where it shows any; the
-    better known distortion of the two stays.
+    better known distortion of the two stays. `video` is the name of one of several.
     """
     minutes, seconds = divmod(round(motion.span_s[0]), 60)
-    source = f"the turn at {minutes}:{seconds:02}"
-    if motion.turn_deg < _TURN_DEG:
-        source = f"the motion of the static scene at {minutes}:{seconds:02}"
+    event = "turn" if motion.turn_deg >= _TURN_DEG else "motion of the static scene"
+    source = f"the {event} at {minutes}:{seconds:02}" + (f" of {video}" if video else "")
     curve = FocalCurve(motion.log_focal, motion.log_likelihood)
     by_motion = source_of_curve("motion", source, curve, before.size_px[0])
     sigma = by_motion.curve.estimate[1]

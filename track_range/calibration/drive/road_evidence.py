@@ -58,18 +58,19 @@ class RoadEvidence:
     motion: SceneMotion | None = None  # of the static scene in all parts; None = none was added
     # height of the camera by the given speed, at the approximate focal length
     heights: CameraHeight = field(default_factory=lambda: CameraHeight(HEIGHT_M))
-    _n_parts: int = 0
+    _videos: list[str] = field(default_factory=list)  # names of those of the parts
 
     def add(
         self,
+        video: str,
         camera: PinholeCamera,
         frames: Iterable[Frame],
         detect: Callable[[Frame], Detections],
         advance: Callable[[int, int | None], None],
         speed: EgoSpeed | None = None,
     ) -> None:
-        """Add a part of a video of an approximate camera, perhaps with its given speed; `advance`
-        is called with the number of frames so far.
+        """Add a part of a `video`, a name, of an approximate camera, perhaps with its given speed;
+        `advance` is called with the number of frames so far.
         """
         tracker, lanes, travel = (
             create_tracker("deepsort"),
@@ -80,8 +81,8 @@ class RoadEvidence:
         if self.motion is None:
             self.motion = SceneMotion(camera.size_px, start_px=camera.fx_px)
         # parts of several videos follow each other with a gap
-        base_s = self._n_parts * _PART_GAP_S
-        self._n_parts += 1
+        base_s = len(self._videos) * _PART_GAP_S
+        self._videos.append(video)
         detections, detected_s = Detections.empty(), -np.inf
         road = None if speed is None else GroundOdometry(camera, HEIGHT_M)
         for frame in every_step(STEP_S, frames):
@@ -89,7 +90,7 @@ class RoadEvidence:
                 detections, detected_s = detect(frame), frame.time_s
                 tracks = tracker.update(detections, frame.time_s, frame.left)
                 rows = np.flatnonzero(tracks.observed & unhidden(tracks.xyxy_px))
-                ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
+                ids = tracks.track_id[rows] + len(self._videos) * _IDS_PER_PART
                 self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
             self.motion.add(frame.left, base_s + frame.time_s, detections.xyxy_px)
             if road is not None and speed is not None:
@@ -110,15 +111,17 @@ class RoadEvidence:
         """All boxes."""
         return SceneBoxes.joined(self.boxes)
 
-    def motion_estimate(self) -> MotionEstimate | None:
-        """The lens from the motion of the static scene, with times in its part; None = nothing was
-        tracked.
+    def motion_estimate(self) -> tuple[MotionEstimate, str] | None:
+        """The lens from the motion of the static scene, with times in its video, and the name of
+        this video, "" for the only one; None = nothing was tracked.
         """
         estimate = None if self.motion is None else self.motion.estimate()
         if estimate is None:
             return None
+        video = self._videos[int(estimate.span_s[0] // _PART_GAP_S)]
         first_s, last_s = (time_s % _PART_GAP_S for time_s in estimate.span_s)
-        return replace(estimate, span_s=(first_s, last_s))
+        shown = video if len(set(self._videos)) > 1 else ""
+        return replace(estimate, span_s=(first_s, last_s)), shown
 
     def horizon(self, focal_px: float) -> tuple[HorizonRow, ...]:
         """The row of the horizon from lanes and from the direction of travel, where enough frames

@@ -18,10 +18,8 @@ def run_of_recordings(arguments: list[str], program: str) -> list[str]:
 
     UsageError: several recordings, whose roles are unknown; the message has the possible commands.
     """
-    names = [*takewhile(lambda argument: not argument.startswith("-"), arguments)]
-    if not names or not all(
-        _is_recorded(name) or "://" in name or Path(name).exists() for name in names
-    ):
+    names = _recordings(arguments)
+    if not names:
         return arguments
     if len(names) == 1:
         typer.echo(f"{program} --mono {shlex.join(arguments)}", err=True)
@@ -37,6 +35,25 @@ def run_of_recordings(arguments: list[str], program: str) -> list[str]:
         f"expected --mono or --stereo before the recordings, found {len(names)} recordings without "
         f"either: use {pair}`{program} {parts}` for the parts of one recording."
     )
+
+
+def refuse_bare(arguments: list[str], program: str, command: str) -> None:
+    """Raise UsageError for recordings without --mono before them, in a program with a sub-command
+    for recordings of drives.
+    """
+    if names := _recordings(arguments):
+        raise UsageError(
+            f"expected --mono or the command {command} before {names[0]}: use `{program} {command} "
+            f"{shlex.join(names)}` for drives of one camera, or `{program} --mono {shlex.quote(names[0])}` for "
+            "one drive, and with --board for images of a board."
+        )
+
+
+def _recordings(arguments: list[str]) -> list[str]:
+    """The first arguments, if all up to the first option name recordings; else none."""
+    names = [*takewhile(lambda argument: not argument.startswith("-"), arguments)]
+    are_recorded = all(_is_recorded(name) or "://" in name or Path(name).exists() for name in names)
+    return names if are_recorded else []
 
 
 def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:

@@ -12,7 +12,7 @@ import typer
 from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
-from track_range.cli.shared.bare_recordings import refuse_expanded
+from track_range.cli.shared.bare_recordings import refuse_bare, refuse_expanded
 from track_range.cli.shared.lazy import CommandGroup, HelpCommand, Lazy, lazy_app
 from track_range.foundation.schemas.options import (
     Options,
@@ -57,7 +57,13 @@ class PairCommand(PairOptions, HelpCommand):
 
 
 class PairGroup(PairOptions, CommandGroup):
-    """Command with the option --stereo that has sub-commands too."""
+    """Command with the option --stereo that has sub-commands too, the first one for recordings."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line; UsageError: recordings without an option or a sub-command."""
+        if not self.modules.keys() & args[:1]:
+            refuse_bare(args, ctx.command_path, next(iter(self.modules)))
+        return super().parse_args(ctx, args)
 
 
 def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:

@@ -39,8 +39,17 @@ def test_expanded_patterns_are_to_be_quoted(cli, arguments, advice):
     assert (status, advice in complaint) == (2, True), complaint
 
 
-def test_other_words_are_no_recordings(cli):
-    status, _, complaint = cli("demoo")
+def test_recordings_of_calibrate_name_both_commands(cli):
+    status, _, complaint = cli("calibrate", "a.mp4", "b c.mp4", "--out", "rig.yaml")
+    assert status == 2
+    assert "`track-range calibrate drive a.mp4 'b c.mp4'`" in complaint
+    assert "`track-range calibrate --mono a.mp4`" in complaint
+    assert "No such command" not in complaint
+
+
+@pytest.mark.parametrize("words", [["demoo"], ["calibrate", "drives"]])
+def test_other_words_are_no_recordings(cli, words):
+    status, _, complaint = cli(*words)
     assert (status, "No such command" in complaint) == (2, True)
 
 
