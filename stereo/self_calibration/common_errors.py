@@ -60,8 +60,8 @@ def pattern_sigma(scenes: Sequence[SceneBundle], lens: RadialLens) -> float:
 class LensCovariance(NamedTuple):
     """Covariances of the parameters of a lens."""
 
-    independent: FloatArray  # (5, 5) with independent errors of the observations
-    common: FloatArray  # (5, 5) with common errors of each group of points
+    independent: FloatArray  # (6, 6) with independent errors of the observations
+    common: FloatArray  # (6, 6) with common errors of each group of points
 
 
 def lens_covariance(
@@ -82,7 +82,7 @@ def lens_covariance(
 def _scores(
     scene: SceneBundle, lens: RadialLens, cauchy_sigmas: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(5, 5) information of a scene, and (G, 5) the scores of its groups."""
+    """(6, 6) information of a scene, and (G, 6) the scores of its groups."""
     linear = scene.linearize(lens)
     shared, blocks, weight = shared_equations(scene, linear, cauchy_sigmas, damping=0.0)
     by_point = _by_point(scene, linear, blocks, weight)
@@ -97,7 +97,7 @@ def _by_point(
     scene: SceneBundle, linear: Linear, blocks: PointBlocks, weight: FloatArray
 ) -> FloatArray:
     """(P, C) the part of each point in b_x - W^T V^-1 b_y."""
-    frame, point, _ = scene.observed
+    frame, point, *_ = scene.observed
     n_points, n_frames = len(scene.ray), len(scene.rotation)
     weighted = (linear.residual * weight[:, None])[:, None, :]
     by_pose = np.zeros((n_points, n_frames, 6))

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.self_calibration.common_errors import LensCovariance, lens_covariance
+from track_range.stereo.self_calibration.corner_tracks import KeyPoints
 from track_range.stereo.self_calibration.radial_lens import (
     CX,
     CY,
@@ -23,6 +24,7 @@ from track_range.stereo.self_calibration.radial_lens import (
     K2,
     LOG_FOCAL,
     N_PARAMETERS,
+    READOUT,
     RadialLens,
 )
 from track_range.stereo.self_calibration.scene_bundle import (
@@ -50,6 +52,8 @@ _MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
 _ROUND_GAIN, _LAST_GAIN, _PROFILE_GAIN = 2.0, 0.01, 0.3
 # prior sigma of k1, and of the principal point as a fraction of the image width
 _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
+# mean and standard deviation of the readout: 0 to 30 ms, usual of cameras of cars and phones
+_READOUT_S = 0.015, 0.01
 FOCAL_RANGE = (0.3, 3.5)  # of the focal length, in image widths
 # prior sigma of k1 and k2 of a distorted lens, and the decrease of the cost, relative to it, that
 # shows one; without distortion it is below 0.001 (simulated drives, seeds 700 to 711)
@@ -58,17 +62,38 @@ _DISTORTED_SIGMA, _DISTORTED_GAIN = 0.3, 0.01
 _LOG_FOCAL_SIGMA = 10.0
 
 
-def observed_points(numbers: Sequence[np.ndarray], xy_px: Sequence[FloatArray]) -> Observed | None:
+def observed_points(keyframes: Sequence[KeyPoints], height_px: int) -> Observed | None:
     """The points of some keyframes that enough of them show; None with too few."""
+    numbers = [key_points.number for key_points in keyframes]
     number = np.concatenate(numbers)
     frame = np.repeat(np.arange(len(numbers)), [len(one) for one in numbers])
     _, point, count = np.unique(number, return_inverse=True, return_counts=True)
     is_used = count >= MIN_OBSERVATIONS
     if is_used.sum() < MIN_POINTS:
         return None
-    observed = Observed(frame, point, np.concatenate(xy_px)).only_points(is_used)
+    xy_px = np.concatenate([key_points.xy_px for key_points in keyframes])
+    used = Observed(frame, point, xy_px, np.zeros_like(xy_px)).only_points(is_used)
+    time_s = np.array([key_points.time_s for key_points in keyframes])[used.frame]
+    after_middle = used.xy_px[:, 1:] / (height_px - 1) - 0.5
+    row_flow = after_middle * _velocities(used.point, time_s, used.xy_px)
+    observed = used._replace(row_flow=row_flow)
     has_all_frames = len(np.unique(observed.frame)) == len(numbers)
     return observed if has_all_frames else None
+
+
+def _velocities(point: IntArray, time_s: FloatArray, xy_px: FloatArray) -> FloatArray:
+    """(N, 2) velocities, px/s, by a parabola through three views of a point; each has as many."""
+    order = np.lexsort((time_s, point))
+    is_other = np.diff(point[order]) != 0
+    middle = np.arange(len(order)) + np.r_[True, is_other] - np.r_[is_other, True]
+    now_s, time_s, xy_px = time_s[order], time_s[order], xy_px[order]
+    slopes = np.diff(xy_px, axis=0) / np.where(is_other, np.inf, np.diff(time_s))[:, None]
+    span_s = time_s[middle + 1] - time_s[middle - 1]
+    bend = (slopes[middle] - slopes[middle - 1]) / span_s[:, None]
+    after_s = 2 * now_s - time_s[middle] - time_s[middle - 1]
+    velocity = np.zeros_like(xy_px)
+    velocity[order] = slopes[middle - 1] + bend * after_s[:, None]
+    return velocity
 
 
 def started_scene(
@@ -152,6 +177,7 @@ def _lens_prior(width_px: int) -> LensPrior:
     mean, sigma = np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS)
     mean[LOG_FOCAL], sigma[LOG_FOCAL] = np.log(width_px), _LOG_FOCAL_SIGMA
     sigma[K1] = _K1_SIGMA
+    mean[READOUT], sigma[READOUT] = _READOUT_S
     sigma[[CX, CY]] = _CENTRE_SIGMA * width_px
     low, high = np.log(np.array(FOCAL_RANGE) * width_px).tolist()
     return LensPrior(mean, sigma, (low, high))

@@ -18,8 +18,8 @@ from track_range.stereo.lenses.kannala_brandt import distorted_angle
 
 Family = Literal["pinhole", "equidistant"]
 # the shared parameters of a bundle, by their numbers
-LOG_FOCAL, K1, K2, CX, CY = range(5)
-N_PARAMETERS = 5
+LOG_FOCAL, K1, K2, CX, CY, READOUT = range(6)
+N_PARAMETERS = 6
 # smallest depth ahead, and distance from the axis at which s has a derivative, for |q| = 1
 _MIN_Z, _MIN_RADIUS = 1e-3, 1e-4
 # largest angle from the axis of an image with straight lines
@@ -28,8 +28,8 @@ _MAX_ANGLE_RAD = 1.2
 
 @dataclass(frozen=True, slots=True)
 class RadialLens:
-    """A lens; `parameters` (5,) are log f (px), k1, k2, and the principal point from the image
-    centre (px).
+    """A lens; `parameters` (6,) are log f (px), k1, k2, the principal point from the image centre
+    (px), and the time in which the rows of an image are read out (s).
     """
 
     parameters: FloatArray
@@ -41,7 +41,7 @@ class RadialLens:
         cls, focal_px: float, size_px: tuple[int, int], family: Family = "pinhole"
     ) -> Self:
         """The lens without distortion and with its principal point at the centre of the image."""
-        parameters = np.array([np.log(focal_px), 0.0, 0.0, 0.0, 0.0])
+        parameters = np.array([np.log(focal_px), 0.0, 0.0, 0.0, 0.0, 0.0])
         return cls(parameters, (np.array(size_px) - 1) / 2, family)
 
     @property
@@ -50,12 +50,12 @@ class RadialLens:
         return float(np.exp(self.parameters[LOG_FOCAL]))
 
     def moved(self, step: FloatArray) -> Self:
-        """The lens after a step (5,) of its parameters."""
+        """The lens after a step (6,) of its parameters."""
         return replace(self, parameters=self.parameters + step)
 
     def directions(self, xy_px: FloatArray) -> FloatArray:
         """(N, 3) unit directions of pixels (N, 2), to first order in the distortion."""
-        _, k1, k2, cx, cy = self.parameters
+        _, k1, k2, cx, cy, _ = self.parameters
         m = (xy_px - self.centre_px - (cx, cy)) / self.focal_px
         radius = np.hypot(m[:, 0], m[:, 1])
         undistorted = radius / (1 + k1 * radius**2 + k2 * radius**4)
@@ -85,7 +85,7 @@ class RadialLens:
 
     def project(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels (N, 2) of points (N, 3), and their derivatives by the points (N, 2, 3) and by the
-        parameters (N, 2, 5).
+        parameters (N, 2, 6); the readout is that of `SceneBundle`.
 
         Points that the lens does not image have NaN.
         """
@@ -99,7 +99,7 @@ class RadialLens:
         slope[:, :, LOG_FOCAL] = from_centre
         slope[:, :, K1 : K2 + 1] = f * xy[:, :, None] * by_k[:, None, :]
         slope[:, 0, CX] = slope[:, 1, CY] = 1.0
-        return from_centre + self.centre_px + self.parameters[CX:], point_slope, slope
+        return from_centre + self.centre_px + self.parameters[CX : CY + 1], point_slope, slope
 
     def _pinhole(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(N,) s, (N, 3) its derivatives by q, and (N, 2) by k1 and k2."""

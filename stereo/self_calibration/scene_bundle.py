@@ -29,7 +29,7 @@ from track_range.stereo.geometry.bundle_equations import (
     point_blocks,
     pose_equations,
 )
-from track_range.stereo.self_calibration.radial_lens import LOG_FOCAL, RadialLens
+from track_range.stereo.self_calibration.radial_lens import LOG_FOCAL, READOUT, RadialLens
 
 # residual of a point that the lens does not image, px: it weighs nothing
 _NOT_IMAGED_PX = 50.0
@@ -51,11 +51,16 @@ class Observed(NamedTuple):
     frame: IntArray  # (N,) frame numbers from 0
     point: IntArray  # (N,) point numbers from 0
     xy_px: FloatArray  # (N, 2)
+    # (N, 2) pixels that a point moves until its row is read out, from the middle of the image on, per
+    # second of the whole readout
+    row_flow: FloatArray
 
     def only_points(self, is_used: BoolArray) -> "Observed":
         """The observations of the points in the mask (P,), with points renumbered."""
         rows, number = is_used[self.point], np.cumsum(is_used) - 1
-        return Observed(self.frame[rows], number[self.point[rows]], self.xy_px[rows])
+        return Observed(
+            self.frame[rows], number[self.point[rows]], self.xy_px[rows], self.row_flow[rows]
+        )
 
     def median_flow_px(self, frame: int) -> FloatArray:
         """(2,) median flow to a frame from the one before; 0 with too few common points."""
@@ -125,7 +130,7 @@ class SceneBundle:
 
         The scene moves with the focal length, see `stretched`.
         """
-        frame, point, xy_px = self.observed
+        frame, point, xy_px, row_flow = self.observed
         r, translation = self.inverse_distance[point, None], self.translation[frame]
         turned = self._turned()
         q = turned[:, :, 0] + r * translation
@@ -142,7 +147,8 @@ class SceneBundle:
         flat_turn = _turn_vectors(self.rotation) * _ACROSS
         by_lens[:, :, LOG_FOCAL] += slopes[:, :, 6]
         by_lens[:, :, LOG_FOCAL] -= np.einsum("nmi,ni->nm", slopes[:, :, :3], flat_turn[frame])
-        residual = xy_px - expected_px
+        residual = xy_px - expected_px - lens.parameters[READOUT] * row_flow
+        by_lens[:, :, READOUT] = row_flow
         is_lost = ~np.isfinite(residual).all(axis=1)
         residual[is_lost] = _NOT_IMAGED_PX
         for slope in (by_pose, by_point, by_lens):
@@ -158,7 +164,7 @@ class SceneBundle:
         )
         # products of all frames and points are one matrix product, cheaper than those observed
         turned = np.tensordot(columns, self.rotation, axes=(1, 2))  # (P, 4, F, 3)
-        frame, point, _ = self.observed
+        frame, point, *_ = self.observed
         return np.asarray(turned[point, :, frame].transpose(0, 2, 1))
 
     def stretched(self, log_ratio: float) -> Self:
@@ -225,19 +231,19 @@ def _turn_vectors(rotation: FloatArray) -> FloatArray:
 class LensPrior(NamedTuple):
     """Independent normal distributions of the parameters of a lens; sigma 0 keeps a parameter."""
 
-    mean: FloatArray  # (5,)
-    sigma: FloatArray  # (5,)
+    mean: FloatArray  # (6,)
+    sigma: FloatArray  # (6,)
     # limits of the logarithm of the focal length
     log_focal_range: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def is_free(self) -> BoolArray:
-        """(5,) parameters that are estimated."""
+        """(6,) parameters that are estimated."""
         return np.asarray(self.sigma > 0.0)
 
     @property
     def information(self) -> FloatArray:
-        """(5,) 1 / sigma^2; 0 for parameters that are kept."""
+        """(6,) 1 / sigma^2; 0 for parameters that are kept."""
         return np.asarray(
             np.where(self.is_free, 1 / np.where(self.is_free, self.sigma, 1.0) ** 2, 0)
         )
@@ -338,7 +344,7 @@ def _step(
 def _limited_step(
     information: FloatArray, right_side: FloatArray, lens: RadialLens, prior: LensPrior
 ) -> FloatArray:
-    """(5,) step of the free parameters; of the focal length a limited one, then of the others with
+    """(6,) step of the free parameters; of the focal length a limited one, then of the others with
     it.
     """
     step, free = np.zeros(len(right_side)), np.flatnonzero(prior.is_free)
@@ -363,7 +369,7 @@ def shared_equations(
     observations.
     """
     weight = cauchy_weights(linear.residual, cauchy_sigmas * scene.noise_px) / scene.noise_px**2
-    frame, point, _ = scene.observed
+    frame, point, *_ = scene.observed
     n_frames = len(scene.rotation)
     blocks = point_blocks(
         frame,

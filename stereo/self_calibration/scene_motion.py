@@ -5,10 +5,9 @@ the profile likelihood of the focal length (`focal_profile`). A turn moves far p
 f tan(angle), and the images of near points tell the turn from a sideways motion; on a straight road
 the focal length and the depth of everything are interchangeable, and the likelihood is flat.
 
-Sigma contains the noise of the tracks and the errors that they have in common. It does not contain
-a rolling shutter: synthetic scenes of 2.2 s with bumps, read out in 30 ms, give a focal length that
-is 2.6 % too small in a turn of 9 degrees, 1.1 % in one of 18 degrees and 0.4 % in one of 33 degrees
-(10 ms: a third of it).
+Rows that are read out one after another see a turning camera at different times. The readout is a
+parameter of the bundle with a usual prior, which a turn or a bumpy road narrows to some ms, and
+sigma contains it with the noise of the tracks and the errors that they have in common.
 """
 
 import math
@@ -28,7 +27,7 @@ from track_range.stereo.self_calibration.focal_profile import (
     observed_points,
     started_scene,
 )
-from track_range.stereo.self_calibration.radial_lens import K1, LOG_FOCAL, RadialLens
+from track_range.stereo.self_calibration.radial_lens import K1, LOG_FOCAL, READOUT, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 
 N_KEYFRAMES = 12  # of a scene
@@ -56,6 +55,7 @@ class MotionEstimate:
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
     coefficients: tuple[float, ...]  # OpenCV's, of the distortion
     k1_sigma: float  # standard deviation of the first radial coefficient of their series
+    readout_s: float  # time in which the rows of an image are read out
     turn_deg: float  # largest change of the heading in a scene
     span_s: tuple[float, float]  # first and last time of that scene
     n_points: int  # tracked static points
@@ -96,28 +96,29 @@ class SceneMotion:
 
     def estimate(self) -> MotionEstimate | None:
         """The estimate from the images so far; None if nothing was tracked."""
-        parts = _largest_turns([*self._parts, *_part_of(self._keyframes)])
+        parts = _largest_turns([*self._parts, *_part_of(self._keyframes, self._small_px[1])])
         started = [part.started(self._start) for part in parts]
         scenes = [scene for scene in started if scene is not None]
         if not scenes:
             return None
-        profile = focal_profile(scenes, self._start, self._width_px)
+        profile = focal_profile(scenes, self._start, self._small_px[0])
         return None if profile is None else self._estimate(profile)
 
     @property
-    def _width_px(self) -> int:
-        return self._size_px[0] >> self._tracks.n_halved
+    def _small_px(self) -> tuple[int, int]:
+        """Width and height of the tracked images."""
+        width_px, height_px = self._size_px
+        return width_px >> self._tracks.n_halved, height_px >> self._tracks.n_halved
 
     @property
     def _start(self) -> RadialLens:
-        width_px, height_px = (side >> self._tracks.n_halved for side in self._size_px)
-        return RadialLens.of_focal_length(self._start_px / self._scale, (width_px, height_px))
+        return RadialLens.of_focal_length(self._start_px / self._scale, self._small_px)
 
     def _close(self) -> None:
-        self._parts = _largest_turns([*self._parts, *_part_of(self._keyframes)])
+        self._parts = _largest_turns([*self._parts, *_part_of(self._keyframes, self._small_px[1])])
 
     def _estimate(self, profile: FocalProfile) -> MotionEstimate:
-        lowest, highest = np.log(np.array(FOCAL_RANGE) * self._width_px).tolist()
+        lowest, highest = np.log(np.array(FOCAL_RANGE) * self._small_px[0]).tolist()
         log_focal = np.linspace(lowest, highest, _N_GRID)
         log_likelihood = -interpolated(profile, log_focal) / (2 * _widening(profile))
         weight = np.exp(log_likelihood - log_likelihood.max())
@@ -133,6 +134,7 @@ class SceneMotion:
             sigma=sigma,
             coefficients=profile.fit.lens.opencv_distortion(),
             k1_sigma=math.hypot(_COMMON_FACTOR * sigma_of[K1], _LEAST_K1_SIGMA),
+            readout_s=float(profile.fit.lens.parameters[READOUT]),
             turn_deg=abs(widest.turn_deg),
             span_s=widest.span_s,
             n_points=sum(len(scene.ray) for scene in profile.fit.scenes),
@@ -157,14 +159,11 @@ class _Part:
         return self.scene
 
 
-def _part_of(keyframes: Sequence[KeyPoints]) -> list[_Part]:
+def _part_of(keyframes: Sequence[KeyPoints], height_px: int) -> list[_Part]:
     """The part of some keyframes, or none if there are too few."""
     if len(keyframes) < _MIN_KEYFRAMES:
         return []
-    observed = observed_points(
-        [key_points.number for key_points in keyframes],
-        [key_points.xy_px for key_points in keyframes],
-    )
+    observed = observed_points(keyframes, height_px)
     if observed is None:
         return []
     flow_px = np.stack([observed.median_flow_px(frame) for frame in range(1, len(keyframes))])

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.lenses.pinhole import first_radial
 from track_range.stereo.self_calibration.corner_tracks import KeyPoints
-from track_range.stereo.self_calibration.radial_lens import K1, Family, RadialLens
+from track_range.stereo.self_calibration.radial_lens import K1, READOUT, Family, RadialLens
 from track_range.stereo.self_calibration.scene_bundle import Observed, SceneBundle
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
 
@@ -27,8 +27,11 @@ def keyframes(
     n_points: int = 250,
     noise_px: float = 0.0,
     fraction_moving: float = 0.0,
+    readout_s: float = 0.0,
 ) -> list[KeyPoints]:
-    """A drive of 10 m/s through a street of random points; moving points drive ahead at 5 m/s."""
+    """A drive of 10 m/s through a street of random points; moving points drive ahead at 5 m/s. Rows
+    are read out from top to bottom, the middle one at the time of the keyframe.
+    """
     rng = np.random.default_rng(3)
     seen = []
     world_m = np.column_stack(
@@ -39,19 +42,31 @@ def keyframes(
         ]
     )
     is_moving = rng.random(n_points) < fraction_moving
-    position_m, yaw_rad = np.zeros(3), 0.0
     for number in range(n_keyframes):
-        rotation = cv2.Rodrigues(np.array([0.0, -yaw_rad, 0.0]))[0]
-        now_m = world_m + is_moving[:, None] * np.array([0.4, 0.0, 1.0]) * number
-        camera_m = (now_m - position_m) @ rotation.T
-        xy_px = lens.project(camera_m)[0] + rng.normal(0.0, noise_px, (n_points, 2))
+        time_s = np.full(n_points, 0.2 * number)
+        for _ in range(4 if readout_s else 1):
+            camera_m = in_camera(world_m, time_s, yaw_rate_deg_s, is_moving)
+            xy_px = lens.project(camera_m)[0]
+            row = np.nan_to_num(np.clip(xy_px[:, 1] / (SIZE_PX[1] - 1), 0.0, 1.0), nan=0.5)
+            time_s = 0.2 * number + readout_s * (row - 0.5)
+        xy_px = xy_px + rng.normal(0.0, noise_px, (n_points, 2))
         with np.errstate(invalid="ignore"):
             is_seen = ((xy_px > 0) & (xy_px < SIZE_PX)).all(axis=1) & (camera_m[:, 2] > 2.0)
         rows = np.flatnonzero(is_seen)
         seen.append(KeyPoints(0.2 * number, rows, xy_px[rows]))
-        yaw_rad += np.radians(yaw_rate_deg_s) * 0.2
-        position_m = position_m + 2.0 * np.array([np.sin(yaw_rad), 0.0, np.cos(yaw_rad)])
     return seen
+
+
+def in_camera(
+    world_m: FloatArray, time_s: FloatArray, yaw_rate_deg_s: float, is_moving: BoolArray
+) -> FloatArray:
+    """Points in the camera at their times on an arc."""
+    yaw_rad = np.radians(yaw_rate_deg_s) * time_s
+    chord_m = 10.0 * time_s * np.sinc(yaw_rad / 2 / np.pi)
+    x_m, y_m, z_m = (world_m + (is_moving * time_s)[:, None] * np.array([2.0, 0.0, 5.0])).T
+    x_m, z_m = x_m - chord_m * np.sin(yaw_rad / 2), z_m - chord_m * np.cos(yaw_rad / 2)
+    sin, cos = np.sin(yaw_rad), np.cos(yaw_rad)
+    return np.column_stack([cos * x_m - sin * z_m, y_m, sin * x_m + cos * z_m])
 
 
 def estimate(drive: list[KeyPoints], start_px: float = 1000.0) -> MotionEstimate:
@@ -64,14 +79,14 @@ def estimate(drive: list[KeyPoints], start_px: float = 1000.0) -> MotionEstimate
 
 
 def changed(lens: RadialLens, parameter: int, value: float) -> RadialLens:
-    step = np.zeros(5)
+    step = np.zeros(6)
     step[parameter] = value
     return lens.moved(step)
 
 
 @pytest.mark.parametrize("family", ["pinhole", "equidistant"])
 def test_derivatives_of_the_lens_equal_finite_differences(family: Family) -> None:
-    lens = RadialLens(np.array([6.5, -0.1, 0.02, 3.0, -4.0]), np.array([600.0, 200.0]), family)
+    lens = RadialLens(np.array([6.5, -0.1, 0.02, 3.0, -4.0, 0.0]), np.array([600.0, 200.0]), family)
     q = np.random.default_rng(1).uniform([-1.0, -0.5, 0.7], [1.0, 0.5, 1.5], (20, 3))
     _, by_q, by_parameters = lens.project(q)
     small = 1e-6
@@ -103,7 +118,7 @@ def test_coefficients_of_a_wide_lens_hold_up_to_the_corners(k1: float, k2: float
     """110 degrees across; k1 of the series of theta (1 + k1 theta^2) is that of tan(theta) - 1/3."""
     edge_rad = np.radians(55.0)
     focal_px = 639.5 / (edge_rad * (1 + k1 * edge_rad**2 + k2 * edge_rad**4))
-    parameters = np.array([np.log(focal_px), k1, k2, 0.0, 0.0])
+    parameters = np.array([np.log(focal_px), k1, k2, 0.0, 0.0, 0.0])
     lens = RadialLens(parameters, np.array([639.5, 359.5]), "equidistant")
     camera = PinholeCamera.of_focal_length(focal_px, (1280, 720))
     camera = replace(camera, distortion=lens.opencv_distortion())
@@ -118,7 +133,7 @@ def test_derivatives_of_the_scene_equal_finite_differences() -> None:
     rng = np.random.default_rng(2)
     ray = rng.normal(size=(6, 3)) * [0.3, 0.2, 0.0] + [0.0, 0.0, 1.0]
     scene = SceneBundle(
-        Observed(np.ones(6, np.int64), np.arange(6), np.zeros((6, 2))),
+        Observed(np.ones(6, np.int64), np.arange(6), *rng.normal(size=(2, 6, 2))),
         np.stack([np.eye(3), cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]]),
         np.array([[0.0, 0.0, 0.0], [0.1, -0.05, -0.99]]),
         ray / np.linalg.norm(ray, axis=1, keepdims=True),
@@ -136,6 +151,10 @@ def test_derivatives_of_the_scene_equal_finite_differences() -> None:
         assert (linear.residual - moved.residual) / small == pytest.approx(
             linear.by_pose[:, :, axis], rel=1e-3, abs=1e-2
         )
+    later = scene.linearize(changed(lens, READOUT, small))
+    assert (linear.residual - later.residual) / small == pytest.approx(
+        linear.by_shared[:, :, READOUT], rel=1e-6, abs=1e-6
+    )
     for axis in range(3):
         step = np.tile(small * np.eye(3)[axis], (6, 1))
         ray = scene.ray + (scene.tangents() @ step[:, :2, None])[:, :, 0]
@@ -151,6 +170,17 @@ def test_exact_focal_length_from_a_turn() -> None:
     assert found.turn_deg == pytest.approx(11 * 0.2 * 8.0, abs=0.1)
     assert found.span_s == pytest.approx((0.0, 2.2))
     assert found.sigma < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("readout_s", [0.0, 0.015, 0.03])
+def test_rolling_shutter_is_found_in_a_turn(readout_s: float) -> None:
+    """Taken for a global shutter, 30 ms would make the focal length too small."""
+    drive = keyframes(yaw_rate_deg_s=12.0, n_points=400, noise_px=0.1, readout_s=readout_s)
+    found = estimate(drive)
+    assert found.readout_s == pytest.approx(readout_s, abs=0.005)
+    assert found.focal_px == pytest.approx(FOCAL_PX, rel=0.008)
+    assert abs(np.log(found.focal_px / FOCAL_PX)) < 2 * found.sigma
 
 
 def test_straight_drive_is_unknown() -> None:
@@ -179,7 +209,7 @@ def test_distorted_and_wide_lenses_are_recognised(
     family: Family, focal_px: float, k1: float, k2: float
 ) -> None:
     """The radial distortion is right to 2 px up to the edge, also of a lens of 110 degrees."""
-    lens = RadialLens(np.array([np.log(focal_px), k1, k2, 0.0, 0.0]), LENS.centre_px, family)
+    lens = RadialLens(np.array([np.log(focal_px), k1, k2, 0.0, 0.0, 0.0]), LENS.centre_px, family)
     found = estimate(keyframes(lens, n_points=500, noise_px=0.1))
     assert found.focal_px == pytest.approx(focal_px, rel=0.01)
     angle = np.linspace(0.0, 0.9, 50)

@@ -47,6 +47,7 @@ def motion(focal_px=1000.0, sigma=0.02, **changes):
         "sigma": sigma,
         "coefficients": (-0.1, 0.0, 0.0, 0.0),
         "k1_sigma": 0.01,
+        "readout_s": 0.0,
         "turn_deg": 30.0,
         "span_s": (42.3, 44.3),
         "n_points": 500,
