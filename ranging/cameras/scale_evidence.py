@@ -13,6 +13,7 @@ from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.unknowns import Unknown
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
+from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA, shared_variance
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
@@ -20,17 +21,14 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 
 # of the scale of stereo odometry with a right rig, and of the motion of the road
 _ODOMETRY_SIGMA, _ROAD_SIGMA = 0.01, 0.02
+_GIVEN_SPEED = "the given speed"  # name of its evidence
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _MAX_LANE_CHI2 = 4.0  # a wrong lane, or a road of unusual lanes, excludes nothing alone
 # speed that vehicles hardly exceed, and the sigma of its logarithm
 MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15
 # frames of a speed, and its largest change: odometry of unrelated images is not steady
 _N_STEADY, _STEADY = 8, 1.3
-# of the sizes of a class in a drive, in addition to those of all classes (`unknowns`)
-CLASS_SIGMA = 0.065
 _MAX_RESIDUAL_PX = 0.3  # common error of disparities up to which it is not estimated here
-# of sizes that objects have in common, and its largest fraction
-_SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4
 # of distances by size and of heights that are evidence, relative
 _MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2
 _MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
@@ -90,9 +88,7 @@ class SizeEvidence:
             is_used = (
                 tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA)
             )
-            size_variance = size_sigma**2 - np.minimum(
-                _SHARED_VARIANCE, _MAX_SHARED * size_sigma**2
-            )
+            size_variance = size_sigma**2 - shared_variance(size_sigma**2)
             r, r_variance, inverse_px, q, q_variance = np.full((5, len(tracks)), np.nan)
             if stereo is not None:
                 r = np.log(stereo.distance_m / by_size.distance_m)
@@ -233,15 +229,13 @@ class SpeedEvidence:
     def _of_given(self, log_ratio: float, sigma: float, by_road: bool) -> Evidence:
         """The ratio of the given to the measured speed."""
         given_sigma = float(np.median(self._given_sigmas)) if self._given_sigmas else 0.0
-        name = "the given speed"
         if by_road:
-            of = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0}
-            of |= {Unknown.SPEED: 1.0, Unknown.FRAME_RATE: -1.0}
             value = log_ratio + self._log_road_height - self._log_height
-            return Evidence(name, of, value, math.hypot(sigma, given_sigma, _ROAD_SIGMA))
+            return height_by_speed(value, math.hypot(sigma, given_sigma))
         of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
         of |= {Unknown.SPEED: -1.0, Unknown.FRAME_RATE: 1.0}
-        return Evidence(name, of, -log_ratio, math.hypot(sigma, given_sigma, _ODOMETRY_SIGMA))
+        sigma = math.hypot(sigma, given_sigma, _ODOMETRY_SIGMA)
+        return Evidence(_GIVEN_SPEED, of, -log_ratio, sigma)
 
     @property
     def bounds(self) -> list[Evidence]:
@@ -251,6 +245,14 @@ class SpeedEvidence:
         log_factor = math.log(self._max_mps / MAX_MPS)
         of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0, Unknown.FRAME_RATE: 1.0}
         return [Evidence("the speed of the camera", of, log_factor, _MAX_MPS_SIGMA)]
+
+
+def height_by_speed(value: float, sigma: float) -> Evidence:
+    """The height of a camera by its given speed and the motion of the road, which has the scale of
+    this height: the logarithm of the height over the assumed one, at the assumed focal length.
+    """
+    of = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0, Unknown.SPEED: 1.0, Unknown.FRAME_RATE: -1.0}
+    return Evidence(_GIVEN_SPEED, of, value, math.hypot(sigma, _ROAD_SIGMA))
 
 
 class LaneEvidence:

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 
 from track_range.ranging.size_models.region import Region
+from track_range.ranging.size_models.shared_sizes import common_sigma
 from track_range.stereo.geometry.focal_curve import FocalCurve
 
 Kind = Literal["given", "usual", "unknown"]
@@ -74,9 +75,6 @@ _UNUSUAL_SIGMA, _P_UNUSUAL = 0.7, 0.12
 # of boards' calibrations, of a given focal length, of a given height, and of the scale of receivers
 _RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
 _CLOCK_SIGMA = 0.001  # of the clocks of cameras
-# of the sizes of all classes, if the region is known, and if it is not: with those of a class
-# (`scale_evidence.CLASS_SIGMA`) 0.07 and 0.085
-_SIZES_SIGMA = 0.026, 0.055
 
 # standard deviations of wrong given values and the probability of each: measured badly, and wrong
 # by any factor; boards have squares of all sizes
@@ -142,7 +140,7 @@ def camera_priors(
         height = Prior(_GIVEN_SIGMA, "given", height_m)
     focal_kind: Kind = "given" if focal_sigma <= KNOWN_FOCAL else "unknown"
     priors = {
-        Unknown.SIZES: Prior(_SIZES_SIGMA[region == "unknown"], "unknown"),
+        Unknown.SIZES: Prior(common_sigma(region), "unknown"),
         Unknown.HEIGHT: height,
         Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), focal_kind, focal_px),
         Unknown.SPEED: Prior(_SPEED_SIGMA),

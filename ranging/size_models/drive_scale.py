@@ -31,15 +31,14 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
+from track_range.ranging.size_models.shared_sizes import (
+    CLASS_SIGMA,
+    DRIVE_VARIANCE,
+    KNOWN_REGION_SIGMA,
+    shared_variance,
+)
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-# of a and c_k: together 0.07, as drives of unknown region and detector have
-_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.065
-
-_PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
-
-# largest fraction of the systematic variance of a distance by size that the drive is taken to cause
-_MAX_SHARED = 0.4
 # time over which the errors of a track's frames are correlated: pitch, and boxes of a detector
 _CORRELATED_S = 0.5
 _MEMORY_S = 180.0  # time constant with which tracks are forgotten: streets change
@@ -127,9 +126,7 @@ class DriveScale:
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))
     # (K,) its variance
-    variance: FloatArray = field(
-        default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE)
-    )
+    variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), DRIVE_VARIANCE))
     _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
     _corrections: _Corrections = field(
         default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0)))
@@ -155,8 +152,8 @@ class DriveScale:
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = (by_size.sigma_m / by_size.distance_m) ** 2
             systematic = _systematic_variance(by_size)
-        shared = np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
-        explained = shared * (1.0 - self.variance[class_id] / _PRIOR_VARIANCE)
+        shared = shared_variance(systematic)
+        explained = shared * (1.0 - self.variance[class_id] / DRIVE_VARIANCE)
         remaining = systematic - explained
         information, weighted_ratio = self._corrections.of(by_size.track_id)
         gain = remaining * information / (1.0 + remaining * information)
@@ -217,7 +214,7 @@ class DriveScale:
         if step_s == 0.0 or not len(rows):
             return replace(self, _last_s=last_s)
         ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
-        own = systematic[rows] - np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic[rows])
+        own = systematic[rows] - shared_variance(systematic[rows])
         frame = _Tracks(
             ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s)
         )
@@ -249,7 +246,7 @@ class DriveScale:
         A = np.zeros((len(m), 1 + n_classes))
         A[:, 0] = 1.0
         A[np.arange(len(m)), 1 + tracks.class_id] = 1.0
-        prior = np.diag([_COMMON_SIGMA**-2, *[_CLASS_SIGMA**-2] * n_classes])
+        prior = np.diag([KNOWN_REGION_SIGMA**-2, *[CLASS_SIGMA**-2] * n_classes])
         log_factor = self.log_factor
         for _ in range(_N_ROUNDS):
             residual2 = (m - log_factor[tracks.class_id]) ** 2 / (
@@ -263,7 +260,7 @@ class DriveScale:
         return replace(
             self,
             log_factor=log_factor,
-            variance=np.minimum(class_variance + reference_sigma**2, _PRIOR_VARIANCE),
+            variance=np.minimum(class_variance + reference_sigma**2, DRIVE_VARIANCE),
         )
 
     def summary(self) -> dict[str, Any]:
