@@ -14,12 +14,12 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
     lane of width W in a row          v - y0 - r u - H w / W
     horizon in a row                  v - y0                           lane lines, direction of travel; Cauchy loss
     other road users                  v - y0 - r u - H e^-b f / D'     Cauchy loss; D' = D(f) - offset with the last f
-    priors                            f (focal_evidence), H, y0, r, b
+    priors                            f, H, b (`unknowns`), y0, r
 
 Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
 unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
 approximation). Standard deviations are computed at the parameters of the previous fit, so that they do not attract the
-fit.
+fit. f, H and b are unknowns of the cameras' posterior (b = -a), in which the fit without their priors is evidence.
 """
 
 import math
@@ -31,11 +31,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownLane,
     KnownObject,
 )
+from track_range.ranging.cameras.unknowns import CameraPriors, Unknown
+from track_range.ranging.size_models.shared_sizes import shared_variance
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     SIZE_CLASSES,
@@ -45,18 +48,17 @@ from track_range.ranging.size_models.size_model import (
     surface_offset_m,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_guess import FocalGuess
 
 _Real = TypeVar("_Real", float, FloatArray)
 # theta, in this order
 PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")
 _LOG_F, _LOG_H, _Y0, _ROLL, _SIZE = range(len(PARAMETERS))
-# prior of the camera height, and its relative sigma: 1.2 m (cars) to 1.9 m (vans)
-HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
+# parameters that are unknowns of the cameras' posterior, and their signs in it
+_SHARED, _SIGNS = (_LOG_F, _LOG_H, _SIZE), np.array([-1.0, 1.0, -1.0])
+_UNKNOWNS = Unknown.FOCAL, Unknown.HEIGHT, Unknown.SIZES
+_LEAST_INFORMATION = 1e-4  # of a sum of unknowns about which the measurements say anything
 PITCH_SIGMA_RAD = 0.07  # prior standard deviation of the pitch of the camera, 4 degrees
 _ROLL_SIGMA = 0.02  # prior standard deviation of the tangent of the roll
-# of the log ratio of one street's sizes to those of the size model, of KITTI's drives
-_SIZE_SIGMA = 0.04
 _PICKED_EDGE_PX = 1.5  # standard deviation of an edge of a box drawn by hand
 _SHAPE_SIGMA = 0.015  # of the ratio of a box to a known height or width: objects are not flat
 # standard deviation of pitch and slope of the road at one time about those of the drive
@@ -106,6 +108,8 @@ class CameraFit:
     # factor of all sigmas by contradictions (Birge's ratio, or larger by one residual); 1 = none
     contradiction: float = 1.0
     largest_deviation: tuple[str, float] = ("", 0.0)  # measurement or prior, and its sigmas
+    # what the measurements say without the priors of focal length, height and sizes
+    evidence: tuple[Evidence, ...] = ()
 
     @property
     def focal_sigma(self) -> float:
@@ -183,17 +187,14 @@ class _BySize:
 
 def fit_camera(
     size_px: tuple[int, int],
-    focal: FocalGuess,
+    priors: CameraPriors,
     sizes: SizeModel,
     measured: CameraMeasurements,
-    *,
-    height: tuple[float, float] = (HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M),
 ) -> CameraFit:
-    """The camera that agrees best with all measurements, for images of `size_px` (width, height).
-
-    `height` is the camera height in m and its standard deviation.
+    """The camera that agrees best with all measurements and the priors of its focal length, height
+    and sizes, for images of `size_px` (width, height).
     """
-    terms = _Terms(size_px, focal, sizes, measured, height)
+    terms = _Terms(size_px, priors, sizes, measured)
     fit = least_squares(terms.residuals, terms.prior_mean, x_scale=terms.prior_sigma)
     for _ in range(_N_REWEIGHTS):
         terms.reweight(fit.x)
@@ -201,9 +202,8 @@ def fit_camera(
     deviations = terms.deviations(fit.x)
     contradiction = _contradiction([value for _, value in deviations])
     jacobian = np.asarray(fit.jac, np.float64)
-    covariance: FloatArray = (
-        np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
-    )
+    precision = jacobian.T @ jacobian
+    covariance = np.asarray(np.linalg.inv(precision), np.float64) * contradiction**2
     return CameraFit(
         camera=PinholeCamera.of_focal_length(math.exp(fit.x[_LOG_F]), size_px),
         theta=fit.x,
@@ -212,7 +212,31 @@ def fit_camera(
         residuals=terms.table(fit.x),
         contradiction=contradiction,
         largest_deviation=max(deviations, key=lambda deviation: abs(deviation[1])),
+        evidence=_evidence(fit.x - terms.prior_mean, precision, terms.prior_sigma, contradiction),
     )
+
+
+def _evidence(
+    change: FloatArray, precision: FloatArray, prior_sigma: FloatArray, sigma: float
+) -> tuple[Evidence, ...]:
+    """Equations of what moved theta by `change` (5,) to the precision (5, 5), with the standard
+    deviation `sigma`: independent sums of unknowns, with any pitch and roll.
+    """
+    k, angles = list(_SHARED), [_Y0, _ROLL]
+    vector = precision @ change
+    gain = precision[np.ix_(k, angles)] @ np.linalg.inv(precision[np.ix_(angles, angles)])
+    information = precision[np.ix_(k, k)] - gain @ precision[np.ix_(angles, k)]
+    information = information - np.diag(prior_sigma[k] ** -2)
+    of_unknowns = vector[k] - gain @ vector[angles]
+    values, directions = np.linalg.eigh(information)
+    evidence = []
+    for value, direction in zip(values, directions.T, strict=True):
+        if value > _LEAST_INFORMATION:
+            root = math.sqrt(value)
+            of = dict(zip(_UNKNOWNS, (root * _SIGNS * direction).tolist(), strict=True))
+            shown = float(direction @ of_unknowns) / root
+            evidence.append(Evidence("the known metres", of, shown, sigma))
+    return tuple(evidence)
 
 
 def _contradiction(deviations: Sequence[float]) -> float:
@@ -232,26 +256,21 @@ class _Terms:
     def __init__(
         self,
         size_px: tuple[int, int],
-        focal: FocalGuess,
+        priors: CameraPriors,
         sizes: SizeModel,
         measured: CameraMeasurements,
-        height: tuple[float, float],
     ) -> None:
         self._size_px, self._centre_px = size_px, ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2)
         self._objects, self._lanes = tuple(measured.objects), tuple(measured.lanes)
         self._horizon = tuple(measured.horizon)
-        height_m, height_sigma_m = height
-        self.prior_mean = np.array([math.log(focal.focal_px), math.log(height_m), 0.0, 0.0, 0.0])
+        focal, height, of_sizes = (priors[unknown] for unknown in _UNKNOWNS)
+        log_f = math.log(focal.value)
+        self.prior_mean = np.array([log_f, math.log(height.value), 0.0, 0.0, 0.0])
+        pitch_sigma_px = PITCH_SIGMA_RAD * focal.value
         self.prior_sigma = np.array(
-            [
-                focal.sigma,
-                height_sigma_m / height_m,
-                PITCH_SIGMA_RAD * focal.focal_px,
-                _ROLL_SIGMA,
-                _SIZE_SIGMA,
-            ]
+            [focal.sigma, height.sigma, pitch_sigma_px, _ROLL_SIGMA, of_sizes.sigma]
         )
-        grid = math.log(focal.focal_px) + np.linspace(-_GRID_LOG_SPAN, _GRID_LOG_SPAN, _N_GRID)
+        grid = log_f + np.linspace(-_GRID_LOG_SPAN, _GRID_LOG_SPAN, _N_GRID)
         boxes = np.array([known.xyxy_px for known in self._objects]).reshape(-1, 4)
         classes = np.array([known.size_class for known in self._objects], np.int64)
         noise = BoxNoise(_PICKED_EDGE_PX, 0.0, 0.0)
@@ -468,5 +487,6 @@ def _by_size(
         measured = sizes.measure(boxes)
         log_m[k] = np.log(measured.distance_m)
         if k == len(log_f) // 2:
-            sigma = measured.sigma_m / measured.distance_m
+            variance = (measured.sigma_m / measured.distance_m) ** 2
+            sigma = np.sqrt(variance - shared_variance(variance))  # the rest is b
     return _BySize(log_f, log_m, sigma)

@@ -73,7 +73,7 @@ KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estima
 # of a value that is unusual in its kind, and the probability of that
 _UNUSUAL_SIGMA, _P_UNUSUAL = 0.7, 0.12
 # of boards' calibrations, of a given focal length, of a given height, and of the scale of receivers
-_RIG_SIGMA, _FOCAL_SIGMA, _GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
+_RIG_SIGMA, _FOCAL_SIGMA, GIVEN_SIGMA, _SPEED_SIGMA = 0.005, 0.004, 0.03, 0.015
 _CLOCK_SIGMA = 0.001  # of the clocks of cameras
 
 # standard deviations of wrong given values and the probability of each: measured badly, and wrong
@@ -137,7 +137,7 @@ def camera_priors(
     """
     height = Prior(_HEIGHT_SIGMA, "usual", USUAL_HEIGHT_M)
     if height_m is not None:
-        height = Prior(_GIVEN_SIGMA, "given", height_m)
+        height = Prior(GIVEN_SIGMA, "given", height_m)
     focal_kind: Kind = "given" if focal_sigma <= KNOWN_FOCAL else "unknown"
     priors = {
         Unknown.SIZES: Prior(common_sigma(region), "unknown"),

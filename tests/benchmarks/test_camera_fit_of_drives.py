@@ -17,6 +17,7 @@ from track_range.ranging.cameras.measurements import (
     SceneBoxes,
     unhidden,
 )
+from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.simulation.world.scenarios import make_scenario
@@ -27,7 +28,6 @@ from track_range.stereo.geometry.rig import StereoRig
 SIZE_PX = (1280, 720)
 CENTRE_PX = (639.5, 359.5)
 CAR = SIZE_CLASSES.index("car")
-VAGUE = FocalGuess(900.0, 0.3, "a guess")
 SIZES = load_curves()
 
 
@@ -80,7 +80,7 @@ def test_simulated_drives():
         fits = [
             fit_camera(
                 SIZE_PX,
-                guess,
+                camera_priors(guess.focal_px, focal_sigma=guess.sigma),
                 SIZES,
                 CameraMeasurements(
                     objects=known[:n], scene=scene, scene_noise=posterior.relative_noise

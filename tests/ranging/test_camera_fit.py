@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from track_range.ranging.cameras.measurements import (
     SceneBoxes,
     unhidden,
 )
+from track_range.ranging.cameras.posterior import posterior
+from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
@@ -25,7 +28,7 @@ from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, f
 SIZE_PX = (1280, 720)
 CENTRE_PX = (639.5, 359.5)
 CAR = SIZE_CLASSES.index("car")
-VAGUE = FocalGuess(900.0, 0.3, "a guess")
+VAGUE = camera_priors(900.0, focal_sigma=0.3)
 SIZES = load_curves(region="europe")
 
 
@@ -120,7 +123,8 @@ def test_two_distances_and_the_height_give_focal_length_and_pitch(focal_px):
         KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
         for d, box in zip((8.0, 30.0), boxes, strict=True)
     ]
-    fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known), height=(1.4, 0.03))
+    priors = camera_priors(900.0, focal_sigma=0.3, height_m=1.4)
+    fit = fit_camera(SIZE_PX, priors, SIZES, CameraMeasurements(objects=known))
     assert fit.camera.fx_px == pytest.approx(focal_px, rel=0.05)
     assert fit.pitch_rad == pytest.approx(math.atan(25 / focal_px), abs=0.006)
     assert fit.focal_sigma < 0.06
@@ -200,3 +204,28 @@ def test_two_guesses_are_combined_by_their_sigmas():
 def test_hidden_boxes():
     boxes = np.array([[0.0, 0, 50, 50], [40, 10, 90, 60], [200, 0, 220, 20]])
     assert unhidden(boxes).tolist() == [False, True, True]
+
+
+def test_evidence_and_priors_give_the_fit():
+    """In the linear posterior, the evidence beside the priors of the fit is the fit."""
+    boxes = [flat_box(d, focal_px=950.0, height_m=1.4, horizon_px=5.0) for d in (8.0, 12.0, 30.0)]
+    known = [
+        KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
+        for d, box in zip((8.0, 12.0, 30.0), boxes, strict=True)
+    ]
+    priors = camera_priors(900.0, focal_sigma=0.1, height_m=1.5)
+    fit = fit_camera(SIZE_PX, priors, SIZES, CameraMeasurements(objects=known))
+    names = (Unknown.FOCAL, Unknown.HEIGHT, Unknown.SIZES)
+    plain = {name: replace(priors[name], kind="unknown") for name in names}
+    cameras = posterior(plain, fit.evidence)
+    of_focal, of_height = ({name: 1.0} for name in names[:2])
+    shown = cameras.estimate(of_focal)
+    assert 900.0 * math.exp(-shown.mean) == pytest.approx(fit.camera.fx_px, rel=1e-4)
+    assert shown.sigma == pytest.approx(fit.focal_sigma, rel=1e-3)
+    assert 1.5 * math.exp(cameras.estimate(of_height).mean) == pytest.approx(fit.height_m, rel=1e-4)
+    both = {Unknown.FOCAL: 1.0, Unknown.HEIGHT: -1.0}
+    assert cameras.estimate(both).sigma == pytest.approx(fit.product_sigma, rel=1e-3)
+
+
+def test_without_measurements_there_is_no_evidence():
+    assert fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements()).evidence == ()

@@ -25,6 +25,7 @@ from track_range.ranging.cameras.measurements import (
     SceneBoxes,
     unhidden,
 )
+from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
@@ -194,7 +195,7 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
                 continue
             fit = fit_camera(
                 drive.size_px,
-                prior,
+                camera_priors(prior.focal_px, focal_sigma=prior.sigma),
                 sizes,
                 CameraMeasurements(
                     objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise

@@ -5,7 +5,7 @@
 import json
 import math
 import shutil
-from types import SimpleNamespace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,17 +13,19 @@ import pytest
 
 from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.pre_pass import (
-    DriveCamera,
-    MountedCamera,
     _shown_names,
+    drive_priors,
+    given_speed,
+    source_of_evidence,
     thinned,
     undistorted,
     with_motion,
-    with_speed,
 )
 from track_range.calibration.drive.road_evidence import RoadEvidence
 from track_range.detection.detections import Detections
+from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.measurements import SceneBoxes
+from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M, Unknown
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import video_name
 from track_range.recording.video.options import RecordingOptions
@@ -163,16 +165,37 @@ def test_part_that_was_asked_for(tmp_path):
 
 
 def test_speed_gives_the_focal_length_by_hand():
-    fit = SimpleNamespace(height_m=1.25, height_sigma_m=0.05)
-    scene = SimpleNamespace(estimate=usual())
-    before = DriveCamera(estimate=usual(), shapes=scene, scene=SceneBoxes(), n_frames=1)
-    mounted = with_speed(MountedCamera(before, usual(), fit), 1250.0, 0.03)
-    estimate = mounted.drive_camera.estimate
-    # 1250 px m / 1.25 m, and sqrt(0.03^2 + 0.04^2 + 0.06^2) = 0.078
-    assert estimate.focal_px == pytest.approx(1000, rel=0.02)
-    assert 0.07 < estimate.sigma < 0.1
+    """The speed gives 1250 px m, and contact points 1.25 m: with errors of sizes of 5.5 and 6.5 %,
+    of the contact points of 4 %, and of the speed of 1.5, 2 and 3 %, this is 1000 px +- 10 %. The
+    usual height of cameras makes it 2 % less.
+    """
+    priors = drive_priors(usual(), None)
+    height = Evidence(
+        "", {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}, math.log(1.25 / USUAL_HEIGHT_M), 0.04
+    )
+    evidence = [given_speed(priors, 1250.0, 0.03), height]
+    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
+    focal_px, sigma = by_speed.curve.estimate
+    assert focal_px == pytest.approx(980, rel=0.01)
+    expected = math.sqrt(0.055**2 + 0.065**2 + 0.04**2 + 0.015**2 + 0.02**2 + 0.03**2)
+    # wrong speeds widen it
+    assert expected < sigma < 1.35 * expected
+    estimate = replace(usual(), sources=(*usual().sources, by_speed))
+    assert estimate.focal_px == pytest.approx(980, rel=0.03)
     assert estimate.leading.kind == "speed"
     assert "from the speed of the camera" in estimate.sentence
+
+
+def test_a_measured_height_and_a_speed_need_no_road_users():
+    priors = drive_priors(usual(), 1.25)
+    evidence = [given_speed(priors, 1250.0, 0.01)]
+    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
+    focal_px, sigma = by_speed.curve.estimate
+    assert focal_px == pytest.approx(1000, rel=0.01)
+    # 3 % of the height, 1.5, 2 and 1 % of the speed are 4.0 %; in 6 % of cases one is a mistake
+    assert 0.06 < sigma < 0.12
+    estimate = replace(usual(), sources=(*usual().sources, by_speed))
+    assert 0.041 < estimate.sigma < 0.06
 
 
 def test_straight_parts_are_read_where_a_speed_is_given(tmp_path):
@@ -211,7 +234,7 @@ def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
     second = read_calibration(out, is_grey=False, is_pair=False).mounting
     assert second.focal_sigma < 1.1 * first.focal_sigma
     assert second.camera_height_m == pytest.approx(1.6, abs=0.06)
-    assert second.camera_height_sigma_m <= 0.031
+    assert second.camera_height_sigma_m <= 0.049
 
 
 def test_a_recording_counts_once(tmp_path, cli):

@@ -19,7 +19,6 @@ from track_range.calibration.drive.known_metres import (
     known_metres,
 )
 from track_range.calibration.drive.pre_pass import (
-    MEASURED_HEIGHT_SIGMA_M,
     DriveCamera,
     MountedCamera,
     PrePass,
@@ -31,6 +30,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.cameras.camera_fit import CameraFit
+from track_range.ranging.cameras.unknowns import GIVEN_SIGMA
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import source_of, video_name
@@ -41,6 +41,7 @@ from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
+_ROUNDING_M = 0.001  # of the heights in files
 _UNSTATED_SIGMA = 0.02  # of a focal length whose file has no standard deviation; assumed
 
 
@@ -208,6 +209,8 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
     if camera.distortion:
         k1_sigma = 0.0 if mounting is None else mounting.k1_sigma or 0.0
         estimate = replace(estimate, coefficients=camera.distortion, k1_sigma=k1_sigma)
-    if mounting is None or mounting.camera_height_sigma_m > MEASURED_HEIGHT_SIGMA_M:
+    if mounting is None:
+        return estimate, None
+    if mounting.camera_height_sigma_m > GIVEN_SIGMA * mounting.camera_height_m + _ROUNDING_M:
         return estimate, None
     return estimate, mounting.camera_height_m

@@ -19,28 +19,35 @@ from track_range.calibration.drive.road_evidence import RoadEvidence
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.ranging.cameras.camera_fit import (
-    HEIGHT_M,
-    HEIGHT_SIGMA,
-    CameraFit,
-    fit_camera,
-)
+from track_range.ranging.cameras.camera_fit import CameraFit, fit_camera
+from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.focal_evidence import FocalPosterior, focal_posterior
 from track_range.ranging.cameras.measurements import CameraMeasurements, SceneBoxes
+from track_range.ranging.cameras.posterior import posterior
+from track_range.ranging.cameras.scale_evidence import height_by_speed
+from track_range.ranging.cameras.unknowns import (
+    FREE_SIGMA,
+    OF_FOCAL,
+    CameraPriors,
+    Unknown,
+    camera_priors,
+)
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.cameras.camera_estimate import (
     CameraEstimate,
     FocalSource,
+    SourceKind,
+    log_focal_grid,
     source_of_curve,
     source_of_guess,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_curve import FocalCurve
-from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
+from track_range.stereo.geometry.focal_guess import default_guess
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
-MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
 # smallest and largest height of a camera above the road that measurements may give, m
 _CAMERA_HEIGHT_M = (0.3, 5.0)
 # of a focal length from motion that says nothing: on a straight road focal length and depths are
@@ -49,8 +56,6 @@ _UNKNOWN_SIGMA = 0.4
 # of a focal length from motion above which the motion does not separate it from the distortion
 _LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
-# of the logarithm of the sizes of the road users of a drive, of an unknown region
-_SIZES_SIGMA = 0.06
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 _FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
 
@@ -123,10 +128,7 @@ class PrePass:
             scene=drive_camera.scene,
             scene_noise=drive_camera.shapes.relative_noise,
         )
-        mounted = self._fitted(drive_camera, measured)
-        if (height := view.heights.height_m) is None:
-            return mounted
-        return with_speed(mounted, view.focal_px * height[0], height[1] / height[0])
+        return self._fitted(drive_camera, measured, view)
 
     def _seen(self, drives: Sequence[DriveVideo], *, has_horizon: bool) -> RoadEvidence:
         """What the images of the drives show."""
@@ -171,15 +173,26 @@ class PrePass:
         sources = metadata or (source_of_guess(usual, "usual", size_px[0]),)
         return CameraEstimate(size_px=size_px, sources=sources)
 
-    def _fitted(self, drive_camera: DriveCamera, measured: CameraMeasurements) -> MountedCamera:
-        """The camera with its height and pitch, and with the user's measurements as a source."""
-        height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
-        if self.known.camera_height_m is not None:
-            height = self.known.camera_height_m, MEASURED_HEIGHT_SIGMA_M
+    def _fitted(
+        self, drive_camera: DriveCamera, measured: CameraMeasurements, view: RoadEvidence
+    ) -> MountedCamera:
+        """The camera with its height and pitch, and with the user's measurements and a given speed
+        as a source.
+        """
         before = drive_camera.estimate
-        fit = fit_camera(before.size_px, before.guess, self.sizes, measured, height=height)
-        known = _known_source(fit, before) if self.known.are_given else None
-        if known is not None:
+        priors = drive_priors(before, self.known.camera_height_m)
+        fit = fit_camera(before.size_px, priors, self.sizes, measured)
+        evidence, names = list(fit.evidence), []
+        if self.known.are_given:
+            names.append("the known metres")
+        if (height := view.heights.height_m) is not None:
+            names.append("the speed of the camera")
+            evidence.append(given_speed(priors, view.focal_px * height[0], height[1] / height[0]))
+        if names:
+            kind: SourceKind = "known metres" if height is None else "speed"
+            known = source_of_evidence(
+                kind, " and ".join(names), priors, evidence, before.size_px[0]
+            )
             estimate = replace(before, sources=(*before.sources, known))
             drive_camera = replace(drive_camera, estimate=estimate)
         return MountedCamera(drive_camera, before, fit)
@@ -191,18 +204,36 @@ def _shown_names(paths: Sequence[str]) -> list[str]:
     return names if len(set(names)) == len(set(paths)) else [*paths]
 
 
-def _known_source(fit: CameraFit, before: CameraEstimate) -> FocalSource | None:
-    """The likelihood that takes the estimate before the measurements to the fit with them; None =
-    they say nothing of the focal length.
+def drive_priors(estimate: CameraEstimate, height_m: float | None) -> CameraPriors:
+    """What is known of a camera beside its focal length, before its height was measured in drives;
+    `height_m` is a given one. All road users have the sizes of one class.
     """
-    prior = before.guess
-    gained = fit.focal_sigma**-2 - prior.sigma**-2
-    if gained <= 0.0:
-        return None
-    log_fit, log_prior = np.log([fit.camera.fx_px, prior.focal_px])
-    log_f = (log_fit * fit.focal_sigma**-2 - log_prior * prior.sigma**-2) / gained
-    guess = FocalGuess(float(np.exp(log_f)), float(gained**-0.5), "the known metres")
-    return source_of_guess(guess, "known metres", before.size_px[0])
+    priors = camera_priors(estimate.focal_px, focal_sigma=estimate.sigma, height_m=height_m)
+    sigma = math.hypot(priors[Unknown.SIZES].sigma, CLASS_SIGMA)
+    return {**priors, Unknown.SIZES: replace(priors[Unknown.SIZES], sigma=sigma)}
+
+
+def given_speed(priors: CameraPriors, product_px_m: float, sigma: float) -> Evidence:
+    """The product of focal length and camera height by a given speed and the motion of the road,
+    with the relative standard deviation `sigma`.
+    """
+    assumed_px_m = priors[Unknown.FOCAL].value * priors[Unknown.HEIGHT].value
+    return height_by_speed(math.log(product_px_m / assumed_px_m), sigma)
+
+
+def source_of_evidence(
+    kind: SourceKind,
+    source: str,
+    priors: CameraPriors,
+    evidence: Sequence[Evidence],
+    width_px: int,
+) -> FocalSource:
+    """The focal length by equations of all unknowns, as if it were not known before."""
+    focal = replace(priors[Unknown.FOCAL], sigma=FREE_SIGMA, kind="unknown")
+    cameras = posterior({**priors, Unknown.FOCAL: focal}, evidence)
+    log_focal = log_focal_grid(width_px)
+    log_p = cameras.log_density(OF_FOCAL, math.log(focal.value) - log_focal)
+    return FocalSource(kind, source, FocalCurve(log_focal, log_p))
 
 
 def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "") -> CameraEstimate:
@@ -221,19 +252,6 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "")
     if sigma > _LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
         return estimate
     return replace(estimate, coefficients=motion.coefficients, k1_sigma=motion.k1_sigma)
-
-
-def with_speed(mounted: MountedCamera, product_px_m: float, sigma: float) -> MountedCamera:
-    """The camera with a given speed: the motion of the road shows the product of focal length and
-    camera height, with the relative standard deviation `sigma`, and the contact points and sizes of
-    road users the height.
-    """
-    fit, estimate = mounted.fit, mounted.drive_camera.estimate
-    sigma = math.hypot(sigma, fit.height_sigma_m / fit.height_m, _SIZES_SIGMA)
-    guess = FocalGuess(product_px_m / fit.height_m, sigma, "the speed of the camera")
-    by_speed = source_of_guess(guess, "speed", estimate.size_px[0])
-    estimate = replace(estimate, sources=(*estimate.sources, by_speed))
-    return replace(mounted, drive_camera=replace(mounted.drive_camera, estimate=estimate))
 
 
 def thinned(boxes: SceneBoxes) -> SceneBoxes:

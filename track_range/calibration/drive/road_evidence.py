@@ -17,12 +17,12 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import mad_sigma
-from track_range.ranging.cameras.camera_fit import HEIGHT_M
 from track_range.ranging.cameras.measurements import (
     HorizonRow,
     SceneBoxes,
     unhidden,
 )
+from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
@@ -57,7 +57,7 @@ class RoadEvidence:
     travel_rows: list[float] = field(default_factory=list)  # rows of the direction of travel, px
     motion: SceneMotion | None = None  # of the static scene in all parts; None = none was added
     # height of the camera by the given speed, at the approximate focal length
-    heights: CameraHeight = field(default_factory=lambda: CameraHeight(HEIGHT_M))
+    heights: CameraHeight = field(default_factory=lambda: CameraHeight(USUAL_HEIGHT_M))
     _videos: list[str] = field(default_factory=list)  # names of those of the parts
 
     def add(
@@ -84,7 +84,7 @@ class RoadEvidence:
         base_s = len(self._videos) * _PART_GAP_S
         self._videos.append(video)
         detections, detected_s = Detections.empty(), -np.inf
-        road = None if speed is None else GroundOdometry(camera, HEIGHT_M)
+        road = None if speed is None else GroundOdometry(camera, USUAL_HEIGHT_M)
         for frame in every_step(STEP_S, frames):
             if frame.time_s - detected_s > DETECTION_S - TIME_EPSILON_S:
                 detections, detected_s = detect(frame), frame.time_s

@@ -32,14 +32,14 @@ SourceKind = Literal["given", "usual", "metadata", "shapes", "motion", "speed", 
 FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 1201  # points of the grid, 0.25 % apart
 # Probability that a source is a mistake; assumed. Metadata of cropped or stabilised video is wrong
-# most often. Motion checks itself.
+# most often. Motion checks itself, and a wrong unit of a speed is in its curve.
 _MISTAKE = {
     "given": 0.01,
     "usual": 0.03,
     "metadata": 0.05,
     "shapes": 0.05,
     "motion": 0.005,
-    "speed": 0.05,
+    "speed": 0.02,
     "known metres": 0.02,
 }
 _REPLACE_USUAL = ("given", "metadata")  # sources beside which the usual field of view is no source
