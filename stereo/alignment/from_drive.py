@@ -30,7 +30,7 @@ from track_range.stereo.alignment.feature_tracks import (
     PairPoints,
     TrackedFrame,
 )
-from track_range.stereo.alignment.health import Window
+from track_range.stereo.alignment.health import Window, move_of
 from track_range.stereo.alignment.right_view import RightView, fit_right_view
 from track_range.stereo.alignment.segments import (
     INCONSISTENT,
@@ -97,6 +97,11 @@ class DriveAlignment:
     def is_full(self) -> bool:
         """Whether the drive has enough frames; further frames are then ignored."""
         return self._n_segments_left <= 0 or self._n_frames_left <= 0
+
+    @property
+    def has_segments(self) -> bool:
+        """Whether there are frames for an estimate."""
+        return bool(self._segments)
 
     @property
     def n_moving(self) -> int:
@@ -171,7 +176,8 @@ class DriveAlignment:
             return replace(
                 rows, residual_px=sigma_px, offset_sigma_px=offset_sigma_px, source=source
             )
-        combined = estimated_errors([segment for *_, segment in self._segments])
+        segments = self._before_move
+        combined = estimated_errors(segments)
         offset_px, curvature_px, slope_px = combined.error_px.tolist()
         offset_px += prior.shift_px
         offset_sigma_px, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
@@ -186,7 +192,7 @@ class DriveAlignment:
             else UNCORRECTED_SIGMA_PX / _SPREADS
         )
         rows_px = _ROWS_FRACTION * abs(rows.row_offset_px)
-        n_frames = sum(segment.n_frames for *_, segment in self._segments)
+        n_frames = sum(segment.n_frames for segment in segments)
         return replace(
             rows,
             offset_px=offset_px,
@@ -214,6 +220,17 @@ class DriveAlignment:
         return tuple(
             window._replace(offset_px=window.offset_px + self._prior.shift_px) for window in windows
         )
+
+    @property
+    def _before_move(self) -> list[Segment]:
+        """The segments before the camera moved in the one drive, whose later frames a run corrects
+        by the change since then; all if it did not move.
+        """
+        windows = self.windows()
+        move = move_of(windows, self._rig)
+        is_one_drive = len({window.drive for window in windows}) == 1
+        until_s = move.time_s if move is not None and is_one_drive else math.inf
+        return [segment for _, (_, to_s), segment in self._segments if to_s < until_s]
 
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0

@@ -73,7 +73,7 @@ class RigHealth:
     @property
     def matters_px(self) -> float:
         """Disparity error that changes distances by 1 % at 30 m."""
-        return MATTERS * self._fb / REFERENCE_M
+        return _matters_px(self.rig)
 
     @property
     def is_noticed(self) -> bool:
@@ -117,21 +117,7 @@ class RigHealth:
         """The time at which the offset changed most, if the windows do not agree within their
         sigmas.
         """
-        moves = []
-        for drive in {window.drive for window in self.windows}:
-            windows = [window for window in self.windows if window.drive == drive]
-            for n in range(1, len(windows)):
-                (first_px, first_sigma_px), (last_px, last_sigma_px) = (
-                    _mean(windows[:n]),
-                    _mean(windows[n:]),
-                )
-                time_s = (windows[n - 1].to_s + windows[n].from_s) / 2
-                move = Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
-                if abs(move.change_px) > max(
-                    _MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * self.matters_px
-                ):
-                    moves.append(move)
-        return max(moves, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
+        return move_of(self.windows, self.rig)
 
     def before_pct(self, distance_m: float) -> FloatArray:
         """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN =
@@ -246,6 +232,27 @@ class RigHealth:
             "before_sigma_pct": round(self.sigma_pct(distance_m), 3),
             "after_sigma_pct": round(self.after_pct(distance_m), 3),
         }
+
+
+def move_of(windows: Sequence[Window], rig: StereoRig) -> Move | None:
+    """The time at which the offset changed most between windows of a drive, in order of time; None
+    = those of each drive agree within their sigmas.
+    """
+    moves = []
+    for drive in {window.drive for window in windows}:
+        own = [window for window in windows if window.drive == drive]
+        for n in range(1, len(own)):
+            (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(own[:n]), _mean(own[n:])
+            time_s = (own[n - 1].to_s + own[n].from_s) / 2
+            move = Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
+            smallest_px = max(_MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * _matters_px(rig))
+            if abs(move.change_px) > smallest_px:
+                moves.append(move)
+    return max(moves, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
+
+
+def _matters_px(rig: StereoRig) -> float:
+    return MATTERS * rig.left.fx_px * rig.baseline_m / REFERENCE_M
 
 
 def _mean(windows: Sequence[Window]) -> tuple[float, float]:

@@ -11,10 +11,9 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.cauchy_fit import cauchy_fit
+from track_range.stereo.geometry.cauchy_fit import CauchyFit, cauchy_fit
 
-_N_ROUNDS = 8  # rounds of the reweighted least squares
-_CAUCHY_SIGMAS = 2.0  # scale of the Cauchy weights, in standard deviations of the row differences
+_N_ROUNDS = 8  # rounds of the reweighted least squares, for many points
 # minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
 _MIN_POINTS = 200
 _MAX_POINTS = 12_000  # largest number of points in the fit; more do not make it more accurate
@@ -81,6 +80,25 @@ class RightView:
         return camera.project(camera.rays(right_px) @ self.matrix(camera).T)
 
 
+def fit_rows(
+    left_px: FloatArray,
+    right_px: FloatArray,
+    camera: PinholeCamera,
+    *,
+    least_scale_px: float,
+    n_rounds: int = 4,
+) -> CauchyFit:
+    """(4,) pitch f, roll w, ln(ratio) w and yaw w of the right camera in px, with w half an image
+    width, from the rows of matched points (N, 2); a point that is off by twice the scatter of all,
+    at least `least_scale_px`, has half the weight.
+    """
+    X, Y = camera.rays(right_px)[:, :2].T
+    f_over_w = camera.fx_px / (camera.width_px / 2)
+    design = np.stack([1 + Y**2, -f_over_w * X, f_over_w * Y, -f_over_w * X * Y], axis=1)
+    rows_px = right_px[:, 1] - left_px[:, 1]
+    return cauchy_fit(design, rows_px, least_scale=least_scale_px, n_rounds=n_rounds)
+
+
 def fit_right_view(
     left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera, *, has_yaw: bool = False
 ) -> RightView:
@@ -89,19 +107,15 @@ def fit_right_view(
     """
     rows_px = right_px[:, 1] - left_px[:, 1]
     step = len(rows_px) // _MAX_POINTS + 1
-    rows_px, right_px = rows_px[::step], right_px[::step]
+    left_px, rows_px, right_px = left_px[::step], rows_px[::step], right_px[::step]
     median_px = float(np.median(rows_px)) if len(rows_px) else 0.0
     if len(rows_px) < _MIN_POINTS or right_px[:, 0].std() < _MIN_SPAN * camera.width_px / math.sqrt(
         12
     ):
         return RightView(median_px)
-    x, y = camera.rays(right_px)[:, :2].T
-    f = camera.fx_px
-    design = np.stack([f * (1 + y**2), -f * x, f * y, -f * x * y], axis=1)
-    fit = cauchy_fit(
-        design, rows_px, least_scale=1e-3, cauchy_sigmas=_CAUCHY_SIGMAS, n_rounds=_N_ROUNDS
-    )
-    pitch_rad, roll_rad, log_ratio, yaw_rad = fit.solution.tolist()
+    fit = fit_rows(left_px, right_px, camera, least_scale_px=1e-3, n_rounds=_N_ROUNDS)
+    pitch_px = float(fit.solution[0])
+    roll_rad, log_ratio, yaw_rad = (fit.solution[1:] / (camera.width_px / 2)).tolist()
     view = RightView(
         median_px,
         math.degrees(roll_rad),
@@ -110,4 +124,5 @@ def fit_right_view(
     )
     if view.rows_px(camera) <= MAX_ROW_OFFSET_PX:
         return view
-    return replace(view, row_offset_px=f * math.tan(pitch_rad))
+    f = camera.fx_px
+    return replace(view, row_offset_px=f * math.tan(pitch_px / f))

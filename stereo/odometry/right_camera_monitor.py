@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.alignment.right_view import fit_rows
+from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.cauchy_fit import cauchy_fit
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.change_filter import ChangeFilter, Changes
@@ -51,6 +52,7 @@ class RightCameraMonitor:
         # time of the first change that matters, the last state with one, and numbers of frames
         self._moved_s, self._moved = math.nan, RightCamera(camera)
         self._n_frames = self._n_hits = 0
+        self._earlier_notes: tuple[str, ...] = ()  # of movements before the present alignment
         self.now = RightCamera(camera)
         # change of the offset in the frame before the last one that its correction did not contain
         self.missed_offset_px = 0.0
@@ -64,6 +66,10 @@ class RightCameraMonitor:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
+        return (*self._earlier_notes, *self._present_notes)
+
+    @property
+    def _present_notes(self) -> tuple[str, ...]:
         if not math.isfinite(self._moved_s):
             return ()
         if self._n_hits >= max(_MIN_HITS, _SHAKING_FRACTION * self._n_frames):
@@ -133,7 +139,8 @@ class RightCameraMonitor:
             rows_only = replace(
                 self.now, change=changes_of(np.append(np.where(is_new, news_px, 0.0), 0.0))
             )
-            points_px = rows_only.moved_from(RightCamera(self._camera), right_px)
+            unchanged = replace(self.now, change=changes_of(np.zeros(5)))
+            points_px = rows_only.moved_from(unchanged, right_px)
             steps = self._steps(left_px, points_px, expected_px)
             if steps is not None:
                 (step[OFFSET], bow_px), (step_sigma[OFFSET], bow_sigma_px) = steps
@@ -150,6 +157,8 @@ class RightCameraMonitor:
     def follow(self, alignment: Alignment) -> None:
         """Take the alignment of the next frame into account: another one includes the changes."""
         before = self.now.own
+        if (self.now.base != np.eye(3)).any():  # the pair was aligned again, after this alignment
+            return
         if not self._n_frames or before == alignment:  # nothing was measured, or it is the same
             self.now = replace(self.now, own=alignment)
             return
@@ -159,6 +168,16 @@ class RightCameraMonitor:
         else:
             self._filter = ChangeFilter(_LASTING_PX)
         self.now = RightCamera(self._camera, alignment, self._change)
+
+    def restart(self, time_s: float, base: FloatArray, alignment: Alignment) -> None:
+        """Count changes from now on, with another alignment of the images that `base` corrects."""
+        again = f"From {time_s:.1f} s on, the pair has another alignment, from the frames after it."
+        present = (f"{note} {again}" for note in self._present_notes)
+        self._earlier_notes = (*self._earlier_notes, *present)
+        self._moved_s = math.nan
+        self._filter = ChangeFilter(_LASTING_PX)
+        self._bow_px = self._bow_variance = 0.0
+        self.now = RightCamera(self._camera, alignment, self._change, base)
 
     @property
     def _change(self) -> Changes:
@@ -173,12 +192,8 @@ class RightCameraMonitor:
         """(3,) pitch, roll and zoom of the right image with their sigmas; None = too few points."""
         if len(left_px) < _MIN_POINTS:
             return None
-        u, v, Y = self._places(right_px)
         # the yaw is one of the disparities, too, which measure it better
-        design = np.stack([1 + Y**2, -u, v, -u * Y], axis=1)
-        solution, covariance, _ = cauchy_fit(
-            design, right_px[:, 1] - left_px[:, 1], least_scale=_NEAR_PX
-        )
+        solution, covariance, _ = fit_rows(left_px, right_px, self._camera, least_scale_px=_NEAR_PX)
         return solution[:3], _FACTOR * np.sqrt(np.diag(covariance))[:3]
 
     def _steps(
@@ -188,7 +203,7 @@ class RightCameraMonitor:
         is_known = np.isfinite(expected_px)
         if is_known.sum() < _MIN_POINTS:
             return None
-        u, _, _ = self._places(right_px[is_known])
+        u = column_from_axis(right_px[is_known, 0], self._camera)
         missing_px = expected_px[is_known] - (left_px - right_px)[is_known, 0]
         X = u * (self._camera.width_px / 2 / self._camera.fx_px)
         design = np.stack([1 + X**2, u**2], axis=1)
@@ -196,10 +211,3 @@ class RightCameraMonitor:
         if (np.abs(residual) < _AGREEING_PX).mean() < _MIN_AGREEING:
             return None
         return solution, np.sqrt(np.diag(covariance) + _STEP_SIGMA_PX**2)
-
-    def _places(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """u, v and Y of points (N, 2)."""
-        half_px, camera = self._camera.width_px / 2, self._camera
-        below_px = points_px[:, 1] - camera.cy_px
-        u = (points_px[:, 0] - camera.cx_px) / half_px
-        return u, below_px / half_px, below_px / camera.fy_px

@@ -20,6 +20,7 @@ The static scene is assumed to have the most corners outside the boxes.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -53,6 +54,7 @@ from track_range.stereo.odometry.motion_fit import (
     MotionFit,
     fit_motion,
 )
+from track_range.stereo.odometry.realignment import Realignment
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
@@ -182,7 +184,8 @@ class StereoOdometry:
         self._coarse.setTextureThreshold(5)
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
-        self._right = RightCameraMonitor(rig)
+        self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig)
+        self._own: Alignment | None = None  # of the last frame
         self._vibration = Vibration()
         self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()
@@ -205,9 +208,7 @@ class StereoOdometry:
         now = self._flow.now
         if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        own = self._given or self._rig.alignment_of(frame)
-        self._right.follow(own)
-        warped = self._right.now
+        warped = self._followed(frame)
         right = small_grey(warped.warped(frame.right), self._n_halved)
         if before is not None and not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
             before = None
@@ -216,15 +217,13 @@ class StereoOdometry:
         matches = self._matches(now, right, warped.alignment, tracked)
         dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
         is_usual = tracked is not None and tracked.is_usual
-        zoom = 0.0 if tracked is None or is_usual else self._zoom(matches, tracked)
-        if zoom:
-            self._focal_factor *= 1 + zoom
-            self._zoomed_s = frame.time_s
-            fit = None
         if not is_usual:
+            if tracked is not None and self._have_zoomed(frame.time_s, matches, tracked):
+                fit = None
             matches = matches._replace(expected_px=np.full(len(matches.number), np.nan))
         moved = self._right_moved(matches, fit, frame.time_s, dt_s)
-        self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
+        if not self._is_realigned(frame, tracked, matches):
+            self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
         if before is None:
             return EgoMotion()
         self._vibration.add(frame.time_s, None if fit is None else fit.rotation_rad)
@@ -244,7 +243,11 @@ class StereoOdometry:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
-        notes = (*self._right.notes, *self._vibration.notes(self._rig.left.fx_px))
+        notes = (
+            *self._right.notes,
+            *self._realignment.notes,
+            *self._vibration.notes(self._rig.left.fx_px),
+        )
         if self._focal_factor == 1.0:
             return notes
         pct = 100 * (self._focal_factor - 1)
@@ -263,7 +266,25 @@ class StereoOdometry:
     @property
     def right_camera(self) -> RightCamera:
         """How the right camera moved so far against its rig."""
+        return replace(self._right.now, is_lost=self._realignment.is_lost)
+
+    def _followed(self, frame: Frame) -> RightCamera:
+        """The right camera before the frame, with the alignment of the frame."""
+        own = self._given or self._rig.alignment_of(frame)
+        if own != self._own:
+            self._own = own
+            self._right.follow(own)
         return self._right.now
+
+    def _is_realigned(self, frame: Frame, tracked: _Tracked | None, matches: _Matches) -> bool:
+        """Whether the pair is lost, or has another alignment from this frame on."""
+        if tracked is not None and tracked.is_usual:
+            n_static, n_shown = len(tracked.static[0]), int((~matches.is_corner).sum())
+            self._realignment.check(frame.time_s, n_static, n_shown, self._right.now)
+        other = self._realignment.update(frame, self._right.now)
+        if other is not None:
+            self._right.restart(frame.time_s, *other)
+        return other is not None or self._realignment.is_lost
 
     def _matches(
         self, frame: FlowFrame, right: Image, alignment: Alignment, tracked: _Tracked | None
@@ -301,25 +322,31 @@ class StereoOdometry:
             number[is_matched],
         )
 
-    def _zoom(self, matches: _Matches, tracked: _Tracked) -> float:
-        """Relative change of the focal length of both cameras that the points show; 0 = none."""
+    def _have_zoomed(self, time_s: float, matches: _Matches, tracked: _Tracked) -> bool:
+        """Whether the points show that both cameras zoomed; not while the pair is aligned."""
+        if self._realignment.is_rough:
+            return False
         is_tracked = ~matches.is_corner
         number = matches.number[is_tracked]
         points, expected = matches.left[is_tracked], tracked.expected[number]
         camera = self._rig.left
         centre = (np.array([camera.cx_px, camera.cy_px]) + 0.5) / (1 << self._n_halved) - 0.5
-        return common_zoom(
+        zoom = common_zoom(
             expected - centre,
             points - centre,
             matches.expected_px[is_tracked],
             (points - matches.right[is_tracked]).astype(np.float64)[:, 0],
         )
+        if zoom:
+            self._focal_factor *= 1 + zoom
+            self._zoomed_s = time_s
+        return zoom != 0.0
 
     def _right_moved(
         self, matches: _Matches, fit: MotionFit | None, time_s: float, dt_s: float
     ) -> RightCamera:
         """How the right camera moved, by the matches of a frame."""
-        if not dt_s:
+        if not dt_s or self._realignment.is_lost:
             return self._right.now
         offset_px = math.nan, math.nan
         if fit is not None:

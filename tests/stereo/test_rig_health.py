@@ -191,6 +191,21 @@ def test_wrong_angles_are_noticed_and_corrected(rig_file: StereoRig) -> None:
     assert np.abs(error_px(rig_file, alignment)).max() < 0.24  # 2 %
 
 
+@pytest.mark.slow
+def test_alignment_of_a_drive_is_that_before_the_camera_moved() -> None:
+    """Disparities change by 1.5 px in the 17th of 32 frames."""
+    drive = DriveAlignment(RIG)
+    for number, frame in enumerate(tracked_street(RIG, n_frames=32)):
+        moved_px = np.array([1.5 if number >= 16 else 0.0, 0.0])
+        points = frame.points._replace(right_px=frame.points.right_px + moved_px)
+        drive.add_points(frame._replace(points=points))
+    alignment = drive.estimate()
+    move = RigHealth(RIG, alignment, alignment, drive.windows()).move
+    assert move is not None
+    assert move.change_px == pytest.approx(1.5, abs=0.5)
+    assert abs(alignment.offset_px) < 3 * alignment.offset_sigma_px < 0.15
+
+
 def test_right_view_from_rows() -> None:
     (frame,) = tracked_street(rotated(pitch_deg=0.2, roll_deg=0.3), n_frames=1)
     points = frame.points

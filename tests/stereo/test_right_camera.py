@@ -18,6 +18,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.change_filter import ChangeFilter
 from track_range.stereo.odometry.common_zoom import common_zoom
 from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
+from track_range.stereo.odometry.realignment import Realignment
 from track_range.stereo.odometry.right_camera import (
     BOW,
     OFFSET,
@@ -201,13 +202,13 @@ def test_flow_shows_the_offset_of_the_disparities():
     assert sigma < 0.2 * offset
 
 
-def odometry_of(right_rotation):
-    """Odometry, true speed and last motion of a drive whose right camera is turned after 1.5 s."""
+def odometry_of(right_rotation, *, n_frames=30):
+    """Odometry and last motion of a drive whose right camera is turned after 1.5 s."""
     rig = kitti_like_rig(width_px=620, height_px=188)
-    scene = make_scenario("town", seed=31, seconds=3.0)
+    scene = make_scenario("town", seed=31, seconds=n_frames / 10)
     renderer, odometry, motion = Renderer(scene, rig), StereoOdometry(rig), None
     H = rig.left.matrix @ right_rotation @ np.linalg.inv(rig.left.matrix)
-    for k in range(30):
+    for k in range(n_frames):
         left, right = (renderer.render(k / 10, side=side) for side in ("left", "right"))
         if k >= 15:
             right = cv2.warpPerspective(right, H, right.shape[1::-1])
@@ -226,6 +227,45 @@ def test_odometry_corrects_a_right_camera_that_is_hit():
     assert firm.notes == ()
     assert hit.right_camera.applied_px[OFFSET] == pytest.approx(expected_px, abs=0.2)
     assert after.speed_mps == pytest.approx(before.speed_mps, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("yaw_deg", [2.0, -4.0, 4.0])
+def test_pair_is_aligned_anew_after_a_far_movement(yaw_deg):
+    turned = rotation(0.0, yaw_deg, 0.0)
+    odometry, motion = odometry_of(turned, n_frames=50)
+    right = odometry.right_camera
+    rays = right.camera.rays(np.array([[150.0, 60.0], [310.0, 120.0], [470.0, 90.0]]))
+    points_px = right.camera.project(rays)
+    corrected_px = right.moved_from(
+        RightCamera(right.camera), right.camera.project(rays @ turned.T)
+    )
+    error_px = corrected_px - points_px
+    u = (points_px[:, 0] - right.camera.cx_px) / (right.camera.width_px / 2)
+    error_px[:, 0] -= right.alignment.error_px(u)
+    assert not right.is_lost
+    assert np.abs(error_px).max() < 3 * right.alignment.residual_px < 0.9
+    assert motion.speed_mps == pytest.approx(10.0, rel=0.03)
+    assert "another alignment" in " ".join(odometry.notes)
+
+
+def test_right_image_that_shows_few_static_points_is_lost_unless_a_hit_is_known():
+    firm = RightCamera(RIG.left)
+    hit = replace(firm, change=firm.change._replace(hit=np.array([0.0, 0.0, 0.0, 0.9])))
+    for n_static, n_shown, right, is_lost in [
+        (100, 90, firm, False),
+        (20, 1, firm, False),
+        (100, 20, hit, False),
+        (100, 20, firm, True),
+    ]:
+        realignment = Realignment(RIG)
+        realignment.check(4.0, n_static, n_shown, right)
+        assert realignment.is_lost == is_lost
+    assert "4.0 s" in realignment.notes[0]
+    image = np.zeros((RIG.left.height_px, RIG.left.width_px), np.uint8)
+    frame = Frame(0, 0.0, image, image)
+    assert replace(firm, is_lost=True).corrected(frame).right is None
+    assert firm.corrected(frame).right is image
 
 
 def zoomed_points(zoom, *, zooms_disparity=True):

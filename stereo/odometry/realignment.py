@@ -1,0 +1,152 @@
+"""Realignment: the alignment of a pair whose right camera moved far, from the frames after it.
+
+    disparities changed by more than `RightCameraMonitor` measures well       -> estimating
+    left and right no longer match: without right images, first pairs again   -> estimating
+    estimating: 16 frames or more, with the images corrected so far           -> aligned
+
+On simulated drives the monitor follows a yaw of 0.7 degrees (8 px) with a sigma of 0.1 px, and one of
+2 degrees (23 px) with 1.7 px; changed rows it corrects as well as this estimate would.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
+from track_range.stereo.alignment.pair_evidence import PairEvidence
+from track_range.stereo.alignment.pair_finding import find_fault
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.right_camera import OFFSET, RightCamera
+
+_FAR_PX = 8.0  # change of the disparities
+# Fraction of the static points tracked to a frame that its right image shows, below which the pair
+# is lost: 0.9 and more on simulated drives, 0.05 to 0.3 where the right camera turns by 2 degrees.
+_MIN_SHOWN, _MIN_STATIC = 0.35, 30
+_IS_HIT = 0.5  # probability of a hit that is known by the points that are left
+_N_PAIRS, _MAX_PAIRS = 7, 10  # pairs by which a lost pair is explained: in motion, and at most
+_MIN_FLOW_PX = 3.0  # median motion of the left image between them
+_WAIT_AT_REST_S = 0.4  # time between two pairs without motion
+_ROUGH_PX = 2.0  # standard deviation of the disparities of a pair that was explained
+
+
+class Realigned(NamedTuple):
+    """A pair that is aligned again."""
+
+    base: FloatArray  # (3, 3) correction of the directions in the right image
+    alignment: Alignment  # of the images corrected by it
+
+
+class Realignment:
+    """Aligns the frames of one stream again, when its right camera moved far."""
+
+    def __init__(self, rig: StereoRig) -> None:
+        self._rig = rig
+        self.is_lost = False  # whether left and right do not match
+        # times at which they were lost first, and found last
+        self._lost_s = self._until_s = math.nan
+        self._evidence: PairEvidence | None = None
+        self._next_s = -math.inf  # time of its next pair
+        self._drive: DriveAlignment | None = None
+        self._base = np.eye(3)  # of the images of the drive
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        if math.isnan(self._lost_s):
+            return ()
+        lost = f"Left and right images do not match from {self._lost_s:.1f} s on, as if the right "
+        cause = "camera moved far, or was covered"
+        if self.is_lost:
+            return (f"{lost}{cause}: distances come from the left video alone.",)
+        return (
+            f"{lost}{cause}, until {self._until_s:.1f} s: distances came from the left video alone, "
+            "and from then on, the pair has another alignment. Mount the cameras more firmly.",
+        )
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether the next alignment is being estimated, or looked for."""
+        return self.is_lost or self._drive is not None
+
+    def check(self, time_s: float, n_static: int, n_shown: int, right: RightCamera) -> None:
+        """Check whether left and right match: by the number of static points that were tracked to
+        the left image, and of those that the right image shows. A hit that these show is known.
+        """
+        is_known = bool((right.change.hit > _IS_HIT).any())
+        if n_static >= _MIN_STATIC and n_shown < _MIN_SHOWN * n_static and not is_known:
+            self.is_lost = True
+            self._lost_s = time_s if math.isnan(self._lost_s) else self._lost_s
+
+    def update(self, frame: Frame, right: RightCamera) -> Realigned | None:
+        """Use the next frame, and how the right camera moved; returns the pair that is aligned again
+        by this frame.
+        """
+        if self.is_lost:
+            self._drive = None
+            return self._rough(frame)
+        self._evidence = None
+        if self._drive is None and abs(right.applied_px[OFFSET]) > _FAR_PX:
+            self._begin(right.matrix)
+        return None if self._drive is None else self._estimated(self._drive, frame)
+
+    def _begin(self, base: FloatArray) -> None:
+        """Estimate the alignment of the next frames, corrected by `base`."""
+        self._base = base
+        self._drive = DriveAlignment(self._rig, None, "the frames after a movement")
+
+    def _rough(self, frame: Frame) -> Realigned | None:
+        """The rough correction of a lost pair."""
+        if frame.right is None or frame.time_s < self._next_s:
+            return None
+        evidence = self._evidence = self._evidence or PairEvidence(self._rig.left)
+        evidence.add(frame.left, whole_image(frame.right))
+        is_moving = evidence.flow_px >= _MIN_FLOW_PX
+        self._next_s = frame.time_s + (MIN_STEP_S if is_moving else _WAIT_AT_REST_S)
+        if evidence.n_pairs >= _MAX_PAIRS:
+            self._evidence = None
+        if evidence.n_pairs < _N_PAIRS or not is_moving:
+            return None
+        finding = find_fault(evidence.figures(), self._rig)
+        if finding.fault not in ("fits", "verged"):
+            return None
+        self.is_lost, self._until_s = False, frame.time_s
+        prior = finding.prior if finding.needs_correction else self._rig.unaligned
+        sigma_px = max(prior.residual_px, _ROUGH_PX)
+        rough = replace(prior, residual_px=sigma_px, offset_sigma_px=sigma_px)
+        corrected = self._realigned(rough, np.eye(3))
+        self._begin(corrected.base)
+        return corrected
+
+    def _estimated(self, drive: DriveAlignment, frame: Frame) -> Realigned | None:
+        """The estimate from the frames since the movement, if it is complete."""
+        if frame.right is None:
+            return None
+        camera = RightCamera(self._rig.left, base=self._base)
+        drive.add(replace(frame, right=camera.warped(frame.right)))
+        if not (drive.has_segments or drive.is_full):
+            return None
+        alignment = drive.estimate()
+        if not alignment.is_measured:
+            self._begin(self._base)
+            return None
+        self._drive = None
+        return self._realigned(alignment, self._base)
+
+    def _realigned(self, alignment: Alignment, base: FloatArray) -> Realigned:
+        """The pair with an alignment of images that are corrected by `base`."""
+        camera = self._rig.left
+        shift = np.eye(3)
+        shift[0, 2] = -alignment.shift_px / camera.fx_px
+        view = RightView.of(alignment).if_needed(camera)
+        corrected = replace(
+            alignment.after_shift(), row_offset_px=0.0, roll_deg=0.0, focal_ratio=1.0, yaw_deg=0.0
+        )
+        return Realigned(shift @ view.matrix(camera) @ base, corrected)
