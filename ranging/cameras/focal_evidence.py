@@ -1,4 +1,4 @@
-r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its logarithm.
+r"""Focal length from the shapes of boxes, on a grid of its logarithm.
 
 One image of objects of known size does not give the focal length f: with f and all distances twice as large, the image
 is the same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its
@@ -11,15 +11,14 @@ box that is the side is as wide as the car is long in units of its distance:
 so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence` is the likelihood
 of a box over sizes, yaws and distances; the curve is
 
-    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h | u / f)
+    log p(f) = sum_tracks n_eff / n_views sum_views log p(w, h | u / f)
 
-with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most. Cars that are parked
+Views of one object share its size and count as `_VIEWS_PER_TRACK` at most. Cars that are parked
 askew, and shapes that are not cuboids, affect all boxes of a drive alike: the likelihood is smoothed with
 `_SHAPE_SIGMA`.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,11 +27,15 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import counted
 from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
+from track_range.ranging.size_models.size_model import (
+    SIZE_CLASSES,
+    BoxNoise,
+    SizeModel,
+    measured_boxes,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_guess import FocalGuess, focal_of_field
+from track_range.stereo.geometry.focal_curve import FocalCurve, log_focal_grid
 
-_FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 97  # number of points of the grid
 _VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
 # of log f that all boxes of a drive share; that of KITTI's labels, see docs/concepts/accuracy.md
@@ -62,53 +65,32 @@ _FLAT_LOG_SIGMA = 30.0  # standard deviation of the log distance without a prior
 
 
 @dataclass(frozen=True, slots=True)
-class FocalPosterior:
-    """Focal length from all sources."""
+class VehicleShapes:
+    """What the shapes of vehicles show of the focal length."""
 
-    focal_px: FloatArray  # (G,) grid, evenly spaced in its logarithm
-    density: FloatArray  # (G,) probability of each point
+    curve: FocalCurve
     n_tracks: int = 0  # number of objects whose shapes contribute
     relative_noise: float = BoxNoise().relative  # standard deviation of box edges / box size
 
     @property
-    def shapes(self) -> str:
-        """Name of the evidence of the shapes, for messages."""
+    def name(self) -> str:
+        """Name of the evidence, for messages."""
         return f"the shapes of {counted(self.n_tracks, 'vehicle')}"
 
-    @property
-    def guess(self) -> tuple[float, float]:
-        """Focal length in px (geometric mean) and its relative standard deviation."""
-        log_f = np.log(self.focal_px)
-        mean = float(self.density @ log_f)
-        return math.exp(mean), math.sqrt(float(self.density @ (log_f - mean) ** 2))
 
-
-def focal_posterior(
-    guesses: Sequence[FocalGuess],
-    boxes: SceneBoxes,
-    size_px: tuple[int, int],
-    sizes: CuboidSizes | None,
-) -> FocalPosterior:
-    """Focal length from at least one guess and the shapes of boxes of a video with images of
-    `size_px` (width, height).
-
-    `sizes` None = shapes are not used.
+def vehicle_shapes(boxes: SceneBoxes, size_px: tuple[int, int], sizes: SizeModel) -> VehicleShapes:
+    """Focal length from the shapes of boxes of a video with images of `size_px` (width, height);
+    unknown with sizes that have no shapes.
     """
-    low, high = (focal_of_field(field_deg, size_px[0]) for field_deg in _FIELDS_DEG)
-    log_f = np.linspace(math.log(low), math.log(high), _N_GRID)
-    log_p = np.zeros(_N_GRID)
-    for guess in guesses:
-        log_p -= 0.5 * ((log_f - math.log(guess.focal_px)) / guess.sigma) ** 2
+    log_f = log_focal_grid(size_px[0], _N_GRID)
     usable = boxes.select(
         boxes.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class]
     )
-    n_tracks, noise = 0, BoxNoise().relative
-    if sizes is not None and len(usable):
-        n_tracks = len(np.unique(usable.track_id))
-        likelihood, noise = _shape_likelihood(log_f, usable, size_px, sizes)
-        log_p += np.log(np.maximum(likelihood, 1e-300))
-    density = np.exp(log_p - log_p.max())
-    return FocalPosterior(np.exp(log_f), density / density.sum(), n_tracks, noise)
+    if not isinstance(sizes, CuboidSizes) or not len(usable):
+        return VehicleShapes(FocalCurve(log_f, np.zeros(_N_GRID)))
+    likelihood, noise = _shape_likelihood(log_f, usable, size_px, sizes)
+    curve = FocalCurve(log_f, np.log(np.maximum(likelihood, 1e-300)))
+    return VehicleShapes(curve, len(np.unique(usable.track_id)), noise)
 
 
 def _shape_likelihood(

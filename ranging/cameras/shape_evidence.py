@@ -6,17 +6,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
-from track_range.ranging.cameras.focal_evidence import FocalPosterior, focal_posterior
+from track_range.ranging.cameras.focal_evidence import VehicleShapes, vehicle_shapes
 from track_range.ranging.cameras.measurements import SceneBoxes, unhidden
-from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.cameras.unknowns import OF_FOCAL
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_guess import FocalGuess
 
 _VIEW_INTERVAL_S = 1.5  # between two views of a vehicle: those of successive frames are alike
 # times of measurements after the first frame, and until their results are used
 _TIMES_S, _DELAY_S = (8.0, 40.0), 1.5
-_NO_GUESS = 3.0  # standard deviation of the guess at which only the shapes count
 # of sigma: the errors on 11 drives of KITTI's labels, 24 s each, are 1.09 sigma (rms)
 _INFLATION = 1.15
 
@@ -33,7 +31,7 @@ class ShapeEvidence:
         self._camera, self._sizes = camera, sizes
         self._views: list[SceneBoxes] = []
         self._view_due_s, self._times_s, self._first_s = -math.inf, list(_TIMES_S), math.nan
-        self._future: Future[FocalPosterior] | None = None
+        self._future: Future[VehicleShapes] | None = None
         # log of the focal length over that by shapes
         self.evidence: tuple[Evidence, ...] = ()
 
@@ -45,14 +43,12 @@ class ShapeEvidence:
             return
         due_s = self._first_s + self._times_s[0]
         if self._future is not None and time_s >= due_s + _DELAY_S:
-            posterior, self._future = self._future.result(), None
+            shapes, self._future = self._future.result(), None
             del self._times_s[0]
-            focal_px, sigma = posterior.guess
-            if posterior.n_tracks:
+            focal_px, sigma = shapes.curve.estimate
+            if shapes.n_tracks:
                 error = math.log(self._camera.fx_px / focal_px)
-                self.evidence = (
-                    Evidence(posterior.shapes, {Unknown.FOCAL: 1}, error, _INFLATION * sigma),
-                )
+                self.evidence = (Evidence(shapes.name, OF_FOCAL, error, _INFLATION * sigma),)
             return
         if time_s >= self._view_due_s:
             self._view_due_s = time_s + _VIEW_INTERVAL_S
@@ -61,12 +57,7 @@ class ShapeEvidence:
                 SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], tracks.track_id[rows])
             )
         if self._future is None and time_s >= due_s:
-            boxes, guess = (
-                SceneBoxes.joined(self._views),
-                FocalGuess(self._camera.fx_px, _NO_GUESS, ""),
-            )
+            boxes = SceneBoxes.joined(self._views)
             thread = ThreadPoolExecutor(1, thread_name_prefix="shapes")
-            self._future = thread.submit(
-                focal_posterior, [guess], boxes, self._camera.size_px, self._sizes
-            )
+            self._future = thread.submit(vehicle_shapes, boxes, self._camera.size_px, self._sizes)
             thread.shutdown(wait=False)

@@ -7,8 +7,9 @@ from typing import Self
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.focal_guess import FocalGuess
+from track_range.stereo.geometry.focal_guess import FocalGuess, focal_of_field
 
+FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of a curve
 # probabilities below the bounds of the intervals of one and two standard deviations, and the median
 _QUANTILES = (0.0228, 0.1587, 0.5, 0.8413, 0.9772)
 
@@ -67,3 +68,9 @@ class FocalCurve:
         width = (x[1] - x[0]) ** 2 / 12  # of a point
         sigma = np.sqrt(np.maximum(square - mean**2, 0.0) + width)
         return np.array([total[has_points], mean, sigma])
+
+
+def log_focal_grid(width_px: int, n: int) -> FloatArray:
+    """(n,) logarithms of focal lengths in px of images of this width, evenly spaced."""
+    low, high = (math.log(focal_of_field(field_deg, width_px)) for field_deg in FIELDS_DEG)
+    return np.linspace(low, high, n)

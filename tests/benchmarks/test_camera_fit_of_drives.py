@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.boxes.box_drive import BoxDrive
 from track_range.ranging.cameras.camera_fit import fit_camera
-from track_range.ranging.cameras.focal_evidence import focal_posterior
+from track_range.ranging.cameras.focal_evidence import vehicle_shapes
 from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownObject,
@@ -20,9 +20,14 @@ from track_range.ranging.cameras.measurements import (
 from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.recording.cameras.camera_estimate import (
+    CameraEstimate,
+    source_of_curve,
+    source_of_guess,
+)
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
+from track_range.stereo.geometry.focal_guess import default_guess, focal_of_field
 from track_range.stereo.geometry.rig import StereoRig
 
 SIZE_PX = (1280, 720)
@@ -75,15 +80,17 @@ def test_simulated_drives():
     errors, sigmas = [], []
     for seed in range(6):
         focal_px, scene, known = simulated(seed)
-        posterior = focal_posterior([default_guess(SIZE_PX[0])], scene, SIZE_PX, SIZES)
-        guess = FocalGuess(*posterior.guess, "")
+        shapes = vehicle_shapes(scene, SIZE_PX, SIZES)
+        usual = source_of_guess(default_guess(SIZE_PX[0]), "usual", SIZE_PX[0])
+        by_shape = source_of_curve("shapes", "", shapes.curve, SIZE_PX[0])
+        guess = CameraEstimate(size_px=SIZE_PX, sources=(usual, by_shape)).guess
         fits = [
             fit_camera(
                 SIZE_PX,
                 camera_priors(guess.focal_px, focal_sigma=guess.sigma),
                 SIZES,
                 CameraMeasurements(
-                    objects=known[:n], scene=scene, scene_noise=posterior.relative_noise
+                    objects=known[:n], scene=scene, scene_noise=shapes.relative_noise
                 ),
             )
             for n in (1, 3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.cameras.camera_fit import fit_camera
-from track_range.ranging.cameras.focal_evidence import focal_posterior
+from track_range.ranging.cameras.focal_evidence import vehicle_shapes
 from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     HorizonRow,
@@ -23,7 +23,7 @@ from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
-from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
+from track_range.stereo.geometry.focal_guess import focal_of_field
 
 SIZE_PX = (1280, 720)
 CENTRE_PX = (639.5, 359.5)
@@ -171,34 +171,19 @@ def cuboid_scene(focal_px, *, n=60, seed=0):
 
 @pytest.mark.parametrize("focal_px", [550.0, 800.0, 1200.0])
 def test_shapes_of_cars_give_the_focal_length(focal_px):
-    guess = default_guess(SIZE_PX[0])
-    posterior = focal_posterior([guess], cuboid_scene(focal_px), SIZE_PX, SIZES)
-    before, after = (
-        abs(math.log(guess.focal_px / focal_px)),
-        abs(math.log(posterior.guess[0] / focal_px)),
-    )
-    assert after < 0.16
-    assert after < max(before, 0.12)
-    assert 0.1 < posterior.guess[1] < 0.25
+    shapes = vehicle_shapes(cuboid_scene(focal_px), SIZE_PX, SIZES)
+    shown_px, sigma = shapes.curve.estimate
+    assert abs(math.log(shown_px / focal_px)) < 0.16
+    assert 0.1 < sigma < 0.3
+    assert shapes.n_tracks > 10
 
 
-def test_without_boxes_the_guess_remains():
-    guess = default_guess(SIZE_PX[0])
-    posterior = focal_posterior([guess], SceneBoxes(), SIZE_PX, SIZES)
-    assert posterior.guess[0] == pytest.approx(guess.focal_px, rel=0.03)
-    assert posterior.guess[1] == pytest.approx(guess.sigma, rel=0.1)
-    assert posterior.n_tracks == 0
+def test_without_boxes_or_shapes_nothing_is_known():
+    for scene, sizes in ((SceneBoxes(), SIZES), (cuboid_scene(800.0), _NoSizes())):
+        shapes = vehicle_shapes(scene, SIZE_PX, sizes)
+        assert shapes.n_tracks == 0
+        assert np.ptp(shapes.curve.log_likelihood) == 0.0
     assert focal_of_field(90.0, 1280) == pytest.approx(640.0)
-
-
-def test_two_guesses_are_combined_by_their_sigmas():
-    guesses = [FocalGuess(800.0, 0.05, "a"), FocalGuess(1000.0, 0.2, "b")]
-    focal_px, sigma = focal_posterior(guesses, SceneBoxes(), SIZE_PX, None).guess
-    weight = 0.05**-2 / (0.05**-2 + 0.2**-2)
-    assert math.log(focal_px) == pytest.approx(
-        weight * math.log(800) + (1 - weight) * math.log(1000), abs=0.005
-    )
-    assert sigma == pytest.approx((0.05**-2 + 0.2**-2) ** -0.5, rel=0.05)
 
 
 def test_hidden_boxes():

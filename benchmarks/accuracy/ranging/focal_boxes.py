@@ -18,7 +18,7 @@ from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.cameras.camera_fit import fit_camera
-from track_range.ranging.cameras.focal_evidence import focal_posterior
+from track_range.ranging.cameras.focal_evidence import vehicle_shapes
 from track_range.ranging.cameras.measurements import (
     CameraMeasurements,
     KnownObject,
@@ -29,6 +29,11 @@ from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
+from track_range.recording.cameras.camera_estimate import (
+    CameraEstimate,
+    source_of_curve,
+    source_of_guess,
+)
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
@@ -186,8 +191,10 @@ def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[
 def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, FocalGuess]]:
     default = default_guess(drive.size_px[0])
     yield NAMES[3], default
-    posterior = focal_posterior([default], drive.scene, drive.size_px, sizes)
-    prior = FocalGuess(*posterior.guess, "shapes and a usual field of view")
+    shapes = vehicle_shapes(drive.scene, drive.size_px, sizes)
+    usual = source_of_guess(default, "usual", drive.size_px[0])
+    by_shape = source_of_curve("shapes", "shapes", shapes.curve, drive.size_px[0])
+    prior = CameraEstimate(size_px=drive.size_px, sources=(usual, by_shape)).guess
     yield NAMES[0], prior
     for known in drive.known:
         for name, n in ((NAMES[1], 1), (NAMES[2], 3)):
@@ -198,7 +205,7 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
                 camera_priors(prior.focal_px, focal_sigma=prior.sigma),
                 sizes,
                 CameraMeasurements(
-                    objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise
+                    objects=known[:n], scene=drive.scene, scene_noise=shapes.relative_noise
                 ),
             )
             yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")

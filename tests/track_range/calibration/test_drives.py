@@ -5,7 +5,6 @@
 import json
 import math
 import shutil
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +14,6 @@ from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.pre_pass import (
     _shown_names,
     drive_priors,
-    given_speed,
     source_of_evidence,
     thinned,
     undistorted,
@@ -25,6 +23,7 @@ from track_range.calibration.drive.road_evidence import RoadEvidence
 from track_range.detection.detections import Detections
 from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.measurements import SceneBoxes
+from track_range.ranging.cameras.scale_evidence import height_by_speed
 from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M, Unknown
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import video_name
@@ -164,6 +163,10 @@ def test_part_that_was_asked_for(tmp_path):
     assert part.parts_s() == [(2.0, 3.0)]
 
 
+def assumed_px_m(priors):
+    return priors[Unknown.FOCAL].value * priors[Unknown.HEIGHT].value
+
+
 def test_speed_gives_the_focal_length_by_hand():
     """The speed gives 1250 px m, and contact points 1.25 m: with errors of sizes of 5.5 and 6.5 %,
     of the contact points of 4 %, and of the speed of 1.5, 2 and 3 %, this is 1000 px +- 10 %. The
@@ -173,14 +176,14 @@ def test_speed_gives_the_focal_length_by_hand():
     height = Evidence(
         "", {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}, math.log(1.25 / USUAL_HEIGHT_M), 0.04
     )
-    evidence = [given_speed(priors, 1250.0, 0.03), height]
+    evidence = [height_by_speed(math.log(1250.0 / assumed_px_m(priors)), 0.03), height]
     by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
     focal_px, sigma = by_speed.curve.estimate
     assert focal_px == pytest.approx(980, rel=0.01)
     expected = math.sqrt(0.055**2 + 0.065**2 + 0.04**2 + 0.015**2 + 0.02**2 + 0.03**2)
     # wrong speeds widen it
     assert expected < sigma < 1.35 * expected
-    estimate = replace(usual(), sources=(*usual().sources, by_speed))
+    estimate = usual().with_source(by_speed)
     assert estimate.focal_px == pytest.approx(980, rel=0.03)
     assert estimate.leading.kind == "speed"
     assert "from the speed of the camera" in estimate.sentence
@@ -188,13 +191,13 @@ def test_speed_gives_the_focal_length_by_hand():
 
 def test_a_measured_height_and_a_speed_need_no_road_users():
     priors = drive_priors(usual(), 1.25)
-    evidence = [given_speed(priors, 1250.0, 0.01)]
+    evidence = [height_by_speed(math.log(1250.0 / assumed_px_m(priors)), 0.01)]
     by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
     focal_px, sigma = by_speed.curve.estimate
     assert focal_px == pytest.approx(1000, rel=0.01)
     # 3 % of the height, 1.5, 2 and 1 % of the speed are 4.0 %; in 6 % of cases one is a mistake
     assert 0.06 < sigma < 0.12
-    estimate = replace(usual(), sources=(*usual().sources, by_speed))
+    estimate = usual().with_source(by_speed)
     assert 0.041 < estimate.sigma < 0.06
 
 

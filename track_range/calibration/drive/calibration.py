@@ -19,7 +19,6 @@ from track_range.calibration.drive.known_metres import (
     known_metres,
 )
 from track_range.calibration.drive.pre_pass import (
-    DriveCamera,
     MountedCamera,
     PrePass,
 )
@@ -55,11 +54,6 @@ class DriveCalibration:
     sentences: tuple[str, ...]  # what the measurements determine, in words
 
     @property
-    def drive_camera(self) -> DriveCamera:
-        """The camera without height and pitch."""
-        return self.mounted.drive_camera
-
-    @property
     def fit(self) -> CameraFit:
         """The fit of all measurements."""
         return self.mounted.fit
@@ -67,14 +61,14 @@ class DriveCalibration:
     @property
     def camera(self) -> PinholeCamera:
         """The camera, whose distortion is empty unless the motion shows one."""
-        estimate = self.drive_camera.estimate
+        estimate = self.mounted.estimate
         camera = PinholeCamera.of_focal_length(self.fit.camera.fx_px, estimate.size_px)
         return PinholeCamera.of_matrix(camera.matrix, camera.size_px, estimate.distortion)
 
     @property
     def mounting(self) -> Mounting:
         """Height and pitch of the camera, and the uncertainty of its focal length."""
-        fit, estimate = self.fit, self.drive_camera.estimate
+        fit, estimate = self.fit, self.mounted.estimate
         return Mounting(
             focal_sigma=round(max(fit.focal_sigma, estimate.sigma), 4),
             camera_height_m=round(fit.height_m, 3),
@@ -100,11 +94,11 @@ class DriveCalibration:
     @property
     def figures(self) -> dict[str, Any]:
         """All values, as plain values for JSON."""
-        fit, drive_camera = self.fit, self.drive_camera
-        before = self.mounted.before
+        fit, mounted = self.fit, self.mounted
+        before = mounted.before
         return {
             "source": self.source,
-            "frames": drive_camera.n_frames,
+            "frames": mounted.n_frames,
             "focal_px": fit.camera.fx_px,
             **asdict(self.mounting),
             "roll_deg": float(np.degrees(fit.roll_rad)),
@@ -113,10 +107,10 @@ class DriveCalibration:
             "by_shape": {
                 "focal_px": before.focal_px,
                 "sigma": before.sigma,
-                "tracks": drive_camera.shapes.n_tracks,
-                "box_noise": drive_camera.shapes.relative_noise,
+                "tracks": mounted.shapes.n_tracks,
+                "box_noise": mounted.shapes.relative_noise,
             },
-            "camera_estimate": drive_camera.estimate.summary(),
+            "camera_estimate": mounted.estimate.summary(),
             "residuals": [asdict(residual) for residual in fit.residuals],
             "determined": list(self.sentences),
         }

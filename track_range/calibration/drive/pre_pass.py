@@ -21,7 +21,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.cameras.camera_fit import CameraFit, fit_camera
 from track_range.ranging.cameras.evidence import Evidence
-from track_range.ranging.cameras.focal_evidence import FocalPosterior, focal_posterior
+from track_range.ranging.cameras.focal_evidence import VehicleShapes, vehicle_shapes
 from track_range.ranging.cameras.measurements import CameraMeasurements, SceneBoxes
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_evidence import height_by_speed
@@ -32,19 +32,18 @@ from track_range.ranging.cameras.unknowns import (
     Unknown,
     camera_priors,
 )
-from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.cameras.camera_estimate import (
+    N_GRID,
     CameraEstimate,
     FocalSource,
     SourceKind,
-    log_focal_grid,
     source_of_curve,
     source_of_guess,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.focal_curve import FocalCurve
+from track_range.stereo.geometry.focal_curve import FocalCurve, log_focal_grid
 from track_range.stereo.geometry.focal_guess import default_guess
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
 
@@ -57,7 +56,6 @@ _UNKNOWN_SIGMA = 0.4
 _LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
-_FLAT_SIGMA = 30.0  # standard deviation of a prior of the log focal length that says nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +63,15 @@ class DriveCamera:
     """A camera by all evidence of its recordings."""
 
     estimate: CameraEstimate
-    shapes: FocalPosterior  # what the shapes of road users show, without any other source
+    shapes: VehicleShapes  # what the shapes of road users show, without any other source
     scene: SceneBoxes  # the road users, without the distortion
     n_frames: int  # number of frames that were read
 
 
-@dataclass(frozen=True, slots=True)
-class MountedCamera:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountedCamera(DriveCamera):
     """A camera with its height and pitch."""
 
-    drive_camera: DriveCamera
     before: CameraEstimate  # the estimate without the measurements of the user
     fit: CameraFit
 
@@ -96,9 +93,9 @@ class PrePass:
         and VideoError if a video cannot be read.
         """
         if self.known.are_given:
-            return self.mounted_camera_of(drives).drive_camera
+            return self.mounted_camera_of(drives)
         if any(drive.speed is not None for drive in drives):
-            return self._mounted(drives).drive_camera
+            return self._mounted(drives)
         return self._evaluated(drives[0], self._seen(drives, has_horizon=False))
 
     def mounted_camera_of(self, drives: Sequence[DriveVideo]) -> MountedCamera:
@@ -120,15 +117,25 @@ class PrePass:
         self.known.check(first)
         objects = known_objects(self.known.objects, first, self.detect)
         view = self._seen(drives, has_horizon=True)
-        drive_camera = self._evaluated(first, view)
+        camera = self._evaluated(first, view)
+        before = camera.estimate
         measured = CameraMeasurements(
             objects=objects,
             lanes=self.known.lanes,
-            horizon=view.horizon(drive_camera.estimate.focal_px),
-            scene=drive_camera.scene,
-            scene_noise=drive_camera.shapes.relative_noise,
+            horizon=view.horizon(before.focal_px),
+            scene=camera.scene,
+            scene_noise=camera.shapes.relative_noise,
         )
-        return self._fitted(drive_camera, measured, view)
+        priors = drive_priors(before, self.known.camera_height_m)
+        fit = fit_camera(before.size_px, priors, self.sizes, measured)
+        return MountedCamera(
+            estimate=self._with_evidence(before, priors, fit.evidence, view),
+            shapes=camera.shapes,
+            scene=camera.scene,
+            n_frames=view.n_frames,
+            before=before,
+            fit=fit,
+        )
 
     def _seen(self, drives: Sequence[DriveVideo], *, has_horizon: bool) -> RoadEvidence:
         """What the images of the drives show."""
@@ -151,13 +158,10 @@ class PrePass:
             estimate = with_motion(estimate, *motion)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
-        cuboids = self.sizes if isinstance(self.sizes, CuboidSizes) else None
-        flat = replace(default_guess(size_px[0]), sigma=_FLAT_SIGMA)
-        shapes = focal_posterior([flat], thinned(scene), size_px, cuboids)
+        shapes = vehicle_shapes(thinned(scene), size_px, self.sizes)
         if shapes.n_tracks:
-            curve = FocalCurve(np.log(shapes.focal_px), np.log(shapes.density + 1e-300))
-            by_shape = source_of_curve("shapes", shapes.shapes, curve, size_px[0])
-            estimate = replace(estimate, sources=(*estimate.sources, by_shape))
+            by_shape = source_of_curve("shapes", shapes.name, shapes.curve, size_px[0])
+            estimate = estimate.with_source(by_shape)
         return DriveCamera(estimate=estimate, shapes=shapes, scene=scene, n_frames=view.n_frames)
 
     def _without_images(self, drive: DriveVideo) -> CameraEstimate:
@@ -173,29 +177,31 @@ class PrePass:
         sources = metadata or (source_of_guess(usual, "usual", size_px[0]),)
         return CameraEstimate(size_px=size_px, sources=sources)
 
-    def _fitted(
-        self, drive_camera: DriveCamera, measured: CameraMeasurements, view: RoadEvidence
-    ) -> MountedCamera:
-        """The camera with its height and pitch, and with the user's measurements and a given speed
-        as a source.
-        """
-        before = drive_camera.estimate
-        priors = drive_priors(before, self.known.camera_height_m)
-        fit = fit_camera(before.size_px, priors, self.sizes, measured)
-        evidence, names = list(fit.evidence), []
+    def _with_evidence(
+        self,
+        before: CameraEstimate,
+        priors: CameraPriors,
+        of_fit: Sequence[Evidence],
+        view: RoadEvidence,
+    ) -> CameraEstimate:
+        """The estimate with the user's measurements and a given speed as a source."""
+        evidence, names = [*of_fit], list[str]()
+        kind: SourceKind = "known metres"
         if self.known.are_given:
             names.append("the known metres")
         if (height := view.heights.height_m) is not None:
+            kind = "speed"
             names.append("the speed of the camera")
-            evidence.append(given_speed(priors, view.focal_px * height[0], height[1] / height[0]))
-        if names:
-            kind: SourceKind = "known metres" if height is None else "speed"
-            known = source_of_evidence(
-                kind, " and ".join(names), priors, evidence, before.size_px[0]
-            )
-            estimate = replace(before, sources=(*before.sources, known))
-            drive_camera = replace(drive_camera, estimate=estimate)
-        return MountedCamera(drive_camera, before, fit)
+            height_m, sigma_m = height
+            assumed = priors[Unknown.FOCAL].value * priors[Unknown.HEIGHT].value
+            value = math.log(view.focal_px * height_m / assumed)
+            evidence.append(height_by_speed(value, sigma_m / height_m))
+        if not names:
+            return before
+        source = " and ".join(names)
+        return before.with_source(
+            source_of_evidence(kind, source, priors, evidence, before.size_px[0])
+        )
 
 
 def _shown_names(paths: Sequence[str]) -> list[str]:
@@ -213,14 +219,6 @@ def drive_priors(estimate: CameraEstimate, height_m: float | None) -> CameraPrio
     return {**priors, Unknown.SIZES: replace(priors[Unknown.SIZES], sigma=sigma)}
 
 
-def given_speed(priors: CameraPriors, product_px_m: float, sigma: float) -> Evidence:
-    """The product of focal length and camera height by a given speed and the motion of the road,
-    with the relative standard deviation `sigma`.
-    """
-    assumed_px_m = priors[Unknown.FOCAL].value * priors[Unknown.HEIGHT].value
-    return height_by_speed(math.log(product_px_m / assumed_px_m), sigma)
-
-
 def source_of_evidence(
     kind: SourceKind,
     source: str,
@@ -231,7 +229,7 @@ def source_of_evidence(
     """The focal length by equations of all unknowns, as if it were not known before."""
     focal = replace(priors[Unknown.FOCAL], sigma=FREE_SIGMA, kind="unknown")
     cameras = posterior({**priors, Unknown.FOCAL: focal}, evidence)
-    log_focal = log_focal_grid(width_px)
+    log_focal = log_focal_grid(width_px, N_GRID)
     log_p = cameras.log_density(OF_FOCAL, math.log(focal.value) - log_focal)
     return FocalSource(kind, source, FocalCurve(log_focal, log_p))
 
@@ -248,7 +246,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "")
     sigma = by_motion.curve.estimate[1]
     if sigma > _UNKNOWN_SIGMA:
         return before
-    estimate = replace(before, sources=(*before.sources, by_motion))
+    estimate = before.with_source(by_motion)
     if sigma > _LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
         return estimate
     return replace(estimate, coefficients=motion.coefficients, k1_sigma=motion.k1_sigma)

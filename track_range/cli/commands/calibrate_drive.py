@@ -26,16 +26,16 @@ def calibrate_from_drives_and_print(settings: DriveSettings) -> None:
         return lambda frame: network.detect(frame.left)
 
     calibration = calibrate_from_drives(settings, open_detect, partial(step_progress, console))
-    drive_camera = calibration.drive_camera
+    mounted = calibration.mounted
     frames, vehicles = (
-        counted(drive_camera.n_frames, "frame"),
-        counted(drive_camera.shapes.n_tracks, "vehicle"),
+        counted(mounted.n_frames, "frame"),
+        counted(mounted.shapes.n_tracks, "vehicle"),
     )
     of = "the video" if len(settings.recordings) == 1 else f"{len(settings.recordings)} videos"
     print_line(console, f"{frames} of {of}, {vehicles}.")
     _print_sources(calibration)
     _print_residuals(calibration)
-    print_line(console, *calibration.sentences, *drive_camera.estimate.advice)
+    print_line(console, *calibration.sentences, *mounted.estimate.advice)
     if calibration.fit.contradiction != 1.0 and not settings.force:
         raise CalibrationError(
             "expected measurements that agree, found a contradiction (see the warning), so "
@@ -48,7 +48,7 @@ def calibrate_from_drives_and_print(settings: DriveSettings) -> None:
 
 def _print_sources(calibration: DriveCalibration) -> None:
     """Print the focal length by each source, and by all of them."""
-    estimate = calibration.drive_camera.estimate.summary()
+    estimate = calibration.mounted.estimate.summary()
     rows = [*estimate["sources"], {**estimate, "source": "all", "sigma": estimate["focal_sigma"]}]
     columns = [
         Column("focal length px", [row["focal_px"] for row in rows], "{:.0f}"),

@@ -16,21 +16,20 @@ sources: the curve of the focal length by them.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.stereo.geometry.focal_curve import FocalCurve
-from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess, focal_of_field
+from track_range.stereo.geometry.focal_curve import FocalCurve, log_focal_grid
+from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.lenses.pinhole import first_radial
 
 # "given" = a calibration file with its sigma; "usual" = the field of view of most road cameras
 SourceKind = Literal["given", "usual", "metadata", "shapes", "motion", "speed", "known metres"]
 
-FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
-_N_GRID = 1201  # points of the grid, 0.25 % apart
+N_GRID = 1201  # points of the grid, 0.25 % apart
 # Probability that a source is a mistake; assumed. Metadata of cropped or stabilised video is wrong
 # most often. Motion checks itself, and a wrong unit of a speed is in its curve.
 _MISTAKE = {
@@ -101,10 +100,14 @@ class CameraEstimate:
     @property
     def curve(self) -> FocalCurve:
         """The focal length by all sources, at the points of the grid."""
-        log_focal = log_focal_grid(self.size_px[0])
+        log_focal = log_focal_grid(self.size_px[0], N_GRID)
         usual = FocalCurve.of_guess(default_guess(self.size_px[0]), log_focal).density
         log_p = np.sum([source.robust_log_density(usual) for source in self.sources], axis=0)
         return FocalCurve(log_focal, log_p)
+
+    def with_source(self, source: FocalSource) -> Self:
+        """The estimate with one more source."""
+        return replace(self, sources=(*self.sources, source))
 
     @property
     def focal_px(self) -> float:
@@ -213,27 +216,23 @@ class CameraEstimate:
         }
 
 
-def log_focal_grid(width_px: int) -> FloatArray:
-    """(G,) logarithms of focal lengths in px of images of this width, evenly spaced."""
-    low, high = (math.log(focal_of_field(field_deg, width_px)) for field_deg in FIELDS_DEG)
-    return np.linspace(low, high, _N_GRID)
-
-
 def source_of_guess(guess: FocalGuess, kind: SourceKind, width_px: int) -> FocalSource:
     """A focal length with a standard deviation as a source."""
-    return FocalSource(kind, guess.source, FocalCurve.of_guess(guess, log_focal_grid(width_px)))
+    return FocalSource(
+        kind, guess.source, FocalCurve.of_guess(guess, log_focal_grid(width_px, N_GRID))
+    )
 
 
 def source_of_curve(kind: SourceKind, source: str, curve: FocalCurve, width_px: int) -> FocalSource:
     """A likelihood at other focal lengths as a source."""
-    return FocalSource(kind, source, curve.at(log_focal_grid(width_px)))
+    return FocalSource(kind, source, curve.at(log_focal_grid(width_px, N_GRID)))
 
 
 def _shown_points(curve: FocalCurve) -> IntArray:
     """(S,) points of the grid that a picture needs: some everywhere, more where the density is."""
     density = curve.density
     near = np.flatnonzero(density > _SHOWN_DENSITY * density.max())
-    coarse = np.arange(0, _N_GRID, _N_GRID // _N_SHOWN)
+    coarse = np.arange(0, N_GRID, N_GRID // _N_SHOWN)
     return np.union1d(coarse, near[:: max(1, len(near) // _N_SHOWN)])
 
 
