@@ -251,8 +251,10 @@ def ground_likelihood(
     residual2 = (
         (contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth
     ) ** 2
-    edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
-    variance = (ground.variance + edge_variance)[:, None]
+    edge_variance = contacts.edge_sigma[:, None] ** 2 + roughness * prior.rough_variance(
+        inverse_depth, contacts.bearing[:, None]
+    )
+    variance = ground.variance[:, None] + edge_variance
     likelihood = _contact_likelihood(
         residual2, variance, prior, roughness * inverse_depth * inverse_depth
     )
@@ -260,7 +262,7 @@ def ground_likelihood(
     alone = ground.is_prior_only
     if alone.any():
         near, residual2 = inverse_depth[alone], residual2[alone]
-        variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * near) ** 2
+        variance = edge_variance[alone] + (prior.camera_height_sigma_m * near) ** 2
         likelihood[alone] = 0.0
         for weight, scale in _T_COMPONENTS:
             total = variance + (scale * prior.horizon_sigma) ** 2

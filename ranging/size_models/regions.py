@@ -12,10 +12,14 @@ Cars and people have one Gaussian with the moments of the mixture, in whose cova
 ratio of a box depends on its type; other classes keep the types as components (`SizePrior.bodies`),
 whose heights differ more.
 
-Sizes are sizes of frequent models. Fractions in North America: EPA, Automotive Trends Report
-(production by type, model years 2008 to 2018); in East Asia: our estimate from sales of Japan,
-China and Singapore. Heights of people: NCD-RisC, A century of trends in adult human height, eLife
-2016, with shoes and some children.
+Sizes are sizes of frequent models, from their manufacturers. Fractions in North America: EPA,
+Automotive Trends Report (production by type, model years 2008 to 2018), which covers vehicles up to
+8,500 lb. Heavier pickups: Davis and Truett, Sales and Impact of Class 2b Trucks, TRR 1842, 2003
+(7.8 % of the trucks up to 10,000 lb on the road, 82 % of them pickups). Vans: sales of 2014 to 2018
+(about 2.5 % of light vehicles; 23 % of them small, half of the others of the European type, of
+which two thirds have a medium or high roof). In East Asia: our estimate from sales of Japan, China
+and Singapore. Heights of people: NCD-RisC, A century of trends in adult human height, eLife 2016,
+with shoes and some children.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,9 +48,17 @@ _TYPES: Mapping[str, Mapping[str, _Type]] = {  # body types of the classes
         # Corolla, Golf, Camry; also estates
         "saloon": _Type((1.46, 1.79, 4.50), (0.035, 0.04, 0.08)),
         "SUV": _Type((1.70, 1.86, 4.60), (0.05, 0.05, 0.07)),  # RAV4, CR-V, Explorer
+        "large SUV": _Type((1.92, 2.05, 5.40), (0.03, 0.02, 0.06)),  # Tahoe, Suburban, Expedition
         "pickup": _Type((1.88, 2.00, 5.70), (0.04, 0.04, 0.06)),  # F-150, Silverado, Tacoma
+        "heavy pickup": _Type((2.03, 2.05, 6.15), (0.03, 0.03, 0.06)),  # F-250, Silverado 2500
         "minivan": _Type((1.82, 1.92, 5.00), (0.06, 0.06, 0.06)),  # Sienna, Odyssey, Alphard
         "kei car": _Type((1.68, 1.475, 3.395), (0.07, 0.01, 0.01)),  # N-Box, Wagon R
+    },
+    "van": {  # which detectors call cars
+        "small": _Type((1.87, 1.80, 4.70), (0.04, 0.03, 0.05)),  # Transit Connect, NV200
+        "full-size": _Type((2.12, 2.03, 5.80), (0.04, 0.03, 0.07)),  # Express, low-roof Transit
+        # Transit, ProMaster and Sprinter with a medium or high roof
+        "high roof": _Type((2.58, 2.05, 6.10), (0.08, 0.03, 0.09)),
     },
     "person": {
         "American": _Type((1.72, 0.58, 0.72), (0.07, 0.19, 0.33)),
@@ -86,7 +98,15 @@ _FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
     },
     "north-america": {
         **_TWO_WHEELERS,
-        "car": {"saloon": 0.48, "SUV": 0.34, "pickup": 0.13, "minivan": 0.05},
+        "car": {
+            "saloon": 0.46,
+            "SUV": 0.3,
+            "large SUV": 0.03,
+            "pickup": 0.12,
+            "heavy pickup": 0.04,
+            "minivan": 0.05,
+        },
+        "van": {"small": 0.2, "full-size": 0.5, "high roof": 0.3},
         "person": {"American": 1.0},
         "truck": {"pickup": 0.35, "light": 0.2, "heavy": 0.2, "semi-trailer": 0.25},
         "bus": {"single deck": 0.75, "minibus": 0.1, "coach": 0.15},

@@ -3,11 +3,13 @@ bottom edges.
 
     y_i = y0 + H x_i + r_i                  y_i: bottom edge, y0: horizon, as tangents below the camera's axis
     x_i = 1 / z_i                           z_i: distance of the contact point by size, H: camera height
-    var r_i = (roll b_i)^2 + (kerb x_i)^2   b_i: tangent of the bearing
+    var r_i = (roll b_i)^2 + (kerb x_i)^2 + (bend / (2 x_i))^2
+                                            b_i: tangent of the bearing, bend: curvature of the profile
 
 z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are
 0.1 m above or below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll
-and side roads, which act as an angle times the bearing. Far objects, whose contact points matter
+and side roads, which act as an angle times the bearing. A road whose slope changes leaves the plane
+by bend z^2 / 2: 0.1 m at 30 m, 0.6 m at 80 m. Far objects, whose contact points matter
 little, determine the horizon for near objects. y0 and H are estimated for each object from the
 other objects only, so that they are independent of its size: objects of the frame, and objects that
 were seen earlier in the drive (`DriveState`), between which the pitch has changed.
@@ -54,6 +56,14 @@ class GroundPrior:
     kerb_m: tuple[Sigma, Sigma] = (0.15, 0.5)
     # fraction of objects with the second standard deviation
     rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
+    # standard deviation of the curvature of the road's profile, 1/m; design rules allow 1.4e-3 on
+    # crests of streets for 50 km/h (AASHTO, A Policy on Geometric Design of Highways and Streets)
+    bend_per_m: Sigma = 2e-4
+
+    def rough_variance(self, inverse_depth: FloatArray, bearing: FloatArray) -> FloatArray:
+        """Variance of bottom edges by cross slope and by the bend of the road."""
+        by_bend = 0.5 * self.bend_per_m / inverse_depth
+        return np.asarray((self.roll_sigma * bearing) ** 2 + by_bend * by_bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +101,7 @@ def ground_from_others(
     x, y = contacts.inverse_depth, contacts.bottom
     # terms of the normal equations for (y0, H)
     basis = np.array([np.ones_like(x), x, x * x, y, x * y])
-    rough = (prior.kerb_m[0] * x) ** 2 + (prior.roll_sigma * contacts.bearing) ** 2
+    rough = (prior.kerb_m[0] * x) ** 2 + prior.rough_variance(x, contacts.bearing)
     other = contacts.edge_sigma**2 + (prior.camera_height_m * x * contacts.sigma) ** 2
     R = drive.roughness * rough + other
     information = contacts.is_on_ground / R

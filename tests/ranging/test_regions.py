@@ -85,3 +85,14 @@ def test_a_bicycle_without_rider_is_near():
     assert with_rider == pytest.approx(17.0, rel=0.1)
     assert alone == pytest.approx(11.0, rel=0.1)
     assert sigma < 0.2
+
+
+@pytest.mark.parametrize(
+    ("width_m", "height_m"),
+    [(2.03, 2.12), (2.05, 2.04), (2.50, 3.40)],  # a full-size van, a heavy pickup, a lorry
+)
+def test_large_vehicles_called_cars_are_within_two_sigma(width_m, height_m):
+    """Seen from behind at 40 m: 1000 px of focal length make 25 px of each metre."""
+    distance_m, sigma = measured("north-america", "car", (25 * width_m, 25 * height_m))
+    assert 40 * 0.7 < distance_m < 40 * 1.1
+    assert abs(distance_m - 40) < 2 * sigma * distance_m
