@@ -31,7 +31,7 @@ from track_range.stereo.alignment.feature_tracks import (
     TrackedFrame,
 )
 from track_range.stereo.alignment.health import Window, move_of
-from track_range.stereo.alignment.right_view import RightView, fit_right_view
+from track_range.stereo.alignment.right_view import RightView, fit_right_view, view_sigma
 from track_range.stereo.alignment.segments import (
     INCONSISTENT,
     MAX_ERROR_PX,
@@ -259,16 +259,26 @@ class DriveAlignment:
         self._n_segments_left -= 1
         self._segments.append((self._drive, (points[0].time_s, points[-1].time_s), segment))
 
+    @property
+    def view_sigma(self) -> FloatArray:
+        """(3,) standard deviations of row offset in px, roll in degrees and focal ratio."""
+        half_px = self._rig.left.width_px / 2
+        locking = PIXEL_LOCKING_PX * np.array([1.0, math.degrees(1 / half_px), 1 / half_px])
+        return np.hypot(view_sigma(*self._all_matched, self._rig.left), locking)
+
+    @property
+    def _all_matched(self) -> tuple[FloatArray, FloatArray]:
+        """Points (N, 2) of the left and the right images of all frames."""
+        nothing = np.zeros((0, 2))
+        left_px = np.concatenate([nothing, *(points.left_px for points in self._matched)])
+        right_px = np.concatenate([nothing, *(points.right_px for points in self._matched)])
+        return left_px, right_px
+
     def _measured_view(self) -> RightView:
-        left_px = np.concatenate([np.zeros((0, 2)), *(points.left_px for points in self._matched)])
-        right_px = np.concatenate(
-            [np.zeros((0, 2)), *(points.right_px for points in self._matched)]
-        )
-        return (
-            fit_right_view(left_px, right_px, self._rig.left)
-            if len(left_px) >= MIN_ROWS
-            else RightView()
-        )
+        left_px, right_px = self._all_matched
+        if len(left_px) < MIN_ROWS:
+            return RightView()
+        return fit_right_view(left_px, right_px, self._rig.left)
 
 
 def estimated_errors(segments: list[Segment]) -> CombinedEstimate:

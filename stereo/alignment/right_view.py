@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import jackknife_covariance
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.cauchy_fit import CauchyFit, cauchy_fit
@@ -16,6 +17,7 @@ from track_range.stereo.geometry.cauchy_fit import CauchyFit, cauchy_fit
 _N_ROUNDS = 8  # rounds of the reweighted least squares, for many points
 # minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
 _MIN_POINTS = 200
+_N_STRIPS = 8  # number of vertical strips of the jackknife
 _MAX_POINTS = 12_000  # largest number of points in the fit; more do not make it more accurate
 # minimum standard deviation of the columns, as a fraction of the value for points all over the
 # image
@@ -97,6 +99,19 @@ def fit_rows(
     design = np.stack([1 + Y**2, -f_over_w * X, f_over_w * Y, -f_over_w * X * Y], axis=1)
     rows_px = right_px[:, 1] - left_px[:, 1]
     return cauchy_fit(design, rows_px, least_scale=least_scale_px, n_rounds=n_rounds)
+
+
+def view_sigma(left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """(3,) standard deviations of row offset in px, roll in degrees and focal ratio of
+    `fit_right_view`, by the jackknife over strips of the image: errors of a lens are common to all
+    points there.
+    """
+    strip = (left_px[:, 0] * _N_STRIPS / camera.width_px).astype(np.int64)
+    views = [
+        fit_right_view(left_px[strip != k], right_px[strip != k], camera) for k in range(_N_STRIPS)
+    ]
+    values = np.array([(v.row_offset_px, v.roll_deg, v.focal_ratio) for v in views])
+    return np.asarray(np.sqrt(np.diag(jackknife_covariance(values))))
 
 
 def fit_right_view(

@@ -146,6 +146,17 @@ def tracked_street(
         yield TrackedFrame(0.1 * frame, PairPoints(seen, *points), 5.0, 1.0)
 
 
+def test_sigmas_of_the_right_view_cover_its_errors() -> None:
+    drive = DriveAlignment(RIG)
+    for frame in tracked_street(rotated(roll_deg=0.3), n_frames=3):
+        drive.add_points(frame)
+    sigma = drive.view_sigma
+    view = RightView.of(drive.estimate())
+    error = np.array([view.row_offset_px, view.roll_deg - 0.3, view.focal_ratio - 1.0])
+    assert np.all(np.abs(error) < 3 * sigma)
+    assert np.all(sigma < [0.1, 0.02, 1e-3])
+
+
 def estimated(rig_file: StereoRig, **options: int) -> tuple[RigHealth, Alignment]:
     rig = Rectifier(rig_file).rig
     drive = DriveAlignment(rig)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from track_range.calibration.reference_pairs import LEFT, RIGHT, open_pair, reference_pairs
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import check_outputs, write_json
@@ -22,9 +24,10 @@ from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
+from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.evaluation.box_matchers import measure_pairs
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
-from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import find_rig
@@ -33,6 +36,18 @@ _MATCHER = "patch"
 _CORRECTION = "a run with this alignment corrects it"
 # number of image pairs on which the row offset is measured; it hardly varies between pairs
 _N_ROW_PAIRS = 12
+_MIN_SIGMAS = 3.0  # from which a given value is excluded
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedValue:
+    """A value of a pair as it is given, and as drives show it."""
+
+    name: str  # with its unit
+    given: float
+    shown: float
+    sigma: float  # of the shown value
+    is_doubted: bool  # whether the given value is excluded, by an error that matters
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +56,7 @@ class BaselineCheck:
 
     sentence: str  # for the user
     figures: dict[str, Any]  # as in summary.json of a run
+    values: tuple[CheckedValue, ...] = ()  # lengths that the evidence shows
 
 
 CheckBaseline = Callable[[tuple[Path, Path], AlignmentSettings | RigCheckSettings], BaselineCheck]
@@ -56,6 +72,49 @@ class RigAlignment:
     health: RigHealth  # what it means for distances
     notes: tuple[str, ...]  # messages for the user
     baseline: BaselineCheck | None = None  # what road users and the speed show; None = not checked
+    # (3,) sigmas of row offset in px, roll in degrees and focal ratio; None = not from drives
+    view_sigma: FloatArray | None = None
+
+    @property
+    def values(self) -> tuple[CheckedValue, ...]:
+        """The values of the pair that were measured, against those of its rig."""
+        measured, rig = self.measured, self.health.rig
+        pair = CheckedValue(
+            "error of all disparities px",
+            0.0,
+            measured.offset_px,
+            measured.offset_sigma_px,
+            self.health.has_disparity_error,
+        )
+        of_baseline = () if self.baseline is None else self.baseline.values
+        if self.view_sigma is None:
+            return (pair, *of_baseline)
+        row_px, roll_deg, ratio = self.view_sigma.tolist()
+        in_deg = math.degrees(1 / rig.left.fx_px)
+        angles = (
+            (
+                "pitch of the right camera deg",
+                0.0,
+                in_deg * measured.row_offset_px,
+                in_deg * row_px,
+            ),
+            ("roll of the right camera deg", 0.0, measured.roll_deg, roll_deg),
+            ("focal length, right over left", 1.0, measured.focal_ratio, ratio),
+        )
+        errors = (
+            RightView(measured.row_offset_px),
+            RightView(roll_deg=measured.roll_deg),
+            RightView(focal_ratio=measured.focal_ratio),
+        )
+        of_rows = (
+            CheckedValue(
+                *value,
+                abs(value[2] - value[1]) > _MIN_SIGMAS * value[3]
+                and error.rows_px(rig.left) > MAX_ROW_OFFSET_PX,
+            )
+            for value, error in zip(angles, errors, strict=True)
+        )
+        return (*of_rows, pair, *of_baseline)
 
     @classmethod
     def of(
@@ -90,6 +149,7 @@ class RigAlignment:
             "health": self.health.to_dict(),
             "notes": list(self.notes),
             "baseline": None if self.baseline is None else self.baseline.figures,
+            "cameras": [asdict(value) for value in self.values],
         }
 
     @property
@@ -204,6 +264,7 @@ def _from_drives(
     for recording in recordings:
         notes += () if recording.sync is None else tuple(recording.sync.notes)
     aligned = RigAlignment.of(rigs[0], measured, dict.fromkeys(notes), estimator.windows())
+    aligned = replace(aligned, view_sigma=estimator.view_sigma)
     if check_baseline is None or not settings.checks_baseline:
         return aligned
     return replace(aligned, baseline=check_baseline(sources[0], settings))

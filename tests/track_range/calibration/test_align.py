@@ -4,17 +4,22 @@ input."""
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from contextlib import closing
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from track_range.calibration.align import RigAlignment
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.pair_finding import PairFinding
+from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -39,6 +44,22 @@ def near_boxes(drive):
         labels.track_id[clear],
         labels.location_m[clear, 2],
     )
+
+
+def test_values_of_the_pair_are_doubted_by_errors_that_are_clear_and_matter():
+    rig = StereoRig.rectified(PinholeCamera(720.0, 720.0, 600.0, 180.0, 1200, 360), 0.5)
+    measured = Alignment(
+        offset_px=0.05, offset_sigma_px=0.02, row_offset_px=2.0, roll_deg=0.01, focal_ratio=1.004
+    )
+    aligned = replace(RigAlignment.of(rig, measured, ()), view_sigma=np.array([0.02, 0.001, 0.003]))
+    pitch, roll, ratio, offset = aligned.values
+    # 2 px of 720; 0.06 px of rows do not matter; 1.3 sigma; 0.4 % at 30 m
+    assert pitch.shown == pytest.approx(math.degrees(2 / 720))
+    assert pitch.sigma == pytest.approx(math.degrees(0.02 / 720))
+    assert [value.is_doubted for value in (pitch, roll, ratio, offset)] == [True, *3 * [False]]
+    assert (ratio.given, ratio.shown, offset.sigma) == (1.0, 1.004, 0.02)
+    assert len(replace(aligned, view_sigma=None).values) == 1
+    assert aligned.figures["cameras"][0]["name"] == pitch.name
 
 
 @pytest.mark.slow

@@ -44,7 +44,12 @@ def test_table_and_json_of_a_good_rig(drive_folder, tmp_path, cli):
     assert status == 0
     assert "Expected distance error" in printed
     assert "baseline" in printed
-    health = json.loads(figures.read_text())["health"]
+    assert "pitch of the right camera" in printed
+    read = json.loads(figures.read_text())
+    for value in read["cameras"]:
+        assert abs(value["shown"] - value["given"]) < 3 * value["sigma"]
+        assert not value["is_doubted"]
+    health = read["health"]
     assert health["state"] == "good"
     assert [row["distance_m"] for row in health["distances"]] == [10.0, 20.0, 30.0, 50.0]
     assert len(health["windows"]) == 1

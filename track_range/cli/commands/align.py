@@ -2,19 +2,30 @@
 stereo pair.
 """
 
+import math
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
-from track_range.calibration.align import BaselineCheck, RigAlignment, align, check_rig_health
+from track_range.calibration.align import (
+    BaselineCheck,
+    CheckedValue,
+    RigAlignment,
+    align,
+    check_rig_health,
+)
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.cli.shared.console import console, print_grid, print_line
 from track_range.cli.shared.parameters import command
+from track_range.ranging.cameras.causes import SHOWN_SIGMA
+from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.unknowns import Unknown
 from track_range.run.options.precedence import settings_from
 from track_range.run.progress import step_progress
 from track_range.run.run import Run
-from track_range.views.tables import rig_grid
+from track_range.views.tables import SIGMA, Column, Grid, grid_of, rig_grid
 
 _BASELINE_S = 30.0  # longest part of the drive from which the baseline is checked
 
@@ -37,8 +48,20 @@ def _check(settings: RigCheckSettings) -> None:
 
 
 def _print(alignment: RigAlignment) -> None:
+    print_grid(console, _cameras_grid(alignment.values))
     print_grid(console, rig_grid(alignment.health.to_dict()))
     print_line(console, *alignment.sentences)
+
+
+def _cameras_grid(values: Sequence[CheckedValue]) -> Grid:
+    columns = [
+        Column("given", [value.given for value in values], "{:.3f}"),
+        Column("by the drive", [value.shown for value in values], "{:.3f}"),
+        Column(SIGMA, [value.sigma for value in values], "{:.3f}"),
+        # the same word for all that are
+        Column("in doubt", [1.0 if value.is_doubted else None for value in values], "yes"),
+    ]
+    return grid_of("The cameras", "value", [value.name for value in values], columns)
 
 
 def _check_baseline(
@@ -62,7 +85,23 @@ def _check_baseline(
     check = run.session.opened.pipeline.doubting.check
     if check is None:
         return BaselineCheck("", {})
-    return BaselineCheck(check.sentence, check.summary())
+    return BaselineCheck(check.sentence, check.summary(), _shown_lengths(check))
+
+
+def _shown_lengths(check: ScaleCheck) -> tuple[CheckedValue, ...]:
+    """Baseline and focal length, if the drive shows them without what was given."""
+    doubted = () if check.doubt is None else check.doubt.cause_names
+    values = []
+    for unknown, unit in ((Unknown.BASELINE, "m"), (Unknown.FOCAL, "px")):
+        given = check.priors[unknown].value
+        shown = check.cameras.estimate({unknown: 1.0}, unknown)
+        if shown.sigma < SHOWN_SIGMA:
+            value = given * math.exp(-shown.mean)
+            sigma = value * shown.sigma
+            values.append(
+                CheckedValue(f"{unknown} {unit}", given, value, sigma, unknown in doubted)
+            )
+    return tuple(values)
 
 
 app = command(AlignmentSettings, _align)
