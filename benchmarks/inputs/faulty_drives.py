@@ -337,7 +337,15 @@ def _of_issue(section: str, name: str, change: Change, cause: str, **others: Any
 
 FAULTS = (
     *(
-        Fault("scale", f"baseline {f:g}", baseline(f), SCALE, "baseline", is_known=f in (0.83, 1.2))
+        Fault(
+            "scale",
+            f"baseline {f:g}",
+            baseline(f),
+            SCALE,
+            "baseline",
+            is_known=f in (0.83, 1.2),
+            after_s=2.0,
+        )
         for f in (0.39, 0.5, 0.67, 0.83, 1.2, 1.5, 2.54, 4.3, 9.0)
     ),
     *(
@@ -349,6 +357,7 @@ FAULTS = (
             "focal length",
             is_mono=True,
             is_known=True,
+            after_s=2.0,
         )
         for f in (0.5, 2.0)
     ),

@@ -11,9 +11,9 @@ in metres, too large distances would also have too large sigmas, and short dista
 weight. If the ego speed V is known, the target's own speed v + V is taken as constant, with dV the
 change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. The error of V, with standard
 deviation sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is
-added to the state with the variance of dV. This variance is 0 while V does not change, since the
-error of V does not change either. In turns, V is the speed with which static objects at the bearing
-b come nearer, V - w b d. A new track starts as a static target, v = -V.
+added to the state; a part of it that is new in each frame counts in full. This variance is 0 while
+V does not change, since the error of V does not change either. In turns, V is the speed with which
+static objects at the bearing b come nearer, V - w b d. A new track starts as a static target, v = -V.
 
 A filter runs for each of several models of the motion, static or with another q, and the results
 are their mean (`motion_models`). The closing speed of a static object is V, whatever its size.

@@ -64,7 +64,8 @@ class EgoStep:
         change_mps = np.where(np.isnan(change_mps), 0.0, change_mps)
         if math.isnan(ego.speed_sigma_mps):
             return cls(True, speed_mps, 0.0, change_mps, zero)
-        variance = 2 * ego.speed_sigma_mps**2 * -np.expm1(-dt / _EGO_CORRELATION_S)
+        lasting = max(ego.speed_sigma_mps**2 - ego.noise_mps**2, 0.0)
+        variance = 2 * (ego.noise_mps**2 - lasting * np.expm1(-dt / _EGO_CORRELATION_S))
         change_variance = np.where(change_mps == 0, 0.0, variance)
         if ego.is_predicted:
             change_variance = PREDICTED_NOISE**2 * dt

@@ -84,7 +84,8 @@ class RigScale:
             return motion
         speed_mps = motion.speed_mps * self.factor
         sigma_mps = float(np.hypot(motion.speed_sigma_mps * self.factor, self.sigma * speed_mps))
-        return replace(motion, speed_mps=speed_mps, speed_sigma_mps=sigma_mps)
+        noise_mps = motion.noise_mps * self.factor
+        return replace(motion, speed_mps=speed_mps, speed_sigma_mps=sigma_mps, noise_mps=noise_mps)
 
 
 CALIBRATED = RigScale()

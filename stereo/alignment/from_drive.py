@@ -40,7 +40,11 @@ from track_range.stereo.alignment.segments import (
     combine,
     segment_of,
 )
-from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.alignment import (
+    MAX_ROW_OFFSET_PX,
+    UNCORRECTED_SIGMA_PX,
+    Alignment,
+)
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -235,6 +239,9 @@ class DriveAlignment:
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0
         self._last_s, self._tracks = -math.inf, FeatureTracks()
+        # of the first segment, and number of matched frames up to the end of the last segment
+        self._first_view: RightView | None = None
+        self._n_steady = len(self._matched)
 
     def _close(self) -> None:
         """Make a segment of the frames since the last segment."""
@@ -250,6 +257,13 @@ class DriveAlignment:
                 )
                 self._reasons.append(reason)
             return
+        if self._has_moved(points):
+            # the rest of the drive has another right camera
+            del self._matched[self._n_steady :]
+            self._reasons.append("the right camera moved")
+            self._n_segments_left = 0
+            return
+        self._n_steady = len(self._matched)
         if not self._segments:
             self._view = self._measured_view().if_needed(self._rig.left)
         segment = segment_of(observations_of(points, self._view, self._rig), self._rig)
@@ -264,21 +278,37 @@ class DriveAlignment:
         """(3,) standard deviations of row offset in px, roll in degrees and focal ratio."""
         half_px = self._rig.left.width_px / 2
         locking = PIXEL_LOCKING_PX * np.array([1.0, math.degrees(1 / half_px), 1 / half_px])
-        return np.hypot(view_sigma(*self._all_matched, self._rig.left), locking)
+        return np.hypot(view_sigma(*_joined(self._matched), self._rig.left), locking)
 
-    @property
-    def _all_matched(self) -> tuple[FloatArray, FloatArray]:
-        """Points (N, 2) of the left and the right images of all frames."""
-        nothing = np.zeros((0, 2))
-        left_px = np.concatenate([nothing, *(points.left_px for points in self._matched)])
-        right_px = np.concatenate([nothing, *(points.right_px for points in self._matched)])
-        return left_px, right_px
+    def _has_moved(self, frames: Sequence[TrackedFrame]) -> bool:
+        """Whether the rows of a segment are not those of the first one of the drive."""
+        view, first = self._view_of([frame.points for frame in frames]), self._first_view
+        if first is None:
+            self._first_view = view
+            return False
+        change = RightView(
+            view.row_offset_px - first.row_offset_px,
+            view.roll_deg - first.roll_deg,
+            view.focal_ratio / first.focal_ratio,
+        )
+        return change.rows_px(self._rig.left) > MAX_ROW_OFFSET_PX
 
     def _measured_view(self) -> RightView:
-        left_px, right_px = self._all_matched
+        return self._view_of(self._matched)
+
+    def _view_of(self, frames: Sequence[PairPoints]) -> RightView:
+        left_px, right_px = _joined(frames)
         if len(left_px) < MIN_ROWS:
             return RightView()
         return fit_right_view(left_px, right_px, self._rig.left)
+
+
+def _joined(frames: Sequence[PairPoints]) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 2) of the left and the right images of all frames."""
+    nothing = np.zeros((0, 2))
+    left_px = np.concatenate([nothing, *(points.left_px for points in frames)])
+    right_px = np.concatenate([nothing, *(points.right_px for points in frames)])
+    return left_px, right_px
 
 
 def estimated_errors(segments: list[Segment]) -> CombinedEstimate:

@@ -23,6 +23,8 @@ class EgoMotion:
     yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right; NaN = not measured
     is_still: bool = False  # whether the camera is at rest; False if unknown
     is_predicted: bool = False  # whether the speed is that of an earlier frame
+    # the part of the standard deviation of the speed that is new in each frame; the rest lasts
+    noise_mps: float = 0.0
 
 
 # random walk of a speed that is not measured, m/s per root of a second: 2.5 m/s after one second

@@ -33,6 +33,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.stereo.odometry.mounting import TravelDirection
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
@@ -100,7 +101,7 @@ class GroundOdometry:
         self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
         self._filter = SpeedFilter()
         self._horizon = RoadHorizon()
-        self._side = math.nan
+        self._side, self._direction = math.nan, TravelDirection(camera)
         self._speed_mps = _TYPICAL_MPS
         self._before: Image | None = None
         self._boxes_before: FloatArray = np.zeros((0, 4))
@@ -140,6 +141,11 @@ class GroundOdometry:
         self._last = frame.time_s, ego
         return ego
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        return self._direction.notes
+
     def step(self, ego: EgoMotion) -> CameraStep | None:
         """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at
         rest.
@@ -171,6 +177,7 @@ class GroundOdometry:
         row = (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px
         if is_moving and math.isfinite(side):
             self._follow_side(side, dt_s)
+            self._direction.add(dt_s, side, motion.yaw_rad_s)
         shift_m = 0.0 if motion.is_still else math.nan
         if is_moving and math.isfinite(self._side):
             shift_m = self._shift_m(motion, before, now, boxes)

@@ -37,6 +37,8 @@ class SpeedFilter:
         self._systematic_mps = math.nan
         # ratio of the variance of the measurements to the expected one, at least 1
         self._spread2 = 1.0
+        # the part of the last standard deviation that is new in each frame
+        self.noise_mps = 0.0
 
     def update(
         self, time_s: float, dt_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
@@ -63,7 +65,8 @@ class SpeedFilter:
         ):
             return math.nan, math.nan
         now = self._state.predict(np.array([dt_s / 2]), q=_JERK_NOISE**2)
-        return float(now.x[0]), math.hypot(math.sqrt(float(now.P_xx[0])), self._systematic_mps)
+        self.noise_mps = math.sqrt(float(now.P_xx[0]))
+        return float(now.x[0]), math.hypot(self.noise_mps, self._systematic_mps)
 
     def _measure(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
         if self._state is not None:

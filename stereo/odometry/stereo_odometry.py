@@ -54,11 +54,11 @@ from track_range.stereo.odometry.motion_fit import (
     MotionFit,
     fit_motion,
 )
+from track_range.stereo.odometry.mounting import Vibration
 from track_range.stereo.odometry.realignment import Realignment
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
-from track_range.stereo.odometry.vibration import Vibration
 
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
@@ -236,7 +236,12 @@ class StereoOdometry:
                     frame.time_s, dt_s, speed_mps, sigma_mps, systematic_mps
                 )
                 yaw_rad = -float(fit.rotation_rad[1])
-                return EgoMotion(*filtered, yaw_rad / dt_s, abs(speed_mps) <= _MAX_STILL_MPS)
+                return EgoMotion(
+                    *filtered,
+                    yaw_rad / dt_s,
+                    abs(speed_mps) <= _MAX_STILL_MPS,
+                    noise_mps=self._filter.noise_mps,
+                )
         # without a measurement: the predicted speed, for a short time
         return EgoMotion(*self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan))
 

@@ -189,6 +189,13 @@ def test_rows_keep_the_state():
     assert np.array_equal(again.history, bank.history)
 
 
+def test_an_error_that_is_new_in_each_frame_is_one_of_both_speeds_of_a_change():
+    """0.5 m/s: 0.4 m/s are new in each frame, 0.3 m/s last."""
+    dt, last_mps = np.full((1, 1, 1), 0.5), np.full((1, 1, 1), 9.0)
+    step = EgoStep.of(EgoMotion(8.0, 0.5, noise_mps=0.4), np.array(8.0), last_mps, dt)
+    assert step.change_variance == pytest.approx(2 * (0.16 + 0.09 * (1 - np.exp(-0.5))))
+
+
 @pytest.mark.parametrize(("sigma_mps", "variance"), [(0.3, 0.18 * (1 - np.exp(-0.5))), (NAN, 0.0)])
 def test_change_of_the_ego_speed(sigma_mps, variance):
     """A change has a variance only if the speed has one, and none where the speed was unknown."""

@@ -35,7 +35,9 @@ MOST_STATEMENTS = {
     # a pair whose right camera moved far is aligned again (151), in place of a second estimate of the
     # drift (-108)
     # sigmas of the rows of a pair, for `align` and `rig check` (+17)
-    "stereo": 9_106,
+    # the direction of travel beside the principal point (28), a segment in which the right camera
+    # moved (15), and noise of speeds (1)
+    "stereo": 9_151,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -44,7 +46,7 @@ MOST_STATEMENTS = {
     # each class of labels counted or named (42), times of labelled sequences (90), roads that bend (4)
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
-    "ranging": 6_833,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 6_835,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -70,7 +72,8 @@ MOST_STATEMENTS = {
     # that a frame shows is used in it (9)
     # the right camera is followed also where the speed of the pair is not used (3)
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
-    "pipeline": 856,
+    # slopes in speeds by the road, and the notes of the road (5)
+    "pipeline": 861,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -23,6 +23,7 @@ _MAX_PREDICTED_S = 1.0
 # relative error of the speed by stereo odometry, from its rig, and of the speed by the motion of
 # the road, from a height of the camera that is given, and from a usual one
 _RIG_SIGMA, _HEIGHT_SIGMA, _USUAL_SIGMA = 0.025, 0.04, 0.25
+_SLOPES = 0.06  # of the speed by the motion of the road, by slopes, which last for some seconds
 
 
 @dataclass(slots=True, kw_only=True)
@@ -57,7 +58,8 @@ class EgoStage:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         of_pair = () if self.pair_odometry is None else self.pair_odometry.notes
-        return (*of_pair, *self.given_speed.notes)
+        of_road = () if self.road_motion is None else self.road_motion.notes
+        return (*of_pair, *of_road, *self.given_speed.notes)
 
     def update(
         self,
@@ -134,7 +136,7 @@ class EgoStage:
             log_ratio -= scale.rig.log_factor
             sigma = min(_RIG_SIGMA + scale.rig.sigma, 1.0)
         else:
-            measured = by_road
+            measured = None if by_road is None else _of_real_road(by_road)
             sigma = _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         table = self.speed if known is None else None
         ratio = log_ratio, sigma
@@ -174,6 +176,12 @@ class EgoStage:
         if self.image_motion is not None:
             return self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
         return math.nan
+
+
+def _of_real_road(by_road: EgoMotion) -> EgoMotion:
+    """A speed by the motion of the road with the error of roads that are not plane."""
+    sigma_mps = math.hypot(by_road.speed_sigma_mps, _SLOPES * by_road.speed_mps)
+    return replace(by_road, speed_sigma_mps=sigma_mps)
 
 
 def _with_given(motion: EgoMotion, given: EgoMotion | None, *, trusts_given: bool) -> EgoMotion:

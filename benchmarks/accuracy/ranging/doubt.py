@@ -3,10 +3,10 @@ cameras, clocks and speeds at several strengths.
 
 Each case is a whole run, with the packaged detector by default. A fault is a change of the images
 or of the inputs of a drive (`inputs/faulty_drives.py`); it is noticed from the first frame after
-which a note of the run names it. The right cause is named if that note contains it, and named first
-if no other one is before it; notes from before the fault, or of runs without one, do not count. Rows count
-from the moment of the fault on, in the sections that list what a run may miss (values, rig, clock,
-speed, image) from 2 s after it; rows without a value are counted apart.
+which a note of the run names it. The right cause is named if that note contains it, and named
+first if no other one is before it; notes from before the fault, or of runs without one, do not
+count. Rows count from 2 s after the fault on, in the sections size, time and pair from its moment
+on; rows without a value are counted apart.
 """
 
 from __future__ import annotations
