@@ -10,7 +10,8 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.cameras.common_errors import common_errors, common_scale
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
-from track_range.ranging.cameras.unknowns import Unknown
+from track_range.ranging.cameras.posterior import posterior
+from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA, shared_variance
@@ -22,6 +23,20 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 # of the scale of stereo odometry with a right rig, and of the motion of the road
 _ODOMETRY_SIGMA, _ROAD_SIGMA = 0.01, 0.02
 _GIVEN_SPEED = "the given speed"  # name of its evidence
+# of which unknowns the sum is what speeds by stereo odometry are too large by, over given ones, and
+# what heights by given speeds and the motion of the road are
+_BY_PAIR: Sum = {
+    Unknown.BASELINE: 1.0,
+    Unknown.FOCAL: 1.0,
+    Unknown.SPEED: -1.0,
+    Unknown.FRAME_RATE: 1.0,
+}
+_BY_ROAD: Sum = {
+    Unknown.HEIGHT: 1.0,
+    Unknown.FOCAL: -1.0,
+    Unknown.SPEED: 1.0,
+    Unknown.FRAME_RATE: -1.0,
+}
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _MAX_LANE_CHI2 = 4.0  # a wrong lane, or a road of unusual lanes, excludes nothing alone
 # speed that vehicles hardly exceed, and the sigma of its logarithm
@@ -232,10 +247,8 @@ class SpeedEvidence:
         if by_road:
             value = log_ratio + self._log_road_height - self._log_height
             return height_by_speed(value, math.hypot(sigma, given_sigma))
-        of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0}
-        of |= {Unknown.SPEED: -1.0, Unknown.FRAME_RATE: 1.0}
         sigma = math.hypot(sigma, given_sigma, _ODOMETRY_SIGMA)
-        return Evidence(_GIVEN_SPEED, of, -log_ratio, sigma)
+        return Evidence(_GIVEN_SPEED, _BY_PAIR, -log_ratio, sigma)
 
     @property
     def bounds(self) -> list[Evidence]:
@@ -251,8 +264,18 @@ def height_by_speed(value: float, sigma: float) -> Evidence:
     """The height of a camera by its given speed and the motion of the road, which has the scale of
     this height: the logarithm of the height over the assumed one, at the assumed focal length.
     """
-    of = {Unknown.HEIGHT: 1.0, Unknown.FOCAL: -1.0, Unknown.SPEED: 1.0, Unknown.FRAME_RATE: -1.0}
-    return Evidence(_GIVEN_SPEED, of, value, math.hypot(sigma, _ROAD_SIGMA))
+    return Evidence(_GIVEN_SPEED, _BY_ROAD, value, math.hypot(sigma, _ROAD_SIGMA))
+
+
+def speed_ratio_sigma(priors: CameraPriors) -> float:
+    """Relative standard deviation of a given speed over that by the images before a drive, beside
+    the unknowns that the drive has to show.
+    """
+    of, sigma = (_BY_ROAD, _ROAD_SIGMA)
+    if Unknown.BASELINE in priors:
+        of, sigma = (_BY_PAIR, _ODOMETRY_SIGMA)
+    known = {k: v for k, v in of.items() if k in priors and priors[k].kind != "unknown"}
+    return math.hypot(posterior(priors, []).sigma_of(known), sigma)
 
 
 class LaneEvidence:

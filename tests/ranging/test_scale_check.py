@@ -12,6 +12,7 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.evidence import SeenFrame
 from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.scale_evidence import speed_ratio_sigma
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED
@@ -364,3 +365,19 @@ def test_height_of_the_camera_by_speeds(height_m):
         assert sigma_m < 0.05 * height_m
     assert check_of(true_height_m=height_m).height_m is None
     assert check_of(true_height_m=height_m, true_mps=12.0, height_m=height_m).height_m is None
+
+
+def test_ratio_of_speeds_before_a_drive_by_hand():
+    """Errors of baseline, focal length, times, given speed and odometry, or of the height."""
+    pair = [0.005, 0.004, 0.001, 0.015, 0.01]
+    assert speed_ratio_sigma(camera_priors(800.0, baseline_m=0.5)) == pytest.approx(
+        math.hypot(*pair), rel=0.01
+    )
+    road = [0.03, 0.004, 0.001, 0.015, 0.02]
+    assert speed_ratio_sigma(camera_priors(800.0, height_m=1.5)) == pytest.approx(
+        math.hypot(*road), rel=0.02
+    )
+    assert 0.22 < speed_ratio_sigma(camera_priors(800.0)) < 0.4
+    # an unknown baseline is estimated, and its sigma is added then
+    unknown = camera_priors(800.0, baseline_m=0.5, baseline_sigma=0.6)
+    assert speed_ratio_sigma(unknown) < math.hypot(*pair)

@@ -46,7 +46,7 @@ MOST_STATEMENTS = {
     # each class of labels counted or named (42), times of labelled sequences (90), roads that bend (4)
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
-    "ranging": 6_835,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 6_841,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -54,7 +54,7 @@ MOST_STATEMENTS = {
     # turns are sought in few images (1)
     # the video of a turn (7)
     # values of a pair that `align` and `rig check` print (+25)
-    "calibration": 1_354,
+    "calibration": 1_357,
     # notes on packages (5); a command with sub-commands (50)
     # recordings before which an option is missing, also of a command with sub-commands (11)
     # the values of a pair with those of its evidence (+20)
@@ -73,7 +73,7 @@ MOST_STATEMENTS = {
     # the right camera is followed also where the speed of the pair is not used (3)
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
     # slopes in speeds by the road, and the notes of the road (5)
-    "pipeline": 861,
+    "pipeline": 859,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
@@ -89,7 +89,8 @@ MOST_STATEMENTS = {
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
     # a known distance of a run without a calibration (10); an estimate counts once (1)
-    "run": 2_318,
+    # the ratio of speeds before a drive (2)
+    "run": 2_320,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)

@@ -20,9 +20,6 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
-# relative error of the speed by stereo odometry, from its rig, and of the speed by the motion of
-# the road, from a height of the camera that is given, and from a usual one
-_RIG_SIGMA, _HEIGHT_SIGMA, _USUAL_SIGMA = 0.025, 0.04, 0.25
 _SLOPES = 0.06  # of the speed by the motion of the road, by slopes, which last for some seconds
 
 
@@ -37,7 +34,8 @@ class EgoStage:
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
     # whether the speed of `road_motion` is used: the height of the camera is known
     has_road_scale: bool = False
-    is_height_given: bool = False  # the height of the camera of `road_motion`
+    # relative standard deviation of a given speed over the measured one, before the drive
+    speed_ratio_sigma: float = 1.0
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`
     given_speed: GivenSpeed = field(default_factory=GivenSpeed)  # against that of the images
     # motion in the last frame that was measured, and its time
@@ -130,14 +128,13 @@ class EgoStage:
         known: EgoMotion | None,
     ) -> EgoMotion:
         """The given speed beside the measured one, whose scale has an error."""
-        log_ratio = -scale.focal.log_factor
+        log_ratio, sigma = -scale.focal.log_factor, self.speed_ratio_sigma
         if self.pair_odometry is not None and self.uses_pair_speed:
             measured = by_pair
             log_ratio -= scale.rig.log_factor
-            sigma = min(_RIG_SIGMA + scale.rig.sigma, 1.0)
+            sigma = min(sigma + scale.rig.sigma, 1.0)
         else:
             measured = None if by_road is None else _of_real_road(by_road)
-            sigma = _HEIGHT_SIGMA if self.is_height_given else _USUAL_SIGMA
         table = self.speed if known is None else None
         ratio = log_ratio, sigma
         return self.given_speed.update(time_s, given, measured or EgoMotion(), ratio, table=table)

@@ -18,6 +18,7 @@ from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.scale_evidence import speed_ratio_sigma
 from track_range.ranging.cameras.unknowns import CameraPriors, Unknown, camera_priors
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
@@ -82,10 +83,11 @@ def open_pipeline(
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
-    ego = _ego_stage(
-        context, flow, ego_speed, measures_speed=measures_speed, yaw_deg=calibration.view.yaw_deg
-    )
     priors = _camera_priors(context, calibration)
+    yaw_deg = calibration.view.yaw_deg
+    ego = _ego_stage(
+        context, flow, ego_speed, priors, measures_speed=measures_speed, yaw_deg=yaw_deg
+    )
     check = None
     if is_ahead:
         check = _scale_check(context, priors, calibration, settings.lane_width_m)
@@ -143,6 +145,7 @@ def _ego_stage(
     context: MethodContext,
     flow: BackgroundFlow,
     ego_speed: EgoSpeed | None,
+    priors: CameraPriors,
     *,
     measures_speed: bool,
     yaw_deg: float,
@@ -167,7 +170,7 @@ def _ego_stage(
         uses_pair_speed=measures_speed or ego_speed is not None,
         road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
         has_road_scale=measures_speed and ego_speed is None and is_height_known,
-        is_height_given=is_height_known,
+        speed_ratio_sigma=speed_ratio_sigma(priors),
     )
 
 

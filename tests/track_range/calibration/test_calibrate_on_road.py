@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from track_range.calibration.drive.known_metres import known_lanes, known_metres
+from track_range.calibration.drive.pre_pass import MountedCamera
 from track_range.calibration.drive.separability import separability
 from track_range.foundation.errors import UsageError
+from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -297,7 +299,6 @@ def test_focal_length_before_the_measurements_is_named_once():
     source = source_of_guess(FocalGuess(833.0, 0.1, "a guess"), "metadata", 1280)
     before = CameraEstimate(size_px=(1280, 720), sources=(source,))
     fit = SimpleNamespace(
-        camera=PinholeCamera(883.0, 883.0, 640.0, 360.0, 1280, 720),
         focal_sigma=0.092,
         contradiction=1.0,
         gain=lambda name: 0.0,
@@ -307,8 +308,17 @@ def test_focal_length_before_the_measurements_is_named_once():
         pitch_rad=0.0,
         pitch_sigma_rad=0.01,
     )
-    (first, *_) = separability(fit, before, has_height=True)
-    assert first.startswith(
-        "Focal length 883 px within 9.2 %, from the measurements; without them, 833 px within"
-    )
+    known = source_of_guess(FocalGuess(883.0, 0.04, "the known metres"), "known metres", 1280)
+    parts = {"shapes": None, "scene": SceneBoxes(), "n_frames": 1, "before": before}
+    mounted = MountedCamera(estimate=before.with_source(known), fit=fit, **parts)
+    (first, *_) = separability(mounted, has_height=True)
+    assert first.startswith("Focal length 87")
+    assert "px within 3.7 %, from the measurements; without them, 83" in first
     assert first.endswith("%, from a guess.")
+    # without measurements, and with ones that contradict each other
+    (first, *_) = separability(MountedCamera(estimate=before, fit=fit, **parts), has_height=True)
+    assert first.endswith("%, from a guess.")
+    fit.contradiction, fit.largest_deviation = 2.0, ("a lane", 5.0)
+    (warning, second, *_) = separability(mounted, has_height=True)
+    assert "a lane" in warning
+    assert "within 9.2 %" in second

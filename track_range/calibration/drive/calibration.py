@@ -62,7 +62,7 @@ class DriveCalibration:
     def camera(self) -> PinholeCamera:
         """The camera, whose distortion is empty unless the motion shows one."""
         estimate = self.mounted.estimate
-        camera = PinholeCamera.of_focal_length(self.fit.camera.fx_px, estimate.size_px)
+        camera = PinholeCamera.of_focal_length(estimate.focal_px, estimate.size_px)
         return PinholeCamera.of_matrix(camera.matrix, camera.size_px, estimate.distortion)
 
     @property
@@ -70,7 +70,7 @@ class DriveCalibration:
         """Height and pitch of the camera, and the uncertainty of its focal length."""
         fit, estimate = self.fit, self.mounted.estimate
         return Mounting(
-            focal_sigma=round(max(fit.focal_sigma, estimate.sigma), 4),
+            focal_sigma=round(self.mounted.focal_sigma, 4),
             camera_height_m=round(fit.height_m, 3),
             camera_height_sigma_m=round(fit.height_sigma_m, 3),
             pitch_deg=round(float(np.degrees(fit.pitch_rad)), 3),
@@ -99,7 +99,7 @@ class DriveCalibration:
         return {
             "source": self.source,
             "frames": mounted.n_frames,
-            "focal_px": fit.camera.fx_px,
+            "focal_px": mounted.estimate.focal_px,
             **asdict(self.mounting),
             "roll_deg": float(np.degrees(fit.roll_rad)),
             "focal_height_sigma": fit.product_sigma,
@@ -169,7 +169,7 @@ def calibrate_from_drives(
     )
     mounted = pre_pass.mounted_camera_of(drives)
     has_height = known.camera_height_m is not None
-    sentences = separability(mounted.fit, mounted.before, has_height=has_height)
+    sentences = separability(mounted, has_height=has_height)
     source = " ".join(str(name) for name in names)
     return DriveCalibration(source, mounted, first.guesses, sentences)
 

@@ -75,6 +75,14 @@ class MountedCamera(DriveCamera):
     before: CameraEstimate  # the estimate without the measurements of the user
     fit: CameraFit
 
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length; measurements that contradict each other
+        widen it.
+        """
+        sigma = self.estimate.sigma
+        return sigma if self.fit.contradiction == 1.0 else max(sigma, self.fit.focal_sigma)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrePass:

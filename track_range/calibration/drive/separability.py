@@ -2,8 +2,7 @@
 
 import math
 
-from track_range.ranging.cameras.camera_fit import CameraFit
-from track_range.recording.cameras.camera_estimate import CameraEstimate
+from track_range.calibration.drive.pre_pass import MountedCamera
 
 # standard deviation relative to that of the prior below which the measurements determine a
 # parameter
@@ -11,12 +10,11 @@ _DETERMINED = 0.7
 _INSEPARABLE = 0.85  # magnitude of the correlation above which two parameters cannot be separated
 
 
-def separability(fit: CameraFit, before: CameraEstimate, *, has_height: bool) -> tuple[str, ...]:
-    """Sentences on focal length, camera height and pitch, alone and in pairs; `before` is the
-    estimate without the measurements, the prior of the fit.
-    """
-    camera, prior = fit.camera, before.guess
-    focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
+def separability(mounted: MountedCamera, *, has_height: bool) -> tuple[str, ...]:
+    """Sentences on focal length, camera height and pitch, alone and in pairs."""
+    fit, before = mounted.fit, mounted.before
+    prior, sigma = before.guess, mounted.focal_sigma
+    focal = f"Focal length {mounted.estimate.focal_px:.0f} px within {100 * sigma:.1f} %"
     sentences = []
     if fit.contradiction != 1.0:
         name, deviation = fit.largest_deviation
@@ -25,7 +23,7 @@ def separability(fit: CameraFit, before: CameraEstimate, *, has_height: bool) ->
             f"{abs(deviation):.0f} sigma. All sigmas are {fit.contradiction:.1f} times as large; "
             "check boxes and metres."
         )
-    if fit.gain("focal length") < _DETERMINED:
+    if sigma < _DETERMINED * prior.sigma:
         sentences.append(
             f"{focal}, from the measurements; without them, {prior.focal_px:.0f} px within "
             f"{100 * prior.sigma:.0f} %, from {prior.source}."
