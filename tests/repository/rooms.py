@@ -89,7 +89,7 @@ def _rooms() -> dict[str, Room]:
     add(
         "fleet",
         "many recordings -> one data set",
-        but=("tracking", "calibration", "evaluation", "simulation"),
+        but=("tracking", "evaluation", "simulation"),
     )
     add("api", "the names of the Python API")
     add("cli", "the command line, one file per command")

@@ -62,6 +62,16 @@ class FleetSettings(Options):
             metavar="FILE|PATTERN",
         ),
     ] = None
+    camera: Annotated[
+        str | None,
+        _input(
+            "Name of the camera of all clips without a calibration, or a pattern with placeholders "
+            "of --pattern or columns of the manifest, such as '{vehicle}': before the run, the "
+            "focal length of each camera is estimated once, from up to 12 of its clips (default: "
+            "of each clip by itself).",
+            metavar="NAME|PATTERN",
+        ),
+    ] = None
     settings: Annotated[
         Path | None,
         _input(

@@ -95,7 +95,10 @@ class DriveCalibration:
     def figures(self) -> dict[str, Any]:
         """All values, as plain values for JSON."""
         fit, mounted = self.fit, self.mounted
-        before = mounted.before
+        shapes = mounted.shapes
+        by_shapes: tuple[float | None, ...] = (None, None)
+        if shapes.n_tracks:
+            by_shapes = shapes.curve.estimate
         return {
             "source": self.source,
             "frames": mounted.n_frames,
@@ -105,10 +108,10 @@ class DriveCalibration:
             "focal_height_sigma": fit.product_sigma,
             "guesses": [asdict(guess) for guess in self.guesses],
             "by_shape": {
-                "focal_px": before.focal_px,
-                "sigma": before.sigma,
-                "tracks": mounted.shapes.n_tracks,
-                "box_noise": mounted.shapes.relative_noise,
+                "focal_px": by_shapes[0],
+                "sigma": by_shapes[1],
+                "tracks": shapes.n_tracks,
+                "box_noise": shapes.relative_noise,
             },
             "camera_estimate": mounted.estimate.summary(),
             "residuals": [asdict(residual) for residual in fit.residuals],

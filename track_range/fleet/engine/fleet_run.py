@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from track_range.fleet.engine.cameras import with_cameras
 from track_range.fleet.engine.cluster import connected
 from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan
 from track_range.fleet.engine.progress import shown_progress, worker_state
@@ -68,8 +69,11 @@ def run_fleet(
         )
     with stop_on_interrupt(), locked_output(plan.out):
         remove_unfinished(plan.out)
+        console = console or Console(quiet=True)
         try:
-            return _FleetRun(plan, clips, console or Console(quiet=True)).run(process)
+            if settings.camera is not None:
+                clips = with_cameras(clips, settings.camera, plan.out, plan.options, console)
+            return _FleetRun(plan, clips, console).run(process)
         finally:
             remove_unfinished(plan.out)
 

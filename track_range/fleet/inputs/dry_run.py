@@ -37,7 +37,7 @@ class CheckedClip:
     fps: float | None = None
     duration_s: float | None = None
     n_bytes: int | None = None  # of its files
-    calibration: str = ""  # "file", "focal length", "bag" or "none"
+    calibration: str = ""  # "file", "focal length", "bag", "camera" or "none"
     problems: tuple[str, ...] = ()  # reasons why it cannot be processed, sentences
     notes: tuple[str, ...] = ()  # other remarks
 
@@ -55,6 +55,7 @@ class _Check:
     focal_px: float | None
     folder_fps: float
     stereo_layout: LayoutOption | None
+    has_camera: bool
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -176,10 +177,12 @@ class _Check:
             neighbour = find_rig(Path(self.clip.left))
             rig = None if neighbour is None else Location.of(neighbour)
         if rig is None:
+            if self.clip.right is None and self._layout is None and self.has_camera:
+                return "camera"
             if self.clip.right is None and self._layout is None:
                 self.notes.append(
                     "No calibration: the focal length is estimated from this clip alone; for "
-                    "clips of one camera, track-range calibrate drive and --rig give one."
+                    "clips of one camera, --camera NAME estimates it once."
                 )
             return "none"
         if rig.is_local and max(headers[0][0]) <= _MAX_CALIBRATION_SIDE_PX:
@@ -210,6 +213,7 @@ def check_clips(
     focal_px: float | None = None,
     folder_fps: float = 10.0,
     stereo_layout: LayoutOption | None = None,
+    has_camera: bool = False,
     threads: int = 8,
 ) -> Iterator[CheckedClip]:
     """The clips with the properties in their headers, in the given order.
@@ -217,12 +221,13 @@ def check_clips(
     Videos on this machine are opened, but not decoded, except the first image of folders and bags.
     Of remote clips only the existence and size of the files are known. `focal_px` and `folder_fps`
     are as in a run, for clips without calibration and folders of images without timestamps.txt,
-    `stereo_layout` for single videos of two cameras; `threads` clips are checked at a time.
+    `stereo_layout` for single videos of two cameras; with `has_camera`, the cameras of clips without
+    a calibration are estimated before the run; `threads` clips are checked at a time.
     """
     listings = FolderListings()
 
     def checked(clip: Clip) -> CheckedClip:
-        return _Check(clip, listings, focal_px, folder_fps, stereo_layout).result()
+        return _Check(clip, listings, focal_px, folder_fps, stereo_layout, has_camera).result()
 
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):

@@ -64,6 +64,8 @@ def test_calibration_of_one_camera(pair, tmp_path, film):
     (checked,) = check(clip)
     assert (checked.calibration, checked.problems) == ("none", ())
     assert "the focal length is estimated" in checked.notes[0]
+    (checked,) = check(clip, has_camera=True)
+    assert (checked.calibration, checked.notes) == ("camera", ())
     assert check(clip, focal_px=50)[0].calibration == "focal length"
     assert check(replace(clip, settings={"focal_px": "50"}))[0].calibration == "focal length"
     assert check(replace(clip, settings={"rig": str(tmp_path / "calib.txt")}))[0].problems == ()
