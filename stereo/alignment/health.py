@@ -69,6 +69,7 @@ class RigHealth:
     applied: Alignment
     # offsets of the parts of the drive, in order of time; empty = not from a drive
     windows: tuple[Window, ...] = ()
+    later: Move | None = None  # by the images after the windows
 
     @property
     def matters_px(self) -> float:
@@ -117,7 +118,7 @@ class RigHealth:
         """The time at which the offset changed most, if the windows do not agree within their
         sigmas.
         """
-        return move_of(self.windows, self.rig)
+        return move_of(self.windows, self.rig) or self.later
 
     def before_pct(self, distance_m: float) -> FloatArray:
         """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN =
@@ -189,9 +190,9 @@ class RigHealth:
         """Whether the rig moved during the drive, as one sentence for users; empty with fewer than
         two windows.
         """
-        if len(self.windows) < 2:
-            return ""
         move = self.move
+        if move is None and len(self.windows) < 2:
+            return ""
         if move is None:
             spread_px = max(window.sigma_px for window in self.windows)
             return (

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.sparse_flow import FlowFrame
+from track_range.stereo.alignment.health import Move
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.road_horizon import RoadView
@@ -95,6 +96,11 @@ class PairOdometry(Odometry, Protocol):
     @property
     def right_camera(self) -> RightCamera | None:
         """How the right camera moved so far against its rig; None = not measured."""
+        ...
+
+    @property
+    def move(self) -> Move | None:
+        """The first movement of the right camera that changed disparities; None = none."""
         ...
 
     @property

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.alignment.health import Move
 from track_range.stereo.alignment.right_view import fit_rows
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.cauchy_fit import cauchy_fit
@@ -52,7 +53,9 @@ class RightCameraMonitor:
         # time of the first change that matters, the last state with one, and numbers of frames
         self._moved_s, self._moved = math.nan, RightCamera(camera)
         self._n_frames = self._n_hits = 0
-        self._earlier_notes: tuple[str, ...] = ()  # of movements before the present alignment
+        # of movements before the present alignment
+        self._earlier_notes: tuple[str, ...] = ()
+        self._earlier_move: Move | None = None
         self.now = RightCamera(camera)
         # change of the offset in the frame before the last one that its correction did not contain
         self.missed_offset_px = 0.0
@@ -62,6 +65,14 @@ class RightCameraMonitor:
     def expected_offset_px(self) -> float:
         """The change of all disparities that the flow to the next frame is expected to show."""
         return float(self._filter.expected[OFFSET] - self.now.applied_px[OFFSET])
+
+    @property
+    def move(self) -> Move | None:
+        """The change of the disparities by the first movement that mattered; None = none."""
+        offset_px = float(self._moved.applied_px[OFFSET])
+        if self._earlier_move is not None or not offset_px:
+            return self._earlier_move
+        return Move(self._moved_s, offset_px, float(self._moved.change.sigma[OFFSET]))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -174,6 +185,7 @@ class RightCameraMonitor:
         again = f"From {time_s:.1f} s on, the pair has another alignment, from the frames after it."
         present = (f"{note} {again}" for note in self._present_notes)
         self._earlier_notes = (*self._earlier_notes, *present)
+        self._earlier_move = self.move
         self._moved_s = math.nan
         self._filter = ChangeFilter(_LASTING_PX)
         self._bow_px = self._bow_variance = 0.0

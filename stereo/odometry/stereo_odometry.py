@@ -43,6 +43,7 @@ from track_range.foundation.sparse_flow import (
     small_grey,
     tracked_corners,
 )
+from track_range.stereo.alignment.health import Move
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -267,6 +268,11 @@ class StereoOdometry:
     def focal_change(self) -> float:
         """Relative change of the focal length of both cameras since the start."""
         return self._focal_factor - 1.0
+
+    @property
+    def move(self) -> Move | None:
+        """The first movement of the right camera that mattered; None = none."""
+        return self._right.move
 
     @property
     def right_camera(self) -> RightCamera:

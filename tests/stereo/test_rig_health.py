@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.feature_tracks import PairPoints, TrackedFrame
 from track_range.stereo.alignment.from_drive import DriveAlignment
-from track_range.stereo.alignment.health import RigHealth, Window
+from track_range.stereo.alignment.health import Move, RigHealth, Window
 from track_range.stereo.alignment.right_view import RightView, fit_right_view
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -97,6 +98,9 @@ def test_movement_during_a_drive() -> None:
     assert moved.move.change_px == pytest.approx(0.39, abs=0.01)
     assert "3.8 s" in moved.move_sentence()
     assert health(measured(0.0)).move_sentence() == ""
+    later = replace(steady, later=Move(40.0, 1.5, 0.1))
+    assert "40.0 s" in later.move_sentence()
+    assert later.to_dict()["moved"]["change_px"] == 1.5
 
 
 def test_large_offsets_shift_the_right_image() -> None:
@@ -202,19 +206,23 @@ def test_wrong_angles_are_noticed_and_corrected(rig_file: StereoRig) -> None:
     assert np.abs(error_px(rig_file, alignment)).max() < 0.24  # 2 %
 
 
-@pytest.mark.slow
-def test_alignment_of_a_drive_is_that_before_the_camera_moved() -> None:
-    """Disparities change by 1.5 px in the 17th of 32 frames."""
+@pytest.mark.parametrize(("shift_px", "zoom"), [(1.5, 1.0), (0.0, 1.01)])
+def test_alignment_of_a_drive_is_that_before_the_camera_moved(shift_px: float, zoom: float) -> None:
+    """The right image is moved or magnified in the 17th and later ones of 32 frames."""
     drive = DriveAlignment(RIG)
+    centre_px = np.array([CAMERA.cx_px, CAMERA.cy_px])
     for number, frame in enumerate(tracked_street(RIG, n_frames=32)):
-        moved_px = np.array([1.5 if number >= 16 else 0.0, 0.0])
-        points = frame.points._replace(right_px=frame.points.right_px + moved_px)
+        points = frame.points
+        if number >= 16:
+            right_px = centre_px + zoom * (points.right_px - centre_px) + [shift_px, 0.0]
+            points = points._replace(right_px=right_px)
         drive.add_points(frame._replace(points=points))
     alignment = drive.estimate()
-    move = RigHealth(RIG, alignment, alignment, drive.windows()).move
-    assert move is not None
-    assert move.change_px == pytest.approx(1.5, abs=0.5)
+    assert "16 frames" in alignment.source
     assert abs(alignment.offset_px) < 3 * alignment.offset_sigma_px < 0.15
+    assert alignment.focal_ratio == pytest.approx(1.0, abs=1e-3)
+    move = RigHealth(RIG, alignment, alignment, drive.windows()).move
+    assert shift_px == 0.0 or (move and move.change_px == pytest.approx(shift_px, abs=0.2))
 
 
 def test_right_view_from_rows() -> None:

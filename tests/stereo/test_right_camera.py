@@ -163,6 +163,8 @@ def test_shifted_right_image_bends_no_disparities():
     mean = monitored(shift_px=1.5).now.change.mean
     half = RIG.left.width_px / 2 / RIG.left.fx_px
     assert mean[OFFSET] == pytest.approx(1.5, abs=0.25)
+    assert monitored(shift_px=1.5).move == pytest.approx((1.0, mean[OFFSET], 0.1), abs=0.05)
+    assert monitored().move is None
     assert mean[OFFSET] * half**2 + mean[BOW] == pytest.approx(0.0, abs=0.5)
 
 

@@ -50,7 +50,7 @@ class RunSession:
         )
         self._frames = recording.ProcessedFrames(self.rows, reader, settings.every or 1)
         self._cameras = recording.RecordedCameras(reader, settings, opened.region)
-        self._pair = recording.PairReport(reader)
+        self._pair = recording.PairReport(reader, stages.ego)
         self._speed = speed.SpeedOrigin(opened.speed, stages.ego, self.rows)
         self._coverage = speed.SpeedCoverage(
             opened.speed, stages.ego, self.rows, reader, settings.start_s

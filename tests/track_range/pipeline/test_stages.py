@@ -333,6 +333,7 @@ def test_given_speed_of_a_repeated_image_is_that_of_its_time():
 class _SteadyOdometry:
     source = "steady odometry"
     right_camera = None
+    move = None
     focal_change = 0.0
     notes = ()
 

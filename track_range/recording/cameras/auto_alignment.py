@@ -9,7 +9,7 @@ from typing import Any
 
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
-from track_range.stereo.alignment.health import RigHealth, Window
+from track_range.stereo.alignment.health import Move, RigHealth, Window
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -86,9 +86,9 @@ class PairAlignment:
         """Whether the user wants no correction."""
         return self.measured.source == _OFF
 
-    def summary(self) -> dict[str, Any]:
-        """The section `alignment` of summary.json."""
-        measured = self.measured
+    def summary(self, later: Move | None = None) -> dict[str, Any]:
+        """The section `alignment` of summary.json, with a movement that a run saw."""
+        measured, health = self.measured, self.health
         return {
             "offset_px": round(measured.offset_px, 4),
             "bow_px": round(measured.curvature_px, 4),
@@ -102,7 +102,7 @@ class PairAlignment:
             "roll_deg": round(measured.roll_deg, 4),
             "focal_ratio": round(measured.focal_ratio, 6),
             "yaw_deg": round(measured.yaw_deg, 4),
-            "health": None if self.health is None else self.health.to_dict(),
+            "health": None if health is None else replace(health, later=later).to_dict(),
         }
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.pipeline.ego import EgoStage
 from track_range.ranging.size_models.region import Region
 from track_range.recording.recording import Recording
 from track_range.results.summary import frame_spans
@@ -76,9 +77,12 @@ class PairReport(Reports):
     """The alignment and the synchronization of the cameras of a pair."""
 
     recording: Recording
+    ego: EgoStage
 
     def summary(self) -> Mapping[str, Any]:
         """Sections of a pair; no entries for one camera."""
         alignment, sync = self.recording.calibration.alignment, self.recording.sync
-        of_alignment = {} if alignment is None else {"alignment": alignment.summary()}
+        odometry = self.ego.pair_odometry
+        later = None if odometry is None else odometry.move
+        of_alignment = {} if alignment is None else {"alignment": alignment.summary(later)}
         return {**of_alignment, **({} if sync is None else sync.summary())}
