@@ -22,12 +22,13 @@ The sigma of a method has an independent part, new in every frame (box jitter, m
 a systematic part, constant over a track (the car is larger than average). Only the independent part
 averages out, so R is this part alone, scaled by lambda, which is estimated from the innovations of
 the method (`NoiseScale`). The systematic part is added to the filter's variance at the output, and
-changes with the distance: P_dd grows by kappa (k d)^2 |v| dt / d, where k is its relative standard
-deviation. The time to collision d / -v does not contain this part, which is common to distance and
-speed. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer
-box begins or ceases to hide a side), so does its systematic error: the variances of the old and the
-new error are added to the variance of d, so that the step does not appear as speed. A measurement
-beyond 3 sigma is down-weighted (Huber); after three in a row the filter restarts.
+changes with the distance and in turns: P_dd grows by (k d)^2 (kappa |v| / d + kappa_w |w|) dt,
+where k is its relative standard deviation and w the yaw rate of the camera. The time to collision d
+/ -v does not contain this part, which is common to distance and speed. When the condition of a
+measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to hide a
+side), so does its systematic error: the variances of the old and the new error are added to the
+variance of d, so that the step does not appear as speed. A measurement beyond 3 sigma is down-
+weighted (Huber); after three in a row the filter restarts.
 
 Where the image border cuts a box, the object's far end is predicted (`cut_boxes`). The growth of
 objects in the images is a further measurement (`key_distance`).
@@ -177,6 +178,7 @@ class DistanceFilters:
             dt=dt,
             measured=measured,
             ego=ego_step,
+            turn_rad_s=abs(ego.yaw_rad_s) if math.isfinite(ego.yaw_rad_s) else 0.0,
             observation=observation,
             class_id=class_id,
             condition=self._condition(observation, n),

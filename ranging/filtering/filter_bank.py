@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.key_distance import KeyDistance
@@ -38,6 +38,9 @@ from track_range.ranging.filtering.observation import FilterStep
 _DRIFT = 0.2
 _LONG_DRIFT_HZ, _IS_LONG = 0.15, np.array([name in ("truck", "bus") for name in ROAD_CLASSES])
 """Growth per second of the variance for long vehicles, whose visible sides change in turns."""
+# growth of the variance per radian that the camera turns: other sides of objects come into view,
+# and the road at their wheels has another slope than the road ahead; chosen like `_DRIFT`
+_TURN_DRIFT = 2.0
 
 # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 _MAX_DRIFTING = 0.08
@@ -207,7 +210,7 @@ class FilterBank(NamedTuple):
             motion = _with_input(motion, step)
         P_dd = motion.P_xx
         if self.settings.learns_noise:
-            P_dd = P_dd + step.dt * self._systematic_drift(step.class_id)
+            P_dd = P_dd + step.dt * self._systematic_drift(step)
         has_gap = step.time_s - self.history.measured_s > self.settings.max_gap_s
         has_passed = (motion.x < _MIN_DISTANCE_M).any(axis=1, keepdims=True)
         is_expired = has_gap | has_passed
@@ -243,10 +246,11 @@ class FilterBank(NamedTuple):
             self.motion, self.history.edge_ratio, cut, step.dt, noise=q, slides=step.slides
         )
 
-    def _systematic_drift(self, class_id: IntArray) -> FloatArray:
+    def _systematic_drift(self, step: FilterStep) -> FloatArray:
         """Variance of d in m^2 per second by the changing systematic error; 0 for new tracks."""
         d, v = self.motion.x, self.motion.v
-        changing = np.abs(d * v) * _DRIFT + d**2 * _LONG_DRIFT_HZ * _IS_LONG[class_id]
+        per_s = _LONG_DRIFT_HZ * _IS_LONG[step.class_id] + _TURN_DRIFT * step.turn_rad_s
+        changing = np.abs(d * v) * _DRIFT + d**2 * per_s
         variance = np.minimum(self.history.systematic, _MAX_DRIFTING**2)
         return np.asarray(np.fmax(variance * changing, 0.0))
 

@@ -82,6 +82,7 @@ class FilterStep:
     dt: FloatArray  # (M, 1, N) time since the previous frame, 0 for new tracks
     measured: MeasuredDistances
     ego: EgoStep
+    turn_rad_s: float  # rate of the camera's turn, to either side; 0 = unknown
     observation: Observation
     class_id: IntArray  # (N,)
     condition: FloatArray  # (M, 1, N) codes of the conditions; NaN = not given

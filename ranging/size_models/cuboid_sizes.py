@@ -40,10 +40,10 @@ from track_range.ranging.size_models.size_model import (
 )
 
 KIND = "cuboids"  # value of "kind" in curve files of this model
-# true classes of a detected one: vans are reported as cars, and so are some far or small trucks,
-# which are one in twenty vehicles
+# true classes of a detected one: vans are reported as cars, and so are some trucks, which are one
+# in twenty vehicles
 CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
-    "car": {"car": 0.94, "van": 0.04, "truck": 0.02},
+    "car": {"car": 0.95, "van": 0.04, "truck": 0.01},
     "van": {"van": 0.95, "truck": 0.05},
 }
 # median and one standard deviation to either side

