@@ -127,7 +127,7 @@ class BoxSet:
         """Median time between two frames of a sequence in s; NaN = there is one frame."""
         steps = np.diff(np.stack([self.sequence, self.frame, self.time_s]), axis=1)
         steps = steps[:, (steps[0] == 0) & (steps[1] > 0)]
-        return float(np.median(steps[2] / steps[1])) if steps.shape[1] else np.nan
+        return round(float(np.median(steps[2] / steps[1])), 6) if steps.shape[1] else np.nan
 
     @property
     def wh_over_f(self) -> FloatArray:
