@@ -75,7 +75,7 @@ def true_closing_mps(boxes: BoxSet) -> FloatArray:
     and after.
     """
     step_s = boxes.time_step_s
-    reach = max(round(CLOSING_HALF_SPAN_S / step_s), 1) if step_s > 0 else 1
+    reach = max(round(CLOSING_HALF_SPAN_S / step_s), 1) if step_s else 1
     keys = list(
         zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True)
     )

@@ -80,7 +80,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "region": settings.region,
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
-        "time_step_s": boxes.time_step_s if np.isfinite(boxes.time_step_s) else None,
+        "time_step_s": boxes.time_step_s,
         "methods": methods,
         "notes": [*_notes(settings, len(boxes.sequence_names), n_folds), *boxes.notes],
         "literature": box_evaluation.literature_metrics(boxes, measured),

@@ -123,11 +123,11 @@ class BoxSet:
         )
 
     @property
-    def time_step_s(self) -> float:
-        """Median time between two frames of a sequence in s; NaN = there is one frame."""
+    def time_step_s(self) -> float | None:
+        """Median time between two frames of a sequence in s; None = one frame each."""
         steps = np.diff(np.stack([self.sequence, self.frame, self.time_s]), axis=1)
         steps = steps[:, (steps[0] == 0) & (steps[1] > 0)]
-        return round(float(np.median(steps[2] / steps[1])), 6) if steps.shape[1] else np.nan
+        return round(float(np.median(steps[2] / steps[1])), 6) if steps.shape[1] else None
 
     @property
     def wh_over_f(self) -> FloatArray:

@@ -4,8 +4,6 @@ drives.
 
 from typing import Any
 
-import numpy as np
-
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, kitti_motion
 from track_range.evaluation.motion.measured_motion import measured_motion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion
@@ -47,7 +45,7 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     return {
         **shown,
         "n_boxes": len(truth.boxes),
-        "time_step_s": truth.boxes.time_step_s if np.isfinite(truth.boxes.time_step_s) else None,
+        "time_step_s": truth.boxes.time_step_s,
         **figures,
         "notes": [f"Truth: {truth.protocol}. {note}", *truth.boxes.notes],
     }
