@@ -165,7 +165,8 @@ class RigHealth:
             )
         if self.state == "good":
             return (
-                f"Rig: fits the images; expected error at {distance}, {_PART}: {after} (1 sigma)."
+                f"Rig: fits the images that were aligned; expected error at {distance}, {_PART}: "
+                f"{after} (1 sigma)."
             )
         if not self.has_disparity_error:
             return (
@@ -199,7 +200,8 @@ class RigHealth:
                 f"Rig: {len(self.windows)} parts of the drive agree within {spread_px:.2f} px (1 "
                 "sigma)."
             )
-        change = f"{move.change_px:+.2f} ± {move.sigma_px:.2f} px"
+        # what has to be added to disparities that became smaller is positive
+        change = f"{-move.change_px:+.2f} ± {move.sigma_px:.2f} px"
         pct = 100 * abs(move.change_px) * REFERENCE_M / self._fb
         return (
             f"Rig: a camera moved at about {move.time_s:.1f} s, which changed disparities by "

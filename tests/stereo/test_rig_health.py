@@ -97,6 +97,8 @@ def test_movement_during_a_drive() -> None:
     assert moved.move.time_s == pytest.approx(3.8)
     assert moved.move.change_px == pytest.approx(0.39, abs=0.01)
     assert "3.8 s" in moved.move_sentence()
+    # disparities became smaller, so more has to be added to them
+    assert "changed disparities by -0.39" in moved.move_sentence()
     assert health(measured(0.0)).move_sentence() == ""
     later = replace(steady, later=Move(40.0, 1.5, 0.1))
     assert "40.0 s" in later.move_sentence()

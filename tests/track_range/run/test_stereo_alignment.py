@@ -11,6 +11,7 @@ from track_range.recording.video.frame import RecordedFrame
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.health import Window
 from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError
 
@@ -84,6 +85,19 @@ def test_rows_are_moved_from_0_3_px(row_px, moved_px):
     alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False, rig=RIG)
     assert alignment.measured.row_correction_px == moved_px
     assert any("vertical offset" in note for note in alignment.notes) == (moved_px != 0)
+
+
+def test_a_movement_is_noted_by_one_measurement():
+    """`RightCameraMonitor` states it in the frame that shows it; the alignment is from before."""
+    measured = Alignment(offset_sigma_px=0.02, residual_px=0.06, source="this drive")
+    windows = tuple(
+        Window(0, 2.0 * k, 2.0 * k + 1.6, offset_px, 0.03)
+        for k, offset_px in enumerate((0.0, 0.02, 0.41, 0.39))
+    )
+    alignment = PairAlignment(measured=measured, is_applied=False, rig=RIG, windows=windows)
+    assert alignment.health.move is not None
+    assert [note.split(":")[0] for note in alignment.notes] == ["Alignment", "Rig"]
+    assert "fits the images that were aligned" in alignment.notes[1]
 
 
 def rendered(n_frames):

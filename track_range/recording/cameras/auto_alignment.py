@@ -54,7 +54,9 @@ class PairAlignment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user on the alignment and the fit of the rig."""
+        """Messages for the user on the alignment and the fit of the rig; on movements of a camera,
+        those of the frame by frame measurement are better (`RightCameraMonitor`).
+        """
         health, m = self.health, self.measured
         if health is None:
             rows = (
@@ -69,8 +71,7 @@ class PairAlignment:
             "videos well; calibrate again.",
         )
         rig = (health.sentence(),) if m.is_measured or health.has_row_error else ()
-        moved = (health.move_sentence(),) if health.move is not None else ()
-        return (self.applied.sentence(), *rig, *moved, *(rows if health.has_row_error else ()))
+        return (self.applied.sentence(), *rig, *(rows if health.has_row_error else ()))
 
     @property
     def health(self) -> RigHealth | None:
