@@ -48,8 +48,9 @@ _MAX_NOISE_PX = 0.9  # of a usable scene at the start
 _MAX_NOISE_RATIO = 1.6
 _MIN_STATIC_FRACTION = 0.4  # of the points of a scene
 _MIN_LIMIT_NOISE_PX = 0.12  # smallest noise that limits residuals
-# decreases of the cost at which rounds of the selection, the last fit, and fits beside it end
-_ROUND_GAIN, _LAST_GAIN, _PROFILE_GAIN = 2.0, 0.01, 0.3
+# decreases of the cost at which rounds of the selection, and the last fits, end
+_ROUND_GAIN, _LAST_GAIN = 2.0, 0.3
+_PROFILE_STEPS = 5  # of the fits beside the last one, which start in the valley of the cost
 # prior sigma of k1, and of the principal point as a fraction of the image width
 _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
 # mean and standard deviation of the readout: 0 to 30 ms, usual of cameras of cars and phones
@@ -208,8 +209,8 @@ def _at_focal(near: SceneFit, log_focal: float, prior: LensPrior) -> SceneFit:
         near.lens.moved(step),
         fixed,
         cauchy_sigmas=_LAST_SIGMAS,
-        max_steps=8,
-        min_gain=_PROFILE_GAIN,
+        max_steps=_PROFILE_STEPS,
+        min_gain=_LAST_GAIN,
     )
 
 
