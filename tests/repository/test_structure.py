@@ -38,7 +38,7 @@ MOST_STATEMENTS = {
     # the direction of travel beside the principal point (28), a segment in which the right camera
     # moved (15), and noise of speeds (1)
     # a movement for the summary (+15)
-    "stereo": 9_166,
+    "stereo": 9_167,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -93,7 +93,8 @@ MOST_STATEMENTS = {
     # a known distance of a run without a calibration (10); an estimate counts once (1)
     # the ratio of speeds before a drive (2)
     # a movement in the summary (+4)
-    "run": 2_324,
+    # the boxes of the pre-pass are used again (13)
+    "run": 2_336,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)

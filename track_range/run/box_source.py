@@ -160,6 +160,29 @@ def outside_regions(
     return replace(source, detect=lambda frame: outside(detect(frame)), prepare=outside_prepared)
 
 
+def remembered(source: BoxSource) -> tuple[Callable[[Frame], Detections], BoxSource]:
+    """Detection of frames that are read before a run, and a source for the run that detects no
+    frame again.
+
+    The frames of both have the same numbers and images.
+    """
+    kept: dict[int, Detections] = {}
+
+    def detect_before(frame: Frame) -> Detections:
+        return kept.setdefault(frame.index, source.detect(frame))
+
+    def detect(frame: Frame) -> Detections:
+        return kept.pop(frame.index) if frame.index in kept else source.detect(frame)
+
+    def prepared(
+        prepare: Callable[[Frame], Callable[[], Detections]], frame: Frame
+    ) -> Callable[[], Detections]:
+        return partial(kept.pop, frame.index) if frame.index in kept else prepare(frame)
+
+    prepare = None if source.prepare is None else partial(prepared, source.prepare)
+    return detect_before, replace(source, detect=detect, prepare=prepare)
+
+
 def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
     """(H, W) uint8, 1 in the regions: polygons `x,y x,y x,y / ...` in pixels of the video, or a
     mask's bright part.

@@ -26,7 +26,13 @@ from track_range.recording.speed_source import AUTO, SpeedSource, open_speed
 from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 from track_range.results.progress_note import LOADING
-from track_range.run.box_source import BoxSource, boxes_of, open_box_source, outside_regions
+from track_range.run.box_source import (
+    BoxSource,
+    boxes_of,
+    open_box_source,
+    outside_regions,
+    remembered,
+)
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
@@ -87,7 +93,9 @@ def open_run(
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
         speed = open_speed(settings.ego_speed, recording)
         if detector is None:  # an object may depend on the order of the frames
-            recording = _with_estimate(recording, settings, box_source, shapes, progress, speed)
+            recording, box_source = _with_estimate(
+                recording, settings, box_source, shapes, progress, speed
+            )
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
@@ -122,16 +130,19 @@ def _with_estimate(
     shapes: SizeModel,
     progress: StepProgress,
     speed: SpeedSource,
-) -> Recording:
+) -> tuple[Recording, BoxSource]:
     """The recording with its unknown focal length and distortion estimated from its images, unless
-    it is live.
+    it is live, and the source of its boxes.
     """
     if not recording.calibration.guesses or recording.live is not None:
-        return recording
+        return recording, boxes
     known = KnownMeasurements(objects=known_metres(settings.known_distance, (), ()))
-    pre_pass = PrePass(detect=boxes.detect, sizes=shapes, known=known, progress=progress)
-    camera = pre_pass.camera_of([DriveVideo.of_recording(recording, speed.ego)])
-    return recording.with_camera(camera.estimate)
+    detect, remaining = remembered(boxes)
+    pre_pass = PrePass(detect=detect, sizes=shapes, known=known, progress=progress)
+    estimate = pre_pass.camera_of([DriveVideo.of_recording(recording, speed.ego)]).estimate
+    # rectified and undistorted images are others; all candidates belong to the latest detection
+    is_same = recording.pair is None and not estimate.distortion and not settings.anonymize
+    return recording.with_camera(estimate), remaining if is_same else boxes
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:
