@@ -53,10 +53,19 @@ class RangeEvaluationSettings(Options):
     """Methods, boxes and labels of `track-range evaluate ranges`."""
 
     labels: Annotated[
-        Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")
+        Path,
+        option(
+            "Folder of KITTI tracking labels, NAME.txt for each sequence, or one such file.",
+            metavar="DIR|FILE",
+        ),
     ]
     calib: Annotated[
-        Path, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")
+        Path,
+        option(
+            "Folder of calibration files (KITTI, rig.yaml and others), named like the labels, or the "
+            "file of all sequences.",
+            metavar="DIR|FILE",
+        ),
     ]
     boxes: BoxesField = "labels"
     noise_px: NoiseField = 0.0

@@ -200,19 +200,22 @@ def box_set(
     """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image),
     with calibration.
 
-    `calib` has calibration files of the same names. `boxes` are "labels", or "rrc:DIR" for
+    Both may be a single file; `calib` has calibration files of the same names, or is the file of all
+    sequences. `boxes` are "labels", or "rrc:DIR" for
     detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels. `noise_px` is the
     standard deviation of noise added to every edge. Without `selection`, visible objects at 5-100 m
     of all files are used. Raises LabelFileError for no files, no 3-D boxes, no usable labels, or
     unreadable detections; RigError for a missing or unreadable calibration.
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
+    if labels.is_file():
+        files = [labels]
     if not files:
         raise LabelFileError(f"{labels}: expected label files such as 0000.txt, found none.")
     selection = selection or BoxSelection()
     if selection.frames is not None:
         files = _listed(files, selection.frames, labels)
-    sequences = [_sequence(file, calib / file.name, boxes, selection) for file in files]
+    sequences = [_sequence(file, file_in(calib, file.name), boxes, selection) for file in files]
     if not any(sequence.has_3d for sequence in sequences):
         raise LabelFileError(
             f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box."
@@ -245,9 +248,14 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
     return [file for file in files if file.stem in listed]
 
 
+def file_in(place: Path, name: str) -> Path:
+    """The file of a sequence: in a folder, or the given file."""
+    return place if place.is_file() else place / name
+
+
 def times_of(file: Path, calib: Path, source: TimeSource | None) -> FrameTimes:
-    """Times of the frames of a label file, whose calibration in `calib` has the same name."""
-    return _times(file, load_camera(calib / file.name, size_px=None)[0], source)
+    """Times of the frames of a label file, whose calibration is in `calib` (`file_in`)."""
+    return _times(file, load_camera(file_in(calib, file.name), size_px=None)[0], source)
 
 
 def _times(file: Path, camera: PinholeCamera, source: TimeSource | None) -> FrameTimes:

@@ -188,3 +188,13 @@ def test_classes_that_kitti_does_not_have_are_counted(tmp_path, row, drives):
     boxes = box_set(*drives(tmp_path, {"a": rows}))
     assert boxes.class_name.tolist() == ["bus", "car"]
     assert [note.split(":")[0] for note in boxes.notes] == ["Time step", "Misc", "Motorcycle"]
+
+
+def test_single_files_are_like_folders(tmp_path, row, drives):
+    """One label file with its calibration, and one calibration of two label files."""
+    labels, calib = drives(tmp_path, {name: [row(0, 1, "Car", 20.0)] for name in ("a", "b")})
+    boxes = box_set(labels / "b.txt", calib / "b.txt")
+    assert boxes.sequence_names == ("b",)
+    assert boxes.distance_m == pytest.approx([20.0], abs=1e-3)
+    assert len(box_set(labels, calib / "a.txt")) == 2
+    assert box_set(labels / "b.txt", calib).distance_m == pytest.approx([20.0], abs=1e-3)

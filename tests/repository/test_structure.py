@@ -44,10 +44,10 @@ MOST_STATEMENTS = {
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
     # the frame rate (15); what would show the scale of a pair without a rig (3)
     # a focal length that is learnt while frames come, and its correction of depths and turns (85)
-    # each class of labels counted or named (42), times of labelled sequences (90), roads that bend (4), turns (3)
+    # each class of labels counted or named (42), times of labelled sequences (90), roads that bend (4), turns (3), single files (4)
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
-    "ranging": 6_844,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 6_848,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)

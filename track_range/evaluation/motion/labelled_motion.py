@@ -19,7 +19,13 @@ from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
 from track_range.ranging.truth.frame_times import TimeSource
-from track_range.ranging.truth.labelled_boxes import BoxSelection, BoxSet, box_set, times_of
+from track_range.ranging.truth.labelled_boxes import (
+    BoxSelection,
+    BoxSet,
+    box_set,
+    file_in,
+    times_of,
+)
 
 _HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
@@ -74,11 +80,11 @@ def kitti_motion(
     position_m = np.full((len(every), 2), np.nan)
     duration_s = 0.0
     for number, name in enumerate(every.sequence_names):
-        pose = read_poses(poses / f"{name}.txt")
+        pose = read_poses(file_in(poses, f"{name}.txt"))
         rows = every.sequence == number
         if rows.any() and every.frame[rows].max() >= len(pose):
             raise LabelFileError(
-                f"{poses / name}.txt: expected a pose for each labelled frame, up to frame "
+                f"{file_in(poses, name + '.txt')}: expected a pose for each labelled frame, up to frame "
                 f"{every.frame[rows].max()}, found {len(pose)} poses."
             )
         camera_m = np.stack([every.x_m[rows], np.zeros(rows.sum()), every.distance_m[rows]], axis=1)
@@ -86,7 +92,7 @@ def kitti_motion(
         position_m[rows] = (
             np.einsum("nij,nj->ni", pose_of[:, :, :3], camera_m) + pose_of[:, :, 3]
         )[:, ::2]
-        clock = times_of(labels / f"{name}.txt", calib, times)
+        clock = times_of(file_in(labels, f"{name}.txt"), calib, times)
         time_s = clock.at(np.arange(len(pose)))
         duration_s += float(time_s[-1]) + clock.step_s
         speed_mps, yaw = _ego_motion(pose, time_s)

@@ -22,7 +22,8 @@ class MotionEvaluationSettings(Options):
     labels: Annotated[
         Path,
         option(
-            "Folder of KITTI tracking labels, NAME.txt for each sequence, or the labels of --data.",
+            "Folder of KITTI tracking labels, NAME.txt for each sequence, or one such file, or the "
+            "labels of --data.",
             metavar="DIR|FILE",
         ),
     ]
@@ -36,12 +37,16 @@ class MotionEvaluationSettings(Options):
     ] = "kitti"
     calib: Annotated[
         Path | None,
-        option("Folder of KITTI calibration files, named like the labels.", metavar="DIR"),
+        option(
+            "Folder of calibration files (KITTI, rig.yaml and others), named like the labels, or the "
+            "file of all sequences.",
+            metavar="DIR|FILE",
+        ),
     ] = None
     poses: Annotated[
         Path | None,
         option(
-            "Folder of poses, named like the labels: a row of 12 numbers per frame, the 3 x 4 "
+            "Folder of poses, named like the labels, or one such file: a row of 12 numbers per frame, the 3 x 4 "
             "matrix from the camera to the first camera in metres.",
             metavar="DIR",
         ),
