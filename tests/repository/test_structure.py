@@ -44,7 +44,8 @@ MOST_STATEMENTS = {
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
     # the frame rate (15); what would show the scale of a pair without a rig (3)
     # a focal length that is learnt while frames come, and its correction of depths and turns (85)
-    # each class of labels counted or named (42), times of labelled sequences (90), roads that bend (4), turns (3), single files (4)
+    # each class of labels counted or named (42), times of labelled sequences (90), single files of
+    # labels (4); roads that bend (4) and turns (3)
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
     "ranging": 6_848,  # turns as evidence of a given focal length (65), the height by the posterior (17)
