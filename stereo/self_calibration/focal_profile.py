@@ -57,8 +57,9 @@ _K1_SIGMA, _CENTRE_SIGMA = 0.008, 0.004
 _READOUT_S = 0.015, 0.01
 FOCAL_RANGE = (0.3, 3.5)  # of the focal length, in image widths
 # prior sigma of k1 and k2 of a distorted lens, and the decrease of the cost, relative to it, that
-# shows one; without distortion it is below 0.001 (simulated drives, seeds 700 to 711)
-_DISTORTED_SIGMA, _DISTORTED_GAIN = 0.3, 0.01
+# shows one; without distortion it is below 0.001 (simulated drives, seeds 700 to 711), and k1 alone,
+# a bad model of a wide lens, shows a trace of it
+_DISTORTED_SIGMA, _DISTORTED_GAIN, _TRACE_GAIN = 0.3, 0.01, 0.002
 # of the logarithm of the focal length: wide, it only keeps the equations solvable
 _LOG_FOCAL_SIGMA = 10.0
 
@@ -156,22 +157,25 @@ def _best_lens(ideal: SceneFit, prior: LensPrior) -> tuple[SceneFit, LensPrior]:
     Most lenses are almost ideal or were undistorted, and then a free distortion would only move the
     focal length.
     """
-    best, best_prior, cauchy_sigmas = ideal, prior, _ROUNDS[0][0]
+    best, bent, cauchy_sigmas = (ideal, prior), ideal, _ROUNDS[0][0]
+    free = prior
     for terms in ([K1], [K1, K2]):
         sigma = prior.sigma.copy()
         sigma[terms] = _DISTORTED_SIGMA
         free = prior._replace(sigma=sigma)
-        fit = fit_scenes(
-            best.scenes, best.lens, free, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN
+        bent = fit_scenes(
+            bent.scenes, bent.lens, free, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN
         )
-        if fit.cost > (1.0 - _DISTORTED_GAIN) * best.cost:
-            return best, best_prior
-        best, best_prior = fit, free
-    wide = replace(best.lens, family="equidistant", parameters=ideal.lens.parameters)
+        if bent.cost > (1.0 - _TRACE_GAIN) * ideal.cost:
+            return ideal, prior
+        if bent.cost < (1.0 - _DISTORTED_GAIN) * best[0].cost:
+            best = bent, free
+    wide = replace(ideal.lens, family="equidistant")
     angular = fit_scenes(
-        best.scenes, wide, best_prior, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN
+        ideal.scenes, wide, free, cauchy_sigmas=cauchy_sigmas, min_gain=_ROUND_GAIN
     )
-    return (angular if angular.cost < best.cost else best), best_prior
+    enough = 1.0 - _DISTORTED_GAIN if best[0] is ideal else 1.0
+    return (angular, free) if angular.cost < enough * best[0].cost else best
 
 
 def _lens_prior(width_px: int) -> LensPrior:

@@ -89,6 +89,18 @@ def test_distortion_is_corrected_where_it_is_significant_and_visible():
     assert estimate(motion).distortion == ()
 
 
+def test_a_wide_lens_is_named():
+    """tan(55 degrees) = 1.428; the fraction of an equidistant lens images it at 640 px / 667 px."""
+    coefficients = (0.515, 0.02, 0.0, 0.0, 0.0, 0.85, 0.108, 0.0)
+    motion = source(667.0, 0.005, "motion")
+    wide = estimate(motion, coefficients=coefficients, k1_sigma=0.01)
+    assert wide.k1 == pytest.approx(0.515 - 0.85)
+    assert wide.field_deg == pytest.approx(110.0, abs=0.5)
+    assert "about 110 degrees" in wide.advice[-1]
+    assert estimate(motion).field_deg == pytest.approx(87.7, abs=0.2)  # 2 atan(639.5 / 667)
+    assert not estimate(motion).advice
+
+
 def test_summary_has_curves_for_a_picture():
     summary = estimate(source(1000.0, 0.2), source(1000.0, 0.004, "motion")).summary()
     grid = np.array(summary["curve_px"])

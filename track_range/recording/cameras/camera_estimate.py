@@ -22,6 +22,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_curve import FocalCurve, log_focal_grid
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.lenses.pinhole import first_radial
@@ -46,6 +47,7 @@ _WORTHWHILE = 0.8  # largest ratio of the sigma with further evidence to that wi
 # smallest ratio of |k1| to its sigma, and displacement of the image's corner in px, from which on a
 # distortion is corrected
 _SIGNIFICANT, _VISIBLE_PX = 3.0, 1.0
+_WIDE_DEG = 100.0  # field of view from which on a board is advised
 
 # points of the curves in summary.json (about), and the relative density above which they are closer
 _N_SHOWN, _SHOWN_DENSITY = 60, 1e-3
@@ -150,6 +152,14 @@ class CameraEstimate:
         return self.coefficients if is_significant and corner_px > _VISIBLE_PX else ()
 
     @property
+    def field_deg(self) -> float:
+        """Horizontal field of view of the images with distortion."""
+        camera = PinholeCamera.of_focal_length(self.focal_px, self.size_px)
+        camera = replace(camera, distortion=self.distortion)
+        x, _, z = camera.recorded_rays(np.array([[0.0, camera.cy_px]]))[0].tolist()
+        return 2 * math.degrees(math.atan2(-x, z))
+
+    @property
     def remedy(self) -> tuple[Remedy, float] | None:
         """The missing evidence that would help most, and the sigma with it; None = none would."""
         present = {source.kind for source in self.sources}
@@ -173,14 +183,20 @@ class CameraEstimate:
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """A sentence on what would help most; empty = nothing would."""
-        if (helpful := self.remedy) is None:
-            return ()
-        remedy, sigma = helpful
-        return (
-            f"Most would help {remedy.what}: the focal length would be known within "
-            f"{100 * sigma:.1f} % ({remedy.how}).",
-        )
+        """Sentences on what would help most, and on a wide lens; empty = nothing would."""
+        sentences = list[str]()
+        if (helpful := self.remedy) is not None:
+            remedy, sigma = helpful
+            sentences.append(
+                f"Most would help {remedy.what}: the focal length would be known within "
+                f"{100 * sigma:.1f} % ({remedy.how})."
+            )
+        if self.distortion and self.field_deg > _WIDE_DEG:
+            sentences.append(
+                f"The lens images about {self.field_deg:.0f} degrees: a board shows its model up to "
+                "the edges (track-range calibrate --lens fisheye)."
+            )
+        return tuple(sentences)
 
     def summary(self) -> dict[str, Any]:
         """Entry `camera_estimate` of summary.json, with the curves for the report's picture."""
