@@ -104,6 +104,10 @@ class ScaleCheck:
         self.agreement = Agreement(1.0, math.inf, "", 0.0)
         self.cameras: CameraPosterior = posterior(priors, [])
 
+    def use(self, source: EvidenceSource) -> None:
+        """Take the evidence of one more source into account, from the next frame on."""
+        self._sources.append(source)
+
     @property
     def baseline_m(self) -> float | None:
         """The given baseline; None = one camera."""

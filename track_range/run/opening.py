@@ -17,6 +17,7 @@ from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.progress import StepProgress
 from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.ranging.cameras.known_distances import KnownDistance, KnownDistances
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
@@ -110,6 +111,9 @@ def open_run(
             measures_speed=settings.ego_speed == AUTO,
             needs_candidates=settings.anonymize,
         )
+        check, rig = pipeline.doubting.check, calibration.rig
+        if check is not None and rig is not None and rig.is_assumed:
+            check.use(_known_distances(settings))
         on_error.pop_all()
     return OpenedRun(
         settings=settings,
@@ -143,6 +147,12 @@ def _with_estimate(
     # rectified and undistorted images are others; all candidates belong to the latest detection
     is_same = recording.pair is None and not estimate.distortion and not settings.anonymize
     return recording.with_camera(estimate), remaining if is_same else boxes
+
+
+def _known_distances(settings: RunSettings) -> KnownDistances:
+    """The known distances of the settings as evidence of the scale of a pair."""
+    known = known_metres(settings.known_distance, (), ())
+    return KnownDistances([KnownDistance(one.time_s, one.xyxy_px, one.distance_m) for one in known])
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:
