@@ -40,7 +40,9 @@ def test_distance_by_the_rig_in_the_frame_of_the_time_is_compared():
     assert shown.sigma == pytest.approx(evidence.sigma, rel=0.01)
 
 
-@pytest.mark.parametrize("frame", [seen(2.0, distance_m=math.nan), seen(2.0, box_px=(0.0, 0.0, 9.0, 9.0))])
+@pytest.mark.parametrize(
+    "frame", [seen(2.0, distance_m=math.nan), seen(2.0, box_px=(0.0, 0.0, 9.0, 9.0))]
+)
 def test_objects_without_a_distance_or_a_track_are_no_evidence(frame):
     assert iou(np.array([BOX_PX]), frame.tracks.xyxy_px).max() in (0.0, 1.0)
     known = KnownDistances([KnownDistance(2.0, BOX_PX, 10.0)])

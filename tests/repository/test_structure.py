@@ -48,7 +48,8 @@ MOST_STATEMENTS = {
     # labels (4); roads that bend (4) and turns (3)
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
-    "ranging": 6_848,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # known distances as evidence of the scale of a pair (+39)
+    "ranging": 6_887,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -95,7 +96,8 @@ MOST_STATEMENTS = {
     # the ratio of speeds before a drive (2)
     # a movement in the summary (+4)
     # the boxes of the pre-pass are used again (13)
-    "run": 2_336,
+    # known distances for pairs (+7)
+    "run": 2_343,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)
