@@ -55,7 +55,7 @@ _WITHIN = 2 * ndtr([2.0, 1.0]) - 1  # probabilities of errors within 2 and 1 sig
 _N_BISECTIONS = 30
 _MAX_ERROR = 20.0  # largest relative error that sigma can have
 # parts of a curve, and the smallest log weight of a component relative to the largest one
-_N_PARTS, _MIN_LOG_WEIGHT = 64, -16.0
+_N_PARTS, _MIN_LOG_WEIGHT = 24, -10.0
 
 
 class _Hypothesis(NamedTuple):
