@@ -321,9 +321,9 @@ SCALE, SIZE = "Scale in doubt", "focal length is in doubt|principal point in the
 TIME = "not synchronised|repeats its last image|do not show the same moment"
 PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
 # words of any doubt; notes that runs without the fault have, too, do not count, and those of an
-# alignment always say by how much disparities are too small
+# alignment always say by how much disparities are too small, and those of an agreement a factor
 ANY = (
-    rf"^(?!Alignment: ).*(?:{SCALE}|{SIZE}|{PAIR}|(?:camera|rig|pair) (?:has )?moved|is turned"
+    rf"^(?!Alignment: )(?!.*no contradiction).*(?:{SCALE}|{SIZE}|{PAIR}|(?:camera|rig|pair) (?:has )?moved|is turned"
     r"|repeat|\b(?:froze|frozen|identical|vibrate|shake|jump|zoomed)\b|\b(?:s|seconds) late\b"
     r"|contradicts|do(?:es)? not (?:fit|change)|given speed is below|times what"
     r"|focal length (?:of both cameras )?changed|principal point is)"
@@ -460,7 +460,7 @@ FAULTS = (
         "clock",
         "both frozen 2 s",
         frozen,
-        "repeat|froze|identical",
+        "repeat|do not change",
         is_sudden=True,
         after_s=0.3,
         for_s=FROZEN_S - 0.3,
