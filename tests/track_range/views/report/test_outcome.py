@@ -66,4 +66,7 @@ def test_accuracy_in_lines():
         ["distance", "median error 0.4 %, mean 1.4 %, over 416 boxes"],
         ["tracks", "IDF1 45 %, MOTA 26 %, 12 identity switches"],
     ]
+    share = {"fused_kf": fused | {"within_25_percent": 0.986}}
+    assert "within 25 %" in [*accuracy_lines(summary | {"methods": share})][2]
+    assert [*accuracy_lines(summary | {"methods": share})][2].endswith("98.6% of the distances")
     assert len([*accuracy_lines(summary | {"methods": {}, "tracks": {"n": 3, "idf1": None}})]) == 1
