@@ -23,6 +23,7 @@ import numpy as np
 import track_range as tr
 from benchmarks.accuracy.ranging.colmap import colmap_camera
 from benchmarks.accuracy.ranging.focal_boxes import BOX_OPTIONS, box_figures
+from benchmarks.accuracy.ranging.pre_pass_time import pre_pass_times
 from benchmarks.accuracy.ranging.row_scores import RowScores, median, pooled
 from benchmarks.harness import Figures, StoredResults, option, workload
 from benchmarks.inputs.camera_drives import SECONDS, CameraDrive
@@ -31,7 +32,7 @@ from track_range.foundation.arrays import Image
 from track_range.ranging.truth.truth import read_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 
-PARTS = ("boxes", "mono", "stereo", "lens", "real", "colmap")
+PARTS = ("boxes", "mono", "stereo", "lens", "real", "colmap", "time")
 TURNING, STRAIGHT = tuple(range(720, 730)), ("town 720", "highway 721", "town 722", "highway 723")
 LENS_SEEDS = (730, 731)
 RenderedDrive = tuple[str, int]  # scenario and seed
@@ -76,6 +77,9 @@ def self_calibration(options: Namespace) -> Figures:
         reconstructed = [*((str(options.cache), *drive) for drive in turning), ("", "gray51", 0)]
         found = _by_drive(stored.mapped("colmap", _colmap, reconstructed, 1))
         figures["colmap"] = {name: row for name, row in found.items() if "s" in row}
+    if "time" in options.parts:
+        timed = [(str(options.cache), *drive) for drive in turning]
+        figures["time"] = _by_drive(stored.mapped("time", _time, timed, 1))
     return figures
 
 
@@ -191,6 +195,15 @@ def _summed(rows: Sequence[Figures]) -> Figures:
         "open_s": median([row["open_s"] for row in rows]),
         **pooled(rows),
     }
+
+
+def _time(case: tuple[str, str, int]) -> Figures:
+    """Time of the pre-pass of a drive."""
+    cache, scenario, seed = case
+    drive = CameraDrive.drawn(scenario, seed)
+    files = drive.files(Path(cache))
+    with _bare(files.left) as (left,):
+        return {"drive": drive.name, **pre_pass_times(left, files.detections)}
 
 
 def _lens(case: tuple[str, int]) -> Figures:
