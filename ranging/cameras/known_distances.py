@@ -29,7 +29,7 @@ class KnownDistances:
 
     def __init__(self, known: Sequence[KnownDistance]) -> None:
         self._due = list(known)
-        self._evidence: list[Evidence] = []
+        self.evidence: list[Evidence] = []  # of all frames so far
 
     def add(self, seen: SeenFrame) -> None:
         """Add a frame."""
@@ -45,11 +45,11 @@ class KnownDistances:
                 continue
             best = int(np.argmax(overlap))
             distance_m, sigma_m = float(by_rig.distance_m[best]), float(by_rig.sigma_m[best])
-            value = math.log(distance_m / known.distance_m)
-            sigma = math.hypot(sigma_m / distance_m, _KNOWN_SIGMA)
-            self._evidence.append(Evidence(_NAME, OF_PAIR, value, sigma))
-
-    @property
-    def evidence(self) -> Sequence[Evidence]:
-        """The evidence of all frames so far."""
-        return self._evidence
+            self.evidence.append(
+                Evidence(
+                    _NAME,
+                    OF_PAIR,
+                    math.log(distance_m / known.distance_m),
+                    math.hypot(sigma_m / distance_m, _KNOWN_SIGMA),
+                )
+            )

@@ -101,6 +101,7 @@ class DistanceFilters:
         if not self._settings.learns_noise:
             noises = (self._settings.acceleration_noise,)
             self._models = InteractingModels(n_methods, noises=noises, has_static=False)
+        self._stretch = math.nan  # of the given speed of the last frame
         self._new = FilterBank.new(self._models, self._settings, n_methods)
         self._tracks = TrackState(self._new.rows()[:, 0])
 
@@ -166,7 +167,12 @@ class DistanceFilters:
         if class_id is None:
             class_id = np.full(n, _CAR)
         static_mps = _static_mps(ego, observation.cut, bank.motion.x, measured.distance_m)
-        ego_step = EgoStep.of(ego, static_mps, bank.ego_mps, dt)
+        # Another focal length stretches a given speed, and moves no object: only what is static
+        # for the filters follows it.
+        stretched, self._stretch = ego.stretch / self._stretch, ego.stretch
+        other_mps = bank.ego_mps * (stretched if math.isfinite(stretched) else 1.0)
+        last_mps = np.where(self._models.is_static, bank.ego_mps, other_mps)
+        ego_step = EgoStep.of(ego, static_mps, last_mps, dt)
         is_hidden = np.array(False)
         if observation.is_hidden is not None:
             is_hidden = observation.is_hidden

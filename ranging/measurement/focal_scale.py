@@ -40,13 +40,14 @@ class FocalScale:
 
     def stretched(self, given: EgoMotion) -> EgoMotion:
         """A given speed as the images show it with the assumed focal length."""
-        return self._with_speed(given, 1.0 / self.factor)
+        return replace(self._with_speed(given, 1.0 / self.factor), stretch=1.0 / self.factor)
 
     def _with_speed(self, motion: EgoMotion, factor: float) -> EgoMotion:
         return replace(
             motion,
             speed_mps=motion.speed_mps * factor,
             speed_sigma_mps=motion.speed_sigma_mps * factor,
+            noise_mps=motion.noise_mps * factor,
         )
 
     def camera(self, assumed: PinholeCamera) -> PinholeCamera:

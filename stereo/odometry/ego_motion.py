@@ -26,6 +26,8 @@ class EgoMotion:
     is_predicted: bool = False  # whether the speed is that of an earlier frame
     # the part of the standard deviation of the speed that is new in each frame; the rest lasts
     noise_mps: float = 0.0
+    # factor of a given speed by the error of the focal length (`FocalScale`); NaN = not given
+    stretch: float = math.nan
 
 
 # random walk of a speed that is not measured, m/s per root of a second: 2.5 m/s after one second

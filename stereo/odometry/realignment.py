@@ -62,13 +62,15 @@ class Realignment:
         """Messages for the user so far."""
         if math.isnan(self._lost_s):
             return ()
-        lost = f"Left and right images do not match from {self._lost_s:.1f} s on, as if the right "
-        cause = "camera moved far, or was covered"
+        lost = (
+            f"Left and right images do not match from {self._lost_s:.1f} s on, as if the right "
+            "camera moved far, or was covered"
+        )
         if self.is_lost:
-            return (f"{lost}{cause}: distances come from the left video alone.",)
+            return (f"{lost}: distances come from the left video alone.",)
         return (
-            f"{lost}{cause}, until {self._until_s:.1f} s: distances came from the left video alone, "
-            "and from then on, the pair has another alignment. Mount the cameras more firmly.",
+            f"{lost}, until {self._until_s:.1f} s: distances came from the left video alone, and "
+            "from then on, the pair has another alignment. Mount the cameras more firmly.",
         )
 
     @property

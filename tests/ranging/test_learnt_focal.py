@@ -93,10 +93,10 @@ def test_only_an_unknown_focal_length_is_learnt():
 
 def test_stretch_affects_only_the_axis():
     focal = FocalScale(math.log(1.25))  # the assumed focal length is 1.25 times too large
-    motion = EgoMotion(10.0, 0.5, yaw_rad_s=0.08)
+    motion = EgoMotion(10.0, 0.5, yaw_rad_s=0.08, noise_mps=0.25)
     true = focal.corrected_motion(motion)
     assert (true.speed_mps, true.speed_sigma_mps) == (pytest.approx(8.0), pytest.approx(0.4))
-    assert true.yaw_rad_s == pytest.approx(0.1)
+    assert (true.yaw_rad_s, true.noise_mps) == (pytest.approx(0.1), pytest.approx(0.2))
     assert focal.stretched(true).speed_mps == pytest.approx(10.0)
     camera = focal.camera(CAMERA)
     point = np.array([[800.0, 400.0]])

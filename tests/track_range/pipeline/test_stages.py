@@ -243,6 +243,21 @@ def test_a_wrong_focal_length_stretches_all_stages_alike(factor):
     np.testing.assert_allclose(placed_f.xyz_m, placed.xyz_m, rtol=1e-6)
 
 
+def test_a_new_focal_length_does_not_change_closing_speeds():
+    """A car that comes nearer by 3 m/s, 15 % of the given speed: the correction starts at 4 s."""
+    stage, ego, fusion = FilterStage(CAMERA), EgoStage(), Fusion()
+    closing_mps = []
+    for k in range(60):
+        focal = FocalScale(math.log(1.15)) if k >= 40 else FocalScale()
+        frame_ranges = measured(mono=ranges(*np.full(2, 1.15 * (40.0 - 0.3 * k))))
+        fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
+        given = EgoMotion(20.0, 0.2)
+        shown = ego.update(frame(0.1 * k), NO_BOXES, given, scale=DriveScale(focal=focal))
+        moved = stage.update(CARS, frame_ranges, fused, shown.motion, 0.1 * k)
+        closing_mps.append(-moved.fused.rate_mps[0])
+    np.testing.assert_allclose(closing_mps[35:], 1.15 * 3.0, atol=0.3)
+
+
 def test_view_to_the_side_has_closing_speeds_but_no_times_to_collision():
     _, _, ahead = filtered()
     _, _, aside = filtered(camera_is_ahead=False)
