@@ -13,7 +13,9 @@ from track_range.ranging.cameras.unknowns import OF_PAIR
 _NAME = "known distances"
 _KNOWN_SIGMA = 0.03  # relative, of a distance by tape or map to the surface that a matcher sees
 _MIN_IOU = 0.4  # smallest IoU of a track with the box of the user
-_EARLY_S = 0.02  # time before the stated one at which a frame is the stated one
+# times before and after the stated one at which a frame is the stated one: in 0.1 s, oncoming
+# vehicles come nearer by 3 m
+_EARLY_S, _LATE_S = 0.02, 0.1
 
 
 class KnownDistance(NamedTuple):
@@ -41,7 +43,7 @@ class KnownDistances:
         is_measured = tracks.observed & np.isfinite(by_rig.distance_m)
         for known in due:
             overlap = np.where(is_measured, iou(np.array([known.xyxy_px]), tracks.xyxy_px)[0], 0.0)
-            if overlap.max(initial=0.0) < _MIN_IOU:
+            if seen.time_s - known.time_s > _LATE_S or overlap.max(initial=0.0) < _MIN_IOU:
                 continue
             best = int(np.argmax(overlap))
             distance_m, sigma_m = float(by_rig.distance_m[best]), float(by_rig.sigma_m[best])

@@ -49,3 +49,10 @@ def test_objects_without_a_distance_or_a_track_are_no_evidence(frame):
     known.add(frame)
     known.add(seen(2.1))
     assert not known.evidence
+
+
+def test_a_time_without_a_frame_is_no_evidence():
+    """A run that starts later: another object may be in the box."""
+    known = KnownDistances([KnownDistance(2.0, BOX_PX, 10.0)])
+    known.add(seen(2.3))
+    assert not known.evidence
