@@ -5,7 +5,6 @@ OUT/cameras/NAME.json    its evidence, and the recordings that it is from
 """
 
 import hashlib
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,6 +19,7 @@ from track_range.calibration.drive.known_metres import Detect
 from track_range.calibration.settings import DriveSettings
 from track_range.detection.catalogue.lookup import DEFAULT_MODEL
 from track_range.fleet.inputs.clip import Clip, FleetInputError
+from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.inputs.pattern import CLIP, Template
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UsageError
@@ -32,7 +32,6 @@ from track_range.run.ready_model import ready_model
 
 # clips of one camera that are read, evenly spread over them: the estimate of more is no better
 MOST_CLIPS = 12
-_CALIBRATED = {"rig", "focal_px", "stereo_layout"}  # settings of clips without an estimate
 
 
 def clips_by_camera(clips: Sequence[Clip], camera: str) -> dict[str, list[Clip]]:
@@ -43,9 +42,13 @@ def clips_by_camera(clips: Sequence[Clip], camera: str) -> dict[str, list[Clip]]
     this machine.
     """
     template = Template.of(camera, "--camera")
-    of_camera: dict[str, list[Clip]] = defaultdict(list)
+    of_camera: dict[str, list[Clip]] = {}
     for clip in clips:
-        if clip.problem or clip.right is not None or clip.settings.keys() & _CALIBRATED:
+        if (
+            clip.problem
+            or clip.right is not None
+            or clip.settings.keys() & {"rig", "focal_px", "stereo_layout"}
+        ):
             continue
         values = {CLIP: clip.name, **clip.labels}
         try:
@@ -57,13 +60,13 @@ def clips_by_camera(clips: Sequence[Clip], camera: str) -> dict[str, list[Clip]]
             ) from error
         _check_local(Location.of(clip.left))
         if "rig" not in clip.files():
-            of_camera[name].append(clip)
+            of_camera.setdefault(name, []).append(clip)
     if not of_camera:
         raise FleetInputError(
             f"--camera {quoted(camera)}: expected clips of one camera without a calibration, found "
             "none; omit it."
         )
-    return dict(of_camera)
+    return of_camera
 
 
 def _check_local(location: Location) -> None:
@@ -92,15 +95,22 @@ def camera_lines(clips: Sequence[Clip], camera: str) -> list[str]:
 def with_cameras(
     clips: Sequence[Clip], camera: str, out: Location, options: Mapping[str, Any], console: Console
 ) -> list[Clip]:
-    """The clips with the calibrations of their cameras, estimated unless an earlier run has.
+    """The clips with the calibrations of their cameras, estimated unless an earlier run has, without
+    the clips that cannot be opened.
 
     Raises FleetInputError: see `clips_by_camera`, the results are not on this machine, or the clips
-    of a camera have images of different sizes; VideoError.
+    of a camera have images of different sizes; VideoError if a file changes meanwhile.
     """
     _check_local(out)
     rigs: dict[str, str] = {}  # by name of the clip
     for name, of_camera in clips_by_camera(clips, camera).items():
-        paths = tuple(str(Location.of(clip.left).path) for clip in chosen(of_camera))
+        paths = tuple(
+            str(Location.of(checked.clip.left).path)
+            for checked in check_clips(chosen(of_camera))
+            if not checked.problems
+        )
+        if not paths:
+            continue  # its clips fail with their own problems
         rig = out.path / "cameras" / f"{quote(name, safe='')}.yaml"
         sentence = _estimated(paths, rig, options, console)
         console.print(
@@ -133,10 +143,10 @@ def _estimated(
             return str(known["sentence"])
     rig.parent.mkdir(parents=True, exist_ok=True)
     settings = DriveSettings(recordings=recordings, out=rig, curves=options.get("curves"))
-    model = options.get("detector") or DEFAULT_MODEL
 
     def open_detect() -> Detect:
-        network = open_detector(ready_model(model, console), DetectorOptions())
+        model = ready_model(options.get("detector") or DEFAULT_MODEL, console)
+        network = open_detector(model, DetectorOptions())
         return lambda frame: network.detect(frame.left)
 
     try:
@@ -144,13 +154,12 @@ def _estimated(
     except UsageError as error:
         raise FleetInputError(f"--camera: {error}") from error
     calibration.save(settings)
-    names = [Path(name).name for name in recordings]
     sentence = calibration.mounted.estimate.sentence
     write_json(
         evidence,
         {
             **calibration.figures,
-            "source": " ".join(names),
+            "source": " ".join(Path(name).name for name in recordings),
             "recordings_hash": recordings_hash,
             "sentence": sentence,
         },

@@ -82,6 +82,13 @@ def test_remote_clips_are_refused(tmp_path):
         )
 
 
+def test_clips_that_cannot_be_opened_stay_for_the_run(clips, tmp_path):
+    for clip in clips:
+        (tmp_path / f"{clip.name}.mp4").write_bytes(b"no video")
+    out = Location.of(str(tmp_path / "out"))
+    assert with_cameras(clips, "dashcam", out, {}, Console(quiet=True)) == clips
+
+
 @pytest.mark.slow
 def test_one_estimate_is_that_of_all_clips_and_stays(small_drive, tmp_path, capsys):
     recordings = tmp_path / "clips"
@@ -89,13 +96,15 @@ def test_one_estimate_is_that_of_all_clips_and_stays(small_drive, tmp_path, caps
     for name in ("a", "b"):
         shutil.copy(small_drive.left, recordings / f"{name}.mp4")
     clips = [Clip(name, str(recordings / f"{name}.mp4")) for name in ("a", "b")]
+    (recordings / "damaged.mp4").write_bytes(b"no video")
+    clips.append(Clip("damaged", str(recordings / "damaged.mp4")))
     out, console = Location.of(str(tmp_path / "out")), Console(width=300)
     result = with_cameras(clips, "dash cam", out, {}, console)
     rig = tmp_path / "out" / "cameras" / "dash%20cam.yaml"
-    assert [clip.settings["rig"] for clip in result] == [str(rig)] * 2
+    assert [clip.settings["rig"] for clip in result] == [str(rig)] * 3
     printed = capsys.readouterr().out
     assert printed.startswith("Camera dash cam: Focal length ")
-    assert "By 2 of 2 clips." in printed
+    assert "By 2 of 3 clips." in printed
     camera, _ = load_camera(rig, size_px=None)
     evidence = json.loads(rig.with_suffix(".json").read_text())
     assert camera.fx_px == pytest.approx(evidence["focal_px"])
