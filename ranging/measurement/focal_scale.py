@@ -34,9 +34,13 @@ class FocalScale:
         return ranges.scaled(self.factor)
 
     def corrected_motion(self, motion: EgoMotion) -> EgoMotion:
-        """A motion along the stretched axis with the true focal length."""
-        stretched = self._with_speed(motion, self.factor)
-        return replace(stretched, yaw_rad_s=motion.yaw_rad_s / self.factor)
+        """A motion along the stretched axis with the true focal length; a given speed is again as
+        given, also if it was stretched by an earlier estimate.
+        """
+        true = self._with_speed(
+            motion, self.factor if math.isnan(motion.stretch) else 1.0 / motion.stretch
+        )
+        return replace(true, yaw_rad_s=motion.yaw_rad_s / self.factor, stretch=math.nan)
 
     def stretched(self, given: EgoMotion) -> EgoMotion:
         """A given speed as the images show it with the assumed focal length."""

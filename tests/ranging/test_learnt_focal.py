@@ -103,3 +103,10 @@ def test_stretch_affects_only_the_axis():
     # x of the ray at the corrected depth is that at the measured depth
     measured, corrected = CAMERA.rays(point)[0] * 25.0, camera.rays(point)[0] * 20.0
     np.testing.assert_allclose(corrected, [measured[0], measured[1], 20.0])
+
+
+def test_given_speed_is_reported_as_given_where_the_estimate_changes():
+    given = EgoMotion(8.0, 0.2)
+    stretched = FocalScale(0.1).stretched(given)
+    reported = FocalScale(0.2).corrected_motion(stretched)
+    assert (reported.speed_mps, reported.speed_sigma_mps) == pytest.approx((8.0, 0.2))
