@@ -12,6 +12,7 @@ import pytest
 
 from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.pre_pass import (
+    PrePass,
     _shown_names,
     drive_priors,
     source_of_evidence,
@@ -25,6 +26,7 @@ from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.ranging.cameras.scale_evidence import height_by_speed
 from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M, Unknown
+from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
 from track_range.recording.sources.names import video_name
 from track_range.recording.video.options import RecordingOptions
@@ -97,7 +99,8 @@ def test_time_and_video_of_the_motion():
     for video, (start_s, shifts_px) in parts.items():
         frames = shifted_frames(start_s, shifts_px)
         view.add(video, camera, frames, lambda _frame: Detections.empty(), lambda *_: None)
-    found, video = view.motion_estimate()
+    view.measure_lens()
+    found, video = view.lens
     assert video == "turn.mp4"
     # the standing camera has one keyframe at 61 s; the camera moves from 62.0 to 64.4 s
     assert 61.0 <= found.span_s[0] <= 62.5
@@ -149,6 +152,26 @@ def test_parts_that_are_read(tmp_path):
     assert start_s < 13
     assert start_s + length_s > 17
     assert length_s <= 10.5
+
+
+def test_rest_of_a_drive(tmp_path):
+    short = write_video(tmp_path / "short.mp4", [0] * 200)
+    assert short.rest_s([(0.0, None)]) == []
+    assert short.rest_s([(6.0, 8.0)]) == [(0.0, 6.0), (14.0, 6.0)]
+    assert short.rest_s([(10.5, 9.0), (0.5, 9.5)]) == []  # half a second is not worth it
+    long = write_video(tmp_path / "long.mp4", [0] * 400)
+    assert long.rest_s(long.parts_s()) == []
+    assert long.rest_s([(16.0, 8.0)]) == [(0.0, 10.0), (24.0, 6.0), (34.0, 10.0)]
+
+
+def test_a_turn_that_the_motion_does_not_show_does_not_leave_out_the_rest(tmp_path):
+    """The images look like a turn, but their texture has no depth and no rotation of a camera."""
+    shaken = write_video(tmp_path / "shaken.mp4", [0] * 60 + [-4] * 60 + [0] * 60)
+    ((_, length_s),) = shaken.parts_s()
+    pre_pass = PrePass(detect=lambda _frame: Detections.empty(), sizes=load_curves(None, "europe"))
+    found = pre_pass.camera_of([shaken])
+    assert length_s <= 10.5
+    assert found.n_frames == pytest.approx(180, abs=2)
 
 
 def test_part_that_was_asked_for(tmp_path):

@@ -1,7 +1,7 @@
 """DriveVideo: a recorded drive before it is read, and the parts of it that are."""
 
 import math
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 
@@ -20,10 +20,15 @@ from track_range.stereo.self_calibration.turns import turning_spans
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0
 # Length in which turns are sought: decoding an hour would take minutes. Time between the images,
-# time after keyframes in which they are, and the smallest turn after which no other part is read.
+# time after keyframes in which they are, and the smallest turn that is read first.
 _SCANNED_S, _SCAN_S, _BURST_S, _MIN_TURN_DEG = 180.0, 0.14, 0.25, 20.0
 # starts of the parts of a longer recording, as fractions of it
 _PARTS = (0.0, 0.5, 0.85)
+
+_LEAST_PART_S = 1.0  # shortest rest of a drive that is worth reading
+
+Part = tuple[float, float | None]
+"""Start and length of a part of a drive, s; None = to the end."""
 
 TIME_EPSILON_S = 0.004  # tolerance of times between frames, for frame rates that divide them
 
@@ -73,12 +78,12 @@ class DriveVideo:
         with self.opened(0.0, None) as recording:
             return replace(self, speed=open_speed(setting, recording).ego)
 
-    def parts_s(self) -> list[tuple[float, float | None]]:
+    def parts_s(self) -> list[Part]:
         """Start and length of each part that is read, None = to the end: those with the largest
         turns, else all of a short drive, or some of a long one.
         """
-        start_s, given_s = self.options.start_s, self.options.duration_s
-        length_s = self.duration_s if given_s is None else min(given_s, self.duration_s or given_s)
+        start_s, length_s = self._span_s
+        given_s = self.options.duration_s
         if 0 < length_s <= (_PART_S if self.speed is None else _WHOLE_S):
             return [(start_s, given_s)]  # straight parts, too, show the scale of a given speed
         with self.opened(start_s, min(length_s or _SCANNED_S, _SCANNED_S)) as recording:
@@ -92,6 +97,32 @@ class DriveVideo:
         if not length_s:
             return [(start_s, _WHOLE_S)]
         return [(start_s + fraction * length_s, _PART_S) for fraction in _PARTS]
+
+    def rest_s(self, parts: Sequence[Part]) -> list[Part]:
+        """Start and length of what these parts leave out of a short drive, or of that of a long one
+        that would be read without turns.
+        """
+        start_s, length_s = self._span_s
+        rest = [(start_s, start_s + length_s)]  # starts and ends
+        if length_s > _WHOLE_S:
+            starts = [start_s + fraction * length_s for fraction in _PARTS]
+            rest = [(first_s, first_s + _PART_S) for first_s in starts]
+        for first_s, part_s in parts:
+            last_s = math.inf if part_s is None else first_s + part_s
+            sides = [
+                side
+                for low_s, high_s in rest
+                for side in ((low_s, min(high_s, first_s)), (max(low_s, last_s), high_s))
+            ]
+            rest = [side for side in sides if side[1] - side[0] >= _LEAST_PART_S]
+        return [(low_s, high_s - low_s) for low_s, high_s in rest]
+
+    @property
+    def _span_s(self) -> tuple[float, float]:
+        """Start and length of what may be read; length 0 = unknown."""
+        given_s, known_s = self.options.duration_s, self.duration_s
+        length_s = known_s if given_s is None else min(given_s, known_s or given_s)
+        return self.options.start_s, length_s
 
     @contextmanager
     def opened(self, start_s: float, duration_s: float | None) -> Generator[Recording]:

@@ -7,15 +7,15 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.drive_video import DriveVideo, Part
 from track_range.calibration.drive.known_metres import Detect, KnownMeasurements, known_objects
-from track_range.calibration.drive.road_evidence import RoadEvidence
+from track_range.calibration.drive.road_evidence import LENS_SIGMA, RoadEvidence
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
@@ -52,8 +52,6 @@ _CAMERA_HEIGHT_M = (0.3, 5.0)
 # of a focal length from motion that says nothing: on a straight road focal length and depths are
 # interchangeable. Up to it, the likelihood of the motion weighs itself.
 _UNKNOWN_SIGMA = 0.4
-# of a focal length from motion above which the motion does not separate it from the distortion
-_LENS_SIGMA = 0.04
 _TURN_DEG = 5.0  # change of the heading that is called a turn
 _MOST_VIEWS = 8  # of an object whose shape is evaluated
 
@@ -149,21 +147,36 @@ class PrePass:
         """What the images of the drives show."""
         view = RoadEvidence(has_horizon=has_horizon)
         with self.progress("estimating the focal length") as advance:
-            names = _shown_names([str(drive.name) for drive in drives])
-            for drive, name in zip(drives, names, strict=True):
-                for start_s, duration_s in drive.parts_s():
-                    with drive.opened(start_s, duration_s) as recording:
-                        frames, camera = recording.frames, recording.camera
-                        view.add(name, camera, frames, self.detect, advance, drive.speed)
+            parts_s = [drive.parts_s() for drive in drives]
+            self._read(view, drives, parts_s, advance)
+            rest_s = [drive.rest_s(parts) for drive, parts in zip(drives, parts_s, strict=True)]
+            # the sides of a road looked like a turn: road users of the rest say more
+            if any(rest_s) and not view.shows_lens:
+                self._read(view, drives, rest_s, advance)
         return view
+
+    def _read(
+        self,
+        view: RoadEvidence,
+        drives: Sequence[DriveVideo],
+        parts_s: Sequence[Sequence[Part]],
+        advance: Callable[[int, int | None], None],
+    ) -> None:
+        """Add the parts of each drive to `view`, and measure the lens."""
+        names = _shown_names([str(drive.name) for drive in drives])
+        for drive, name, parts in zip(drives, names, parts_s, strict=True):
+            for start_s, duration_s in parts:
+                with drive.opened(start_s, duration_s) as recording:
+                    frames, camera = recording.frames, recording.camera
+                    view.add(name, camera, frames, self.detect, advance, drive.speed)
+        view.measure_lens()
 
     def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
         """The camera without the measurements of the user."""
         size_px = drive.size_px
         estimate = self._without_images(drive)
-        motion = view.motion_estimate()
-        if motion is not None:
-            estimate = with_motion(estimate, *motion)
+        if view.lens is not None:
+            estimate = with_motion(estimate, *view.lens)
         camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
         scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
         shapes = vehicle_shapes(thinned(scene), size_px, self.sizes)
@@ -255,7 +268,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "")
     if sigma > _UNKNOWN_SIGMA:
         return before
     estimate = before.with_source(by_motion)
-    if sigma > _LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
+    if sigma > LENS_SIGMA or before.k1_sigma <= motion.k1_sigma:  # False for NaN
         return estimate
     return replace(estimate, coefficients=motion.coefficients, k1_sigma=motion.k1_sigma)
 

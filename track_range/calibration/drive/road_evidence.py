@@ -40,6 +40,8 @@ _MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
 # Standard deviations of the horizon from lanes and from the direction of travel that do not average
 # out: slopes and curves of the road, and the vehicle's attitude.
 _LANE_SIGMA_RAD, _TRAVEL_SIGMA_RAD = 0.006, 0.006
+# of a focal length from motion above which the motion does not separate it from the distortion
+LENS_SIGMA = 0.04
 _PART_GAP_S = 1e6  # added to the times of each further part, for the motion
 _IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a video
 
@@ -58,6 +60,8 @@ class RoadEvidence:
     motion: SceneMotion | None = None  # of the static scene in all parts; None = none was added
     # height of the camera by the given speed, at the approximate focal length
     heights: CameraHeight = field(default_factory=lambda: CameraHeight(USUAL_HEIGHT_M))
+    # by this motion, with times in its video and the name of this video, "" for the only one
+    lens: tuple[MotionEstimate, str] | None = None
     _videos: list[str] = field(default_factory=list)  # names of those of the parts
 
     def add(
@@ -111,17 +115,20 @@ class RoadEvidence:
         """All boxes."""
         return SceneBoxes.joined(self.boxes)
 
-    def motion_estimate(self) -> tuple[MotionEstimate, str] | None:
-        """The lens from the motion of the static scene, with times in its video, and the name of
-        this video, "" for the only one; None = nothing was tracked.
-        """
+    def measure_lens(self) -> None:
+        """Estimate the lens from the motion of the static scene of all parts."""
         estimate = None if self.motion is None else self.motion.estimate()
         if estimate is None:
-            return None
+            return
         video = self._videos[int(estimate.span_s[0] // _PART_GAP_S)]
         first_s, last_s = (time_s % _PART_GAP_S for time_s in estimate.span_s)
         shown = video if len(set(self._videos)) > 1 else ""
-        return replace(estimate, span_s=(first_s, last_s)), shown
+        self.lens = replace(estimate, span_s=(first_s, last_s)), shown
+
+    @property
+    def shows_lens(self) -> bool:
+        """Whether the motion separates the focal length from the distortion."""
+        return self.lens is not None and self.lens[0].sigma <= LENS_SIGMA
 
     def horizon(self, focal_px: float) -> tuple[HorizonRow, ...]:
         """The row of the horizon from lanes and from the direction of travel, where enough frames

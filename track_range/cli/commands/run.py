@@ -166,6 +166,8 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
         if is_verbose:
             print_summary(console, run.summary)
         print_outcome(run, console)
+        for report in (file for file in run.files if file.name == "report.html"):
+            print_line(console, f"Report of the run: {report}")
         rate = frames_per_s(run.summary)
         print_line(
             console,
@@ -178,17 +180,15 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
 
 
 def print_outcome(run: Run, console: Console) -> None:
-    """Print what happened: the extremes of each class, the events, and where to look."""
+    """Print what happened: the extremes of each class, the events, and the accuracy."""
     from track_range.cli.shared.console import print_grid, print_line
     from track_range.foundation.files.input_files import printable
     from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines
 
-    users, files = run.summary["closest_approaches"], {file.name: file for file in run.files}
+    users = run.summary["closest_approaches"]
     print_grid(console, *([class_grid(users)] if users else []))
     accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()
     print_line(console, *map(printable, event_lines(run.events)), *accuracy)
-    if "report.html" in files:
-        print_line(console, f"Report of the run: {files['report.html']}")
 
 
 @contextmanager
