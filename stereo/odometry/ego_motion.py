@@ -10,8 +10,8 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.alignment.health import Move
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.right_camera import RightCamera
 from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.stereo.right_camera.correction import RightCamera
 
 
 @dataclass(frozen=True, slots=True)

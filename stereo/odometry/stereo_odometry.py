@@ -56,10 +56,10 @@ from track_range.stereo.odometry.motion_fit import (
     fit_motion,
 )
 from track_range.stereo.odometry.mounting import Vibration
-from track_range.stereo.odometry.realignment import Realignment
-from track_range.stereo.odometry.right_camera import RightCamera
-from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
 from track_range.stereo.odometry.speed_filter import SpeedFilter
+from track_range.stereo.right_camera.correction import RightCamera
+from track_range.stereo.right_camera.monitor import RightCameraMonitor
+from track_range.stereo.right_camera.realignment import Realignment
 
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy

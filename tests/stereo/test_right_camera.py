@@ -15,11 +15,11 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.change_filter import ChangeFilter
 from track_range.stereo.odometry.common_zoom import common_zoom
 from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
-from track_range.stereo.odometry.realignment import Realignment
-from track_range.stereo.odometry.right_camera import (
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.stereo.right_camera.change_filter import ChangeFilter
+from track_range.stereo.right_camera.correction import (
     BOW,
     OFFSET,
     PITCH,
@@ -28,8 +28,8 @@ from track_range.stereo.odometry.right_camera import (
     RightCamera,
     changes_of,
 )
-from track_range.stereo.odometry.right_camera_monitor import RightCameraMonitor
-from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.stereo.right_camera.monitor import RightCameraMonitor
+from track_range.stereo.right_camera.realignment import Realignment
 
 RIG = kitti_like_rig()
 UNKNOWN = math.nan, math.nan

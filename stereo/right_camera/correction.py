@@ -15,7 +15,7 @@ from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
-from track_range.stereo.odometry.change_filter import Changes
+from track_range.stereo.right_camera.change_filter import Changes
 
 PITCH, ROLL, ZOOM, OFFSET, BOW = range(5)  # changes
 _MIN_SIGMAS, _MIN_CHANGE_PX = 3.0, 0.12  # of a change that is corrected

@@ -24,7 +24,7 @@ from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.odometry.right_camera import OFFSET, RightCamera
+from track_range.stereo.right_camera.correction import OFFSET, RightCamera
 
 _FAR_PX = 8.0  # change of the disparities
 # Fraction of the static points tracked to a frame that its right image shows, below which the pair

@@ -23,8 +23,8 @@ from track_range.stereo.alignment.right_view import fit_rows
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.cauchy_fit import cauchy_fit
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.odometry.change_filter import ChangeFilter, Changes
-from track_range.stereo.odometry.right_camera import OFFSET, RightCamera, changes_of
+from track_range.stereo.right_camera.change_filter import ChangeFilter, Changes
+from track_range.stereo.right_camera.correction import OFFSET, RightCamera, changes_of
 
 _MIN_POINTS = 20  # smallest number of points of a measurement
 _NEAR_PX = 0.2  # smallest scatter of points, full pixels
