@@ -89,32 +89,29 @@ class RigAlignment:
         of_baseline = () if self.baseline is None else self.baseline.values
         if self.view_sigma is None:
             return (pair, *of_baseline)
-        row_px, roll_deg, ratio = self.view_sigma.tolist()
-        in_deg = math.degrees(1 / rig.left.fx_px)
-        angles = (
-            (
-                "pitch of the right camera deg",
-                0.0,
-                in_deg * measured.row_offset_px,
-                in_deg * row_px,
-            ),
-            ("roll of the right camera deg", 0.0, measured.roll_deg, roll_deg),
-            ("focal length, right over left", 1.0, measured.focal_ratio, ratio),
-        )
-        errors = (
+        row_sigma_px, roll_sigma_deg, ratio_sigma = self.view_sigma.tolist()
+        deg_per_px = math.degrees(1 / rig.left.fx_px)
+        pitch_deg, pitch_sigma_deg = deg_per_px * measured.row_offset_px, deg_per_px * row_sigma_px
+        row, roll, zoom = (
             RightView(measured.row_offset_px),
             RightView(roll_deg=measured.roll_deg),
             RightView(focal_ratio=measured.focal_ratio),
         )
-        of_rows = (
-            CheckedValue(
-                *value,
-                abs(value[2] - value[1]) > _MIN_SIGMAS * value[3]
-                and error.rows_px(rig.left) > MAX_ROW_OFFSET_PX,
-            )
-            for value, error in zip(angles, errors, strict=True)
+
+        def of_rows(
+            name: str, given: float, shown: float, sigma: float, error: RightView
+        ) -> CheckedValue:
+            is_excluded = abs(shown - given) > _MIN_SIGMAS * sigma
+            matters = error.rows_px(rig.left) > MAX_ROW_OFFSET_PX
+            return CheckedValue(name, given, shown, sigma, is_excluded and matters)
+
+        return (
+            of_rows("pitch of the right camera deg", 0.0, pitch_deg, pitch_sigma_deg, row),
+            of_rows("roll of the right camera deg", 0.0, measured.roll_deg, roll_sigma_deg, roll),
+            of_rows("focal length, right over left", 1.0, measured.focal_ratio, ratio_sigma, zoom),
+            pair,
+            *of_baseline,
         )
-        return (*of_rows, pair, *of_baseline)
 
     @classmethod
     def of(

@@ -92,21 +92,13 @@ class DriveVideo:
             turns = turning_spans(images, span_s=_PART_S, min_turn_deg=_MIN_TURN_DEG)
         if turns:
             return [(turn.start_s, turn.end_s - turn.start_s) for turn in turns]
-        if 0 < length_s <= _WHOLE_S:
-            return [(start_s, given_s)]
-        if not length_s:
-            return [(start_s, _WHOLE_S)]
-        return [(start_s + fraction * length_s, _PART_S) for fraction in _PARTS]
+        return [(start_s, given_s)] if 0 < length_s <= _WHOLE_S else [*self._usual_parts_s]
 
     def rest_s(self, parts: Sequence[Part]) -> list[Part]:
-        """Start and length of what these parts leave out of a short drive, or of that of a long one
-        that would be read without turns.
+        """Start and length of what these parts leave out of what is read of a drive without
+        turns.
         """
-        start_s, length_s = self._span_s
-        rest = [(start_s, start_s + length_s)]  # starts and ends
-        if length_s > _WHOLE_S:
-            starts = [start_s + fraction * length_s for fraction in _PARTS]
-            rest = [(first_s, first_s + _PART_S) for first_s in starts]
+        rest = [(first_s, first_s + part_s) for first_s, part_s in self._usual_parts_s]
         for first_s, part_s in parts:
             last_s = math.inf if part_s is None else first_s + part_s
             sides = [
@@ -116,6 +108,14 @@ class DriveVideo:
             ]
             rest = [side for side in sides if side[1] - side[0] >= _LEAST_PART_S]
         return [(low_s, high_s - low_s) for low_s, high_s in rest]
+
+    @property
+    def _usual_parts_s(self) -> list[tuple[float, float]]:
+        """Start and length of all of a short drive, or of some parts of a long one."""
+        start_s, length_s = self._span_s
+        if length_s <= _WHOLE_S:
+            return [(start_s, length_s or _WHOLE_S)]
+        return [(start_s + fraction * length_s, _PART_S) for fraction in _PARTS]
 
     @property
     def _span_s(self) -> tuple[float, float]:
