@@ -126,16 +126,15 @@ class CameraFit:
         """Standard deviation of `height_m`."""
         return self.height_m * self._sigma(_LOG_H)
 
-    @property
-    def pitch_rad(self) -> float:
-        """Angle of the camera's axis below the horizon: positive = the horizon is above the image
-        centre.
+    def pitch_rad(self, camera: PinholeCamera) -> float:
+        """Angle of the axis of `camera`, this one with its principal point, below the horizon:
+        positive = the horizon is above the principal point.
         """
-        return -math.atan(self.theta[_Y0] / self.camera.fy_px)
+        return math.atan((camera.cy_px - self.camera.cy_px - self.theta[_Y0]) / camera.fy_px)
 
     @property
     def pitch_sigma_rad(self) -> float:
-        """Standard deviation of `pitch_rad`."""
+        """Standard deviation of the pitch."""
         return self._sigma(_Y0) / self.camera.fy_px
 
     @property

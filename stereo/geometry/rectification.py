@@ -450,9 +450,9 @@ def _rectified(
             "principal points, or calibrate again."
         )
     camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *target.size_px)
-    baseline_m = -float(p2[0, 3]) / focal_px
+    rectified = StereoRig.rectified(camera, -float(p2[0, 3]) / focal_px)
     return (
-        StereoRig.rectified(camera, baseline_m),
+        replace(rectified, accuracy=rig.accuracy, baseline_sigma=rig.baseline_sigma),
         _View(rig.left, r1, p1),
         _View(rig.right, r2, p2),
     )

@@ -57,7 +57,7 @@ def test_lane_width_and_horizon_give_the_height():
     assert fit.height_m == pytest.approx(1.40, abs=0.04)
     assert fit.height_sigma_m < 0.1
     assert fit.gain("focal length") > 0.95  # a lane says nothing about it
-    assert fit.pitch_rad == pytest.approx(math.atan(19.5 / 900), abs=0.002)
+    assert fit.pitch_rad(fit.camera) == pytest.approx(math.atan(19.5 / 900), abs=0.002)
 
 
 def test_contradicting_distances_widen_all_sigmas():
@@ -112,7 +112,7 @@ def test_wrong_horizon_is_an_outlier():
     ]
     rows = [HorizonRow(359.5, 5.0, "direction of travel"), HorizonRow(300.0, 5.0, "lane lines")]
     fit = fit_camera(SIZE_PX, VAGUE, SIZES, CameraMeasurements(objects=known, horizon=rows))
-    assert abs(fit.pitch_rad) < 0.008
+    assert abs(fit.pitch_rad(fit.camera)) < 0.008
     assert fit.residuals[-1].value < -50
 
 
@@ -126,7 +126,7 @@ def test_two_distances_and_the_height_give_focal_length_and_pitch(focal_px):
     priors = camera_priors(900.0, focal_sigma=0.3, height_m=1.4)
     fit = fit_camera(SIZE_PX, priors, SIZES, CameraMeasurements(objects=known))
     assert fit.camera.fx_px == pytest.approx(focal_px, rel=0.05)
-    assert fit.pitch_rad == pytest.approx(math.atan(25 / focal_px), abs=0.006)
+    assert fit.pitch_rad(fit.camera) == pytest.approx(math.atan(25 / focal_px), abs=0.006)
     assert fit.focal_sigma < 0.06
 
 

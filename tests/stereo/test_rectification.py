@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import RigAccuracy, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import shared_view, shared_view_notes
 
 LEFT = PinholeCamera(700.0, 705.0, 315.0, 245.0, 640, 480, (-0.25, 0.08, 0.001, -0.0005, 0.0))
@@ -153,6 +155,14 @@ def test_boxes_move_like_points_on_their_edges() -> None:
     ideal = Undistorter(LEFT.without_distortion())
     assert ideal.left_boxes(box) is box
     assert undistorter.left_boxes(np.zeros((0, 4))).shape == (0, 4)
+
+
+def test_what_is_known_of_the_lengths_of_a_rig_holds_after_rectification() -> None:
+    accuracy = RigAccuracy(focal_sigma=0.01, scale_sigma=0.02)
+    rig = replace(RIG, accuracy=accuracy, baseline_sigma=0.6)
+    rectified = Rectifier(rig).rig
+    assert rectified.is_rectified
+    assert (rectified.accuracy, rectified.baseline_sigma) == (accuracy, 0.6)
 
 
 def test_rectified_pair_is_not_copied() -> None:

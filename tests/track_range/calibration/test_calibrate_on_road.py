@@ -305,7 +305,7 @@ def test_focal_length_before_the_measurements_is_named_once():
         correlation=lambda *names: 0.0,
         height_m=1.4,
         height_sigma_m=0.1,
-        pitch_rad=0.0,
+        pitch_rad=lambda camera: 0.0,
         pitch_sigma_rad=0.01,
     )
     known = source_of_guess(FocalGuess(883.0, 0.04, "the known metres"), "known metres", 1280)

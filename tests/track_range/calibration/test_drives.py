@@ -291,10 +291,11 @@ def test_the_better_known_distortion_stays(k1_sigma, expected):
     assert with_motion(before, motion()).distortion == expected
 
 
-def test_a_drive_without_motion_keeps_an_earlier_distortion(tmp_path, cli):
-    """A standing camera shows nothing; its earlier calibration is written again."""
+def test_a_drive_without_motion_keeps_an_earlier_calibration(tmp_path, cli):
+    """A standing camera shows nothing; its earlier calibration is written again. Its axis meets the
+    image 6 px below the middle, where a level camera has the horizon: 6 / 150 rad above the axis."""
     write_video(video := tmp_path / "still.mp4", [0] * 12)
-    earlier = PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120, (-0.3, 0.08, 0.0, 0.0))
+    earlier = PinholeCamera(150.0, 150.0, 84.0, 65.5, 160, 120, (-0.3, 0.08, 0.0, 0.0))
     rig, out = tmp_path / "rig.yaml", tmp_path / "new.yaml"
     mounting = Mounting(
         focal_sigma=0.01,
@@ -310,7 +311,10 @@ def test_a_drive_without_motion_keeps_an_earlier_distortion(tmp_path, cli):
     camera, _ = load_camera(out, size_px=None)
     assert camera.distortion == earlier.distortion
     assert camera.fx_px == pytest.approx(150.0, rel=0.01)
-    assert read_calibration(out, is_grey=False, is_pair=False).mounting.k1_sigma == 0.01
+    assert (camera.cx_px, camera.cy_px) == (84.0, 65.5)
+    after = read_calibration(out, is_grey=False, is_pair=False).mounting
+    assert after.k1_sigma == 0.01
+    assert after.pitch_deg == pytest.approx(math.degrees(math.atan(6 / 150)), abs=0.1)
 
 
 def test_prior_is_a_source():

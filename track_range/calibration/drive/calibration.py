@@ -61,9 +61,7 @@ class DriveCalibration:
     @property
     def camera(self) -> PinholeCamera:
         """The camera, whose distortion is empty unless the motion shows one."""
-        estimate = self.mounted.estimate
-        camera = PinholeCamera.of_focal_length(estimate.focal_px, estimate.size_px)
-        return PinholeCamera.of_matrix(camera.matrix, camera.size_px, estimate.distortion)
+        return self.mounted.estimate.camera
 
     @property
     def mounting(self) -> Mounting:
@@ -73,7 +71,7 @@ class DriveCalibration:
             focal_sigma=round(self.mounted.focal_sigma, 4),
             camera_height_m=round(fit.height_m, 3),
             camera_height_sigma_m=round(fit.height_sigma_m, 3),
-            pitch_deg=round(float(np.degrees(fit.pitch_rad)), 3),
+            pitch_deg=round(float(np.degrees(fit.pitch_rad(estimate.camera))), 3),
             pitch_sigma_deg=round(float(np.degrees(fit.pitch_sigma_rad)), 3),
             k1_sigma=round(estimate.k1_sigma, 5) if estimate.distortion else None,
         )
@@ -202,7 +200,9 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
     sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
     focal = FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name))
     given = source_of_guess(focal, "given", drive.size_px[0])
-    estimate = CameraEstimate(size_px=drive.size_px, sources=(given,))
+    estimate = CameraEstimate(
+        size_px=drive.size_px, sources=(given,), principal_px=(camera.cx_px, camera.cy_px)
+    )
     if camera.distortion:
         k1_sigma = 0.0 if mounting is None else mounting.k1_sigma or 0.0
         estimate = replace(estimate, coefficients=camera.distortion, k1_sigma=k1_sigma)

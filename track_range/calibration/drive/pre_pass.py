@@ -173,12 +173,10 @@ class PrePass:
 
     def _evaluated(self, drive: DriveVideo, view: RoadEvidence) -> DriveCamera:
         """The camera without the measurements of the user."""
-        size_px = drive.size_px
-        estimate = self._without_images(drive)
+        size_px, estimate = drive.size_px, self._without_images(drive)
         if view.lens is not None:
             estimate = with_motion(estimate, *view.lens)
-        camera = PinholeCamera.of_focal_length(estimate.focal_px, size_px)
-        scene = undistorted(view.scene, replace(camera, distortion=estimate.distortion))
+        scene = undistorted(view.scene, estimate.camera)
         shapes = vehicle_shapes(thinned(scene), size_px, self.sizes)
         if shapes.n_tracks:
             by_shape = source_of_curve("shapes", shapes.name, shapes.curve, size_px[0])

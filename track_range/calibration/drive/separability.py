@@ -43,7 +43,7 @@ def separability(mounted: MountedCamera, *, has_height: bool) -> tuple[str, ...]
             "height; give --camera-height-m."
         )
     pitch = (
-        f"Pitch {math.degrees(fit.pitch_rad):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} "
+        f"Pitch {math.degrees(fit.pitch_rad(mounted.estimate.camera)):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} "
         "degrees (positive = down)"
     )
     sentences.append(

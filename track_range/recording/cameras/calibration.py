@@ -406,8 +406,9 @@ def calibration_of(
             )
         _check_view(None, view)
         guess = default_guess(sizes_px[0][0])
-        stored = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
-        return _assumed(stored, sizes_px, guess, (guess,))
+        return _assumed(
+            PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0]), sizes_px, guess, (guess,)
+        )
     if isinstance(cameras, Path):
         content = read_calibration(cameras, is_grey=False, is_pair=False)
         return _loaded(cameras, content, sizes_px, view, is_grey=False)
@@ -432,10 +433,9 @@ def _without_file(
     """One camera or a pair with a given focal length, or an estimate from the header of the left
     video.
     """
-    video = videos[0]
-    guesses, shown_px = tuple[FocalGuess, ...](), shown_size(sizes_px[0], aspect)
-    if focal_px is None:
-        guesses = focal_guesses(video)
+    video, shown_px = videos[0], shown_size(sizes_px[0], aspect)
+    stated = focal_guesses(video)
+    guesses = stated if focal_px is None else ()
     guess = (
         best_guess(guesses)
         if focal_px is None
@@ -445,13 +445,13 @@ def _without_file(
     camera = stored.squared()
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
-    stated = () if focal_px is None else focal_guesses(video)
     contradictions = [
         f"--focal-px: {guess.focal_px:.0f} px was given, but {other.source} means "
         f"{other.focal_px:.0f} px within {100 * other.sigma:.0f} %; all distances scale with the "
         "focal length, so check which of the two is right."
         for other in stated
-        if other != default_guess(shown_px[0])
+        if focal_px is not None
+        and other != default_guess(shown_px[0])
         and abs(math.log(guess.focal_px / other.focal_px)) > 3 * other.sigma
     ]
     if sizes_px[0] != sizes_px[-1]:
@@ -498,8 +498,7 @@ def _assumed(
         return calibration
     rig = replace(StereoRig.rectified(stored, _ASSUMED_BASELINE_M), baseline_sigma=_BASELINE_SIGMA)
     pair = Rectifier(rig)
-    rectified = replace(pair.rig, baseline_sigma=rig.baseline_sigma)
-    return replace(calibration, rectifier=pair, rig=rectified, raw_rig=rig)
+    return replace(calibration, rectifier=pair, rig=pair.rig, raw_rig=rig)
 
 
 def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
@@ -611,11 +610,7 @@ def _of_cameras(
         cameras = replace(cameras, left=left, right=right, alignment=None)
         pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
         rectifier: Rectifier | Undistorter = pair
-        rig, recorded, shown = (
-            replace(pair.rig, accuracy=cameras.accuracy, baseline_sigma=cameras.baseline_sigma),
-            cameras.left,
-            pair.rig.left,
-        )
+        rig, recorded, shown = pair.rig, cameras.left, pair.rig.left
     else:
         _check_view(cameras, view)
         cameras = cameras.resized(sizes_px[0])

@@ -98,6 +98,7 @@ class CameraEstimate:
     sources: tuple[FocalSource, ...]
     coefficients: tuple[float, ...] = ()  # OpenCV's, of the distortion; empty = not estimated
     k1_sigma: float = math.nan  # standard deviation of k1; NaN = not estimated
+    principal_px: tuple[float, float] | None = None  # of a calibration; None = the image centre
 
     @property
     def curve(self) -> FocalCurve:
@@ -152,11 +153,17 @@ class CameraEstimate:
         return self.coefficients if is_significant and corner_px > _VISIBLE_PX else ()
 
     @property
+    def camera(self) -> PinholeCamera:
+        """The camera of the recorded images."""
+        camera = PinholeCamera.of_focal_length(self.focal_px, self.size_px)
+        cx_px, cy_px = self.principal_px or (camera.cx_px, camera.cy_px)
+        return replace(camera, cx_px=cx_px, cy_px=cy_px, distortion=self.distortion)
+
+    @property
     def field_deg(self) -> float:
         """Horizontal field of view of the images with distortion."""
-        camera = PinholeCamera.of_focal_length(self.focal_px, self.size_px)
-        camera = replace(camera, distortion=self.distortion)
-        x, _, z = camera.recorded_rays(np.array([[0.0, camera.cy_px]]))[0].tolist()
+        edge_px = np.array([[0.0, self.camera.cy_px]])
+        x, _, z = self.camera.recorded_rays(edge_px)[0].tolist()
         return 2 * math.degrees(math.atan2(-x, z))
 
     @property

@@ -119,7 +119,8 @@ class _Sample:
     """A frame from which the alignment may be estimated."""
 
     aligned: Frame  # synchronised and rectified
-    recorded: RecordedFrame | None  # None = its right image is that of another one
+    recorded: RecordedFrame
+    estimates: AlignmentEstimates  # that use it
 
 
 class PairAligner:
@@ -318,9 +319,11 @@ class PairAligner:
         calibration, has_stereo = self._calibration, self._has_stereo
         if self._check is not None:
             has_stereo = self._checked(self._check, frame)
-        self._sample = None
-        if self._state is not None and (self._finding is None or self._finding.has_stereo):
-            self._sample = _Sample(frame, recorded)
+        self._sample, state = None, self._state
+        has_pair = self._finding is None or self._finding.has_stereo
+        # without a recorded frame, the right image is that of another one
+        if isinstance(state, AlignmentEstimates) and has_pair and recorded is not None:
+            self._sample = _Sample(frame, recorded, state)
         alignment = self._calibration.alignment
         aligned = replace(
             frame,
@@ -383,14 +386,12 @@ class PairAligner:
     def estimate(self) -> None:
         """Use the frame that was returned last to estimate the alignment of the next frames."""
         sample, self._sample = self._sample, None
-        if sample is None or sample.recorded is None:
-            return
-        if not isinstance(self._state, AlignmentEstimates):
+        if sample is None:
             return
         unaligned = sample.aligned
         if self._calibration.rectifier is not self._unaligned.rectifier:
             unaligned = self._unaligned.rectified(sample.recorded)
-        estimate = self._state.add(unaligned)
+        estimate = sample.estimates.add(unaligned)
         if estimate is not None:
             self._apply(estimate)
 
