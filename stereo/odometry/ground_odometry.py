@@ -33,9 +33,9 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
-from track_range.stereo.odometry.mounting import TravelDirection
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
 from track_range.stereo.odometry.speed_filter import SpeedFilter
+from track_range.stereo.odometry.travel_direction import TravelDirection
 
 # The picture from above, and the search of the shift:
 _HALF_WIDTH_M = 1.5  # half the width of the picture

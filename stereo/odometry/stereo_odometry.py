@@ -55,8 +55,8 @@ from track_range.stereo.odometry.motion_fit import (
     MotionFit,
     fit_motion,
 )
-from track_range.stereo.odometry.mounting import Vibration
 from track_range.stereo.odometry.speed_filter import SpeedFilter
+from track_range.stereo.odometry.vibration import Vibration
 from track_range.stereo.right_camera.correction import RightCamera
 from track_range.stereo.right_camera.monitor import RightCameraMonitor
 from track_range.stereo.right_camera.realignment import Realignment

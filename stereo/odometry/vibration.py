@@ -1,13 +1,8 @@
-"""How a camera is mounted: Vibration, how much its images jump from frame to frame, and
-TravelDirection, how far the direction of travel is to the side of its principal point.
+"""Vibration: how much the images jump from frame to frame.
 
 A camera on a vehicle turns smoothly: rotations from frame to frame are alike. An image that jumps
 by j in one frame jumps back in the next one: its rotations w_t = j_t - j_t-1 have the covariance
 -sigma_j^2 with those of the next frame.
-
-A vehicle on a straight road drives along its axis, in which the camera looks, too. If the images
-expand from a column beside the principal point, the camera is turned, or the principal point is
-wrong; straight roads cannot tell which.
 """
 
 import math
@@ -15,7 +10,6 @@ import math
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.camera import PinholeCamera
 
 # angle, rad, from which it is noted; a smooth turn has less than 0
 _MIN_RAD = 1e-3
@@ -23,9 +17,6 @@ _GAIN, _MIN_FRAMES = 0.05, 15  # weight of one frame in the mean, and frames fro
 # largest rotation between frames relative to the vibration so far, and smallest limit, rad: more is
 # a cut or a wrong fit
 _LARGEST, _LARGEST_RAD = 5.0, 0.02
-_MAX_YAW_RAD_S = 0.03  # largest yaw rate of a straight road
-_MIN_S = 1.5  # shortest time on straight roads
-_MIN_SIDE_RAD = 0.05  # angle from which it is noted: cameras are mounted within about 2 degrees
 
 
 class Vibration:
@@ -68,38 +59,4 @@ class Vibration:
             f"The images vibrate from {self.since_s:.1f} s on: they jump by "
             f"{focal_px * self.largest_rad:.1f} px from frame to frame (1 sigma). Speeds are less "
             "accurate, and their sigmas contain it; mount the cameras more firmly.",
-        )
-
-
-class TravelDirection:
-    """Mean of one stream over straight roads; the state belongs to the instance."""
-
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._focal_px = camera.fx_px
-        self._straight_s = 0.0
-        self.side_rad = math.nan  # positive = to the right; NaN = unknown
-
-    def add(self, dt_s: float, side_rad: float, yaw_rad_s: float) -> None:
-        """Use the direction of travel in a frame that comes `dt_s` after the last one; NaN =
-        unknown.
-        """
-        if not (math.isfinite(side_rad) and abs(yaw_rad_s) < _MAX_YAW_RAD_S):
-            return
-        self._straight_s += dt_s
-        before_rad = 0.0 if math.isnan(self.side_rad) else self.side_rad
-        self.side_rad = before_rad + dt_s / self._straight_s * (side_rad - before_rad)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Messages for the user so far."""
-        # False for NaN
-        if self._straight_s < _MIN_S or not abs(self.side_rad) >= _MIN_SIDE_RAD:
-            return ()
-        side, other = ("right", "left") if self.side_rad > 0 else ("left", "right")
-        offset_px = self._focal_px * abs(self.side_rad)
-        return (
-            f"On straight roads, the camera moves {math.degrees(abs(self.side_rad)):.1f} degrees "
-            f"to the {side} of its axis: it is turned to the {other}, or its principal point is "
-            f"{offset_px:.0f} px too far to the {other}; lateral positions have this error. Check "
-            "the principal point of the calibration.",
         )
