@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import jackknife_covariance
+from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.cauchy_fit import CauchyFit, cauchy_fit
@@ -111,7 +111,7 @@ def view_sigma(left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera)
         fit_right_view(left_px[strip != k], right_px[strip != k], camera) for k in range(_N_STRIPS)
     ]
     values = np.array([(v.row_offset_px, v.roll_deg, v.focal_ratio) for v in views])
-    return np.asarray(np.sqrt(np.diag(jackknife_covariance(values))))
+    return jackknife_sigma(values)
 
 
 def fit_right_view(

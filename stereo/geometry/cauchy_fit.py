@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
+from track_range.foundation.robust_statistics import mad_sigma
 
 
 class CauchyFit(NamedTuple):
@@ -36,8 +36,7 @@ def cauchy_fit(
         information = (design * weight[:, None]).T @ design + ridge
         solution = np.linalg.solve(information, design.T @ (weight * values))
         residual = values - design @ solution
-        scatter = MAD_TO_SIGMA * float(median_of(np.abs(residual - median_of(residual))))
-        scale = max(scatter, least_scale)
+        scale = max(mad_sigma(residual), least_scale)
         weight = 1 / (1 + (residual / (cauchy_sigmas * scale)) ** 2)
     covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
     return CauchyFit(np.asarray(solution, np.float64), covariance, residual)

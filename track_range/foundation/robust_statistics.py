@@ -23,10 +23,10 @@ def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def mad_sigma(values: FloatArray) -> float:
-    """Standard deviation of (N,) values estimated from their median absolute deviation about their
-    median.
+    """Standard deviation of (N,) values, N >= 1, without NaN, estimated from their median absolute
+    deviation about their median.
     """
-    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
+    return MAD_TO_SIGMA * float(median_of(np.abs(values - median_of(values))))
 
 
 def weighted_median(values: FloatArray, weight: FloatArray) -> float:
