@@ -42,7 +42,8 @@ def undistort(m: FloatArray, coefficients: Sequence[float]) -> FloatArray:
 
 def first_radial(coefficients: Sequence[float]) -> float:
     """Coefficient of r^2 in the series of the radial terms: k1 - k4; 0 without any."""
-    return (*coefficients, *(0.0,) * 6)[0] - (*coefficients, *(0.0,) * 6)[5]
+    k1, *_, k4 = (*coefficients, *(0.0,) * 6)[:6]
+    return k1 - k4
 
 
 LENS = Lens(

@@ -88,11 +88,12 @@ def _velocities(point: IntArray, time_s: FloatArray, xy_px: FloatArray) -> Float
     order = np.lexsort((time_s, point))
     is_other = np.diff(point[order]) != 0
     middle = np.arange(len(order)) + np.r_[True, is_other] - np.r_[is_other, True]
-    now_s, time_s, xy_px = time_s[order], time_s[order], xy_px[order]
-    slopes = np.diff(xy_px, axis=0) / np.where(is_other, np.inf, np.diff(time_s))[:, None]
+    time_s = time_s[order]
+    step_s = np.where(is_other, np.inf, np.diff(time_s))[:, None]
+    slopes = np.diff(xy_px[order], axis=0) / step_s
     span_s = time_s[middle + 1] - time_s[middle - 1]
     bend = (slopes[middle] - slopes[middle - 1]) / span_s[:, None]
-    after_s = 2 * now_s - time_s[middle] - time_s[middle - 1]
+    after_s = 2 * time_s - time_s[middle] - time_s[middle - 1]
     velocity = np.zeros_like(xy_px)
     velocity[order] = slopes[middle - 1] + bend * after_s[:, None]
     return velocity

@@ -65,26 +65,36 @@ def _headings(
     images: Iterable[tuple[float, Image]], focal_fraction: float
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) times, and (N,) sums of the yaw since the first image, rad."""
-    times_s, rates, before, window = list[float](), list[float](), None, None
+    times_s, rates, before = list[float](), list[float](), None
     for time_s, image in images:
         small = _small(image)
-        if before is not None and window is not None:
-            gap_s, yaw_rad = time_s - times_s[-1], math.nan
-            if before.shape == small.shape and gap_s <= _MAX_GAP_S:
-                (shift_px, _), response = cv2.phaseCorrelate(before, small, window)
-                tangent = shift_px / (focal_fraction * _WIDTH_PX)
-                yaw_rad = -math.atan(tangent) if response > _MIN_RESPONSE else 0.0
-            rates.append(yaw_rad / gap_s)
-        if window is None or window.shape != small.shape:
-            window = cv2.createHanningWindow(small.shape[::-1], cv2.CV_32F)
+        if before is not None:
+            gap_s = time_s - times_s[-1]
+            is_near = gap_s <= _MAX_GAP_S and before.shape == small.shape
+            rates.append(_yaw_rad(before, small, focal_fraction) / gap_s if is_near else math.nan)
         before = small
         times_s.append(time_s)
-    steps_s, rate = np.diff(times_s), np.array(rates)
-    if np.isfinite(rate).any():
-        seen = np.flatnonzero(np.isfinite(rate))
-        rate = np.interp(np.arange(len(rate)), seen, rate[seen])
-    yaws_rad = np.where((steps_s > _MAX_UNSEEN_S) | np.isnan(rate), 0.0, rate * steps_s)
-    return np.array(times_s), np.concatenate([[0.0], np.cumsum(yaws_rad)])[: len(times_s)]
+    return np.array(times_s), _integrated(np.array(times_s), np.array(rates))
+
+
+def _yaw_rad(before: FloatArray, now: FloatArray, focal_fraction: float) -> float:
+    """The yaw between two small images; 0 where they have nothing in common."""
+    window = cv2.createHanningWindow(now.shape[::-1], cv2.CV_32F)
+    (shift_px, _), response = cv2.phaseCorrelate(before, now, window)
+    if response <= _MIN_RESPONSE:
+        return 0.0
+    return -math.atan(shift_px / (focal_fraction * _WIDTH_PX))
+
+
+def _integrated(times_s: FloatArray, rate: FloatArray) -> FloatArray:
+    """(N,) sums of the yaw by its rates (N - 1,) between the times (N,); NaN = not seen."""
+    is_seen = np.isfinite(rate)
+    if not is_seen.any():
+        return np.zeros(len(times_s))
+    number, steps_s = np.arange(len(rate)), np.diff(times_s)
+    yaw_rad = np.interp(number, number[is_seen], rate[is_seen]) * steps_s
+    yaw_rad[steps_s > _MAX_UNSEEN_S] = 0.0
+    return np.concatenate([[0.0], np.cumsum(yaw_rad)])
 
 
 def _small(image: Image) -> FloatArray:
