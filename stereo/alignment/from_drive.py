@@ -257,7 +257,9 @@ class DriveAlignment:
                 )
                 self._reasons.append(reason)
             return
-        if self._has_moved(points):
+        view = self._view_of([frame.points for frame in points])
+        first = self._first_view = self._first_view or view
+        if self._has_moved(first, view):
             # the rest of the drive has another right camera
             del self._matched[self._n_steady :]
             self._reasons.append("the right camera moved")
@@ -280,12 +282,8 @@ class DriveAlignment:
         locking = PIXEL_LOCKING_PX * np.array([1.0, math.degrees(1 / half_px), 1 / half_px])
         return np.hypot(view_sigma(*_joined(self._matched), self._rig.left), locking)
 
-    def _has_moved(self, frames: Sequence[TrackedFrame]) -> bool:
+    def _has_moved(self, first: RightView, view: RightView) -> bool:
         """Whether the rows of a segment are not those of the first one of the drive."""
-        view, first = self._view_of([frame.points for frame in frames]), self._first_view
-        if first is None:
-            self._first_view = view
-            return False
         change = RightView(
             view.row_offset_px - first.row_offset_px,
             view.roll_deg - first.roll_deg,
