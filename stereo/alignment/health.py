@@ -72,11 +72,6 @@ class RigHealth:
     later: Move | None = None  # by the images after the windows
 
     @property
-    def matters_px(self) -> float:
-        """Disparity error that changes distances by 1 % at 30 m."""
-        return _matters_px(self.rig)
-
-    @property
     def is_noticed(self) -> bool:
         """Whether an error that matters was measured: of the disparities, or of the rows."""
         return self.has_row_error or self.has_disparity_error
@@ -100,7 +95,8 @@ class RigHealth:
         )
         return bool(
             (
-                (error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)
+                (error_px > _MIN_SIGMAS * sigma_px)
+                & (error_px > _MIN_FRACTION * matters_px(self.rig))
             ).any()
         )
 
@@ -248,13 +244,14 @@ def move_of(windows: Sequence[Window], rig: StereoRig) -> Move | None:
             (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(own[:n]), _mean(own[n:])
             time_s = (own[n - 1].to_s + own[n].from_s) / 2
             move = Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
-            smallest_px = max(_MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * _matters_px(rig))
+            smallest_px = max(_MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * matters_px(rig))
             if abs(move.change_px) > smallest_px:
                 moves.append(move)
     return max(moves, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
 
 
-def _matters_px(rig: StereoRig) -> float:
+def matters_px(rig: StereoRig) -> float:
+    """Disparity error that changes distances by 1 % at 30 m."""
     return MATTERS * rig.left.fx_px * rig.baseline_m / REFERENCE_M
 
 

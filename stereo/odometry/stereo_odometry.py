@@ -186,7 +186,6 @@ class StereoOdometry:
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
         self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig)
-        self._own: Alignment | None = None  # of the last frame
         self._vibration = Vibration()
         self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()
@@ -209,7 +208,8 @@ class StereoOdometry:
         now = self._flow.now
         if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        warped = self._followed(frame)
+        self._right.follow(self._given or self._rig.alignment_of(frame))
+        warped = self._right.now
         right = small_grey(warped.warped(frame.right), self._n_halved)
         if before is not None and not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
             before = None
@@ -278,14 +278,6 @@ class StereoOdometry:
     def right_camera(self) -> RightCamera:
         """How the right camera moved so far against its rig."""
         return replace(self._right.now, is_lost=self._realignment.is_lost)
-
-    def _followed(self, frame: Frame) -> RightCamera:
-        """The right camera before the frame, with the alignment of the frame."""
-        own = self._given or self._rig.alignment_of(frame)
-        if own != self._own:
-            self._own = own
-            self._right.follow(own)
-        return self._right.now
 
     def _is_realigned(self, frame: Frame, tracked: _Tracked | None, matches: _Matches) -> bool:
         """Whether the pair is lost, or has another alignment from this frame on."""

@@ -19,6 +19,7 @@ from track_range.stereo.right_camera.change_filter import Changes
 
 PITCH, ROLL, ZOOM, OFFSET, BOW = range(5)  # changes
 _MIN_SIGMAS, _MIN_CHANGE_PX = 3.0, 0.12  # of a change that is corrected
+_IS_HIT = 0.5  # probability of a hit in the last frame
 _WARPED_PX = 0.8  # change from which the right image is warped
 # Disparity error per px of rows if the image is shifted rather than turned, and that of the offset
 # by the flow which follows from it: on a simulated drive 0.03 half-way to the edges, and 0.07.
@@ -49,6 +50,11 @@ class RightCamera:
         object.__setattr__(self, "applied_px", applied_px)
         is_warped = np.abs(applied_px[:BOW]).max() > _WARPED_PX or (self.base != np.eye(3)).any()
         object.__setattr__(self, "is_warped", bool(is_warped))
+
+    @property
+    def is_hit(self) -> bool:
+        """Whether the last frame showed a hit."""
+        return bool((self.change.hit > _IS_HIT).any())
 
     @property
     def matrix(self) -> FloatArray:

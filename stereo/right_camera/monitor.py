@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.health import Move
+from track_range.stereo.alignment.health import MATTERS, REFERENCE_M, Move, matters_px
 from track_range.stereo.alignment.right_view import fit_rows
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
 from track_range.stereo.geometry.cauchy_fit import cauchy_fit
@@ -36,10 +36,9 @@ _FACTOR = 1.4  # of the sigmas of rows and of the offset by the flow
 _STEP_SIGMA_PX = 0.06
 _NEW_SIGMAS = 5.0  # of a change of the rows that the steps of the disparities take into account
 _MAX_FLOW_SIGMA_PX = 1.5  # of an offset by the flow that is used
-# distance, and relative error there, from which a change of the offset is noted; change of rows
-_REFERENCE_M, _MATTERS, _MATTERING_ROWS_PX = 30.0, 0.01, 0.5
-# probability of a hit, and number and fraction of frames with one, of images that shake
-_IS_HIT, _MIN_HITS, _SHAKING_FRACTION = 0.5, 5, 0.1
+_MATTERING_ROWS_PX = 0.5  # change of rows that is noted
+# number and fraction of frames with a hit, of images that shake
+_MIN_HITS, _SHAKING_FRACTION = 5, 0.1
 _MIN_AGREEING = 0.5  # of the points, for a step
 
 
@@ -48,7 +47,7 @@ class RightCameraMonitor:
 
     def __init__(self, rig: StereoRig) -> None:
         camera = rig.left
-        self._focal_baseline = camera.fx_px * rig.baseline_m  # px m
+        self._matters_px = matters_px(rig)
         self._camera, self._filter = camera, ChangeFilter(_LASTING_PX)
         # time of the first change that matters, the last state with one, and numbers of frames
         self._moved_s, self._moved = math.nan, RightCamera(camera)
@@ -57,6 +56,7 @@ class RightCameraMonitor:
         self._earlier_notes: tuple[str, ...] = ()
         self._earlier_move: Move | None = None
         self.now = RightCamera(camera)
+        self._followed: Alignment | None = None  # of the last frame
         # change of the offset in the frame before the last one that its correction did not contain
         self.missed_offset_px = 0.0
         self._bow_px = self._bow_variance = 0.0
@@ -90,10 +90,10 @@ class RightCameraMonitor:
                 "but distances are less accurate; mount the cameras more firmly.",
             )
         pitch_px, roll_px, zoom_px, offset_px, _ = self._moved.applied_px.tolist()
-        pct = 100 * abs(offset_px) * _REFERENCE_M / self._focal_baseline
+        pct = 100 * MATTERS * abs(offset_px) / self._matters_px
         half_px = self._camera.width_px / 2
         parts = {
-            f"disparities changed by {-offset_px:+.2f} px ({pct:.0f} % at {_REFERENCE_M:.0f} m)": (
+            f"disparities changed by {-offset_px:+.2f} px ({pct:.0f} % at {REFERENCE_M:.0f} m)": (
                 offset_px
             ),
             f"rows by {pitch_px:+.1f} px": pitch_px,
@@ -109,10 +109,10 @@ class RightCameraMonitor:
     def _remember(self, time_s: float) -> None:
         """Keep the changes that matter, for the notes."""
         self._n_frames += 1
-        self._n_hits += bool((self.now.change.hit > _IS_HIT).any())
+        self._n_hits += self.now.is_hit
         applied_px = np.abs(self.now.applied_px)
-        matters_px = _MATTERS * self._focal_baseline / _REFERENCE_M
-        if applied_px[OFFSET] > matters_px or (applied_px[:OFFSET] > _MATTERING_ROWS_PX).any():
+        have_rows_moved = (applied_px[:OFFSET] > _MATTERING_ROWS_PX).any()
+        if applied_px[OFFSET] > self._matters_px or have_rows_moved:
             self._moved_s = time_s if math.isnan(self._moved_s) else self._moved_s
             self._moved = self.now
 
@@ -167,14 +167,15 @@ class RightCameraMonitor:
 
     def follow(self, alignment: Alignment) -> None:
         """Take the alignment of the next frame into account: another one includes the changes."""
-        before = self.now.own
-        if (self.now.base != np.eye(3)).any():  # the pair was aligned again, after this alignment
+        before, self._followed = self._followed, alignment
+        is_aligned_again = (self.now.base != np.eye(3)).any()  # after this alignment
+        if alignment == before or is_aligned_again:
             return
-        if not self._n_frames or before == alignment:  # nothing was measured, or it is the same
+        if before is None or not self._n_frames:  # nothing was measured
             self.now = replace(self.now, own=alignment)
             return
         if self.now.applied_px.any():
-            change_px = alignment.offset_px - before.offset_px
+            change_px = alignment.offset_px - self.now.own.offset_px
             self._filter.rebase(np.array([0.0, 0.0, 0.0, change_px]))
         else:
             self._filter = ChangeFilter(_LASTING_PX)

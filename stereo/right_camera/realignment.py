@@ -30,7 +30,6 @@ _FAR_PX = 8.0  # change of the disparities
 # Fraction of the static points tracked to a frame that its right image shows, below which the pair
 # is lost: 0.9 and more on simulated drives, 0.05 to 0.3 where the right camera turns by 2 degrees.
 _MIN_SHOWN, _MIN_STATIC = 0.35, 30
-_IS_HIT = 0.5  # probability of a hit that is known by the points that are left
 _N_PAIRS, _MAX_PAIRS = 7, 10  # pairs by which a lost pair is explained: in motion, and at most
 _MIN_FLOW_PX = 3.0  # median motion of the left image between them
 _WAIT_AT_REST_S = 0.4  # time between two pairs without motion
@@ -49,13 +48,12 @@ class Realignment:
 
     def __init__(self, rig: StereoRig) -> None:
         self._rig = rig
-        self.is_lost = False  # whether left and right do not match
-        # times at which they were lost first, and found last
+        # times at which left and right were lost first, and found last
         self._lost_s = self._until_s = math.nan
-        self._evidence: PairEvidence | None = None
+        self._evidence: PairEvidence | None = None  # None = they match
         self._next_s = -math.inf  # time of its next pair
         self._drive: DriveAlignment | None = None
-        self._base = np.eye(3)  # of the images of the drive
+        self._camera = RightCamera(rig.left)  # corrects the images of the drive
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -74,6 +72,11 @@ class Realignment:
         )
 
     @property
+    def is_lost(self) -> bool:
+        """Whether left and right do not match."""
+        return self._evidence is not None
+
+    @property
     def is_rough(self) -> bool:
         """Whether the next alignment is being estimated, or looked for."""
         return self.is_lost or self._drive is not None
@@ -82,44 +85,41 @@ class Realignment:
         """Check whether left and right match: by the number of static points that were tracked to
         the left image, and of those that the right image shows. A hit that these show is known.
         """
-        is_known = bool((right.change.hit > _IS_HIT).any())
-        if n_static >= _MIN_STATIC and n_shown < _MIN_SHOWN * n_static and not is_known:
-            self.is_lost = True
+        are_missing = n_static >= _MIN_STATIC and n_shown < _MIN_SHOWN * n_static
+        if are_missing and not (right.is_hit or self.is_lost):
+            self._drive, self._evidence = None, PairEvidence(self._rig.left)
             self._lost_s = time_s if math.isnan(self._lost_s) else self._lost_s
 
     def update(self, frame: Frame, right: RightCamera) -> Realigned | None:
         """Use the next frame, and how the right camera moved; returns the pair that is aligned again
         by this frame.
         """
-        if self.is_lost:
-            self._drive = None
-            return self._rough(frame)
-        self._evidence = None
+        if self._evidence is not None:
+            return self._rough(self._evidence, frame)
         if self._drive is None and abs(right.applied_px[OFFSET]) > _FAR_PX:
             self._begin(right.matrix)
         return None if self._drive is None else self._estimated(self._drive, frame)
 
     def _begin(self, base: FloatArray) -> None:
         """Estimate the alignment of the next frames, corrected by `base`."""
-        self._base = base
+        self._camera = RightCamera(self._rig.left, base=base)
         self._drive = DriveAlignment(self._rig, None, "the frames after a movement")
 
-    def _rough(self, frame: Frame) -> Realigned | None:
+    def _rough(self, evidence: PairEvidence, frame: Frame) -> Realigned | None:
         """The rough correction of a lost pair."""
         if frame.right is None or frame.time_s < self._next_s:
             return None
-        evidence = self._evidence = self._evidence or PairEvidence(self._rig.left)
         evidence.add(frame.left, whole_image(frame.right))
         is_moving = evidence.flow_px >= _MIN_FLOW_PX
         self._next_s = frame.time_s + (MIN_STEP_S if is_moving else _WAIT_AT_REST_S)
         if evidence.n_pairs >= _MAX_PAIRS:
-            self._evidence = None
+            self._evidence = PairEvidence(self._rig.left)
         if evidence.n_pairs < _N_PAIRS or not is_moving:
             return None
         finding = find_fault(evidence.figures(), self._rig)
         if finding.fault not in ("fits", "verged"):
             return None
-        self.is_lost, self._until_s = False, frame.time_s
+        self._evidence, self._until_s = None, frame.time_s
         prior = finding.prior if finding.needs_correction else self._rig.unaligned
         sigma_px = max(prior.residual_px, _ROUGH_PX)
         rough = replace(prior, residual_px=sigma_px, offset_sigma_px=sigma_px)
@@ -131,16 +131,15 @@ class Realignment:
         """The estimate from the frames since the movement, if it is complete."""
         if frame.right is None:
             return None
-        camera = RightCamera(self._rig.left, base=self._base)
-        drive.add(replace(frame, right=camera.warped(frame.right)))
+        drive.add(replace(frame, right=self._camera.warped(frame.right)))
         if not (drive.has_segments or drive.is_full):
             return None
         alignment = drive.estimate()
         if not alignment.is_measured:
-            self._begin(self._base)
+            self._begin(self._camera.base)
             return None
         self._drive = None
-        return self._realigned(alignment, self._base)
+        return self._realigned(alignment, self._camera.base)
 
     def _realigned(self, alignment: Alignment, base: FloatArray) -> Realigned:
         """The pair with an alignment of images that are corrected by `base`."""
