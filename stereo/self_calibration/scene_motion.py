@@ -18,6 +18,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.self_calibration.common_errors import pattern_sigma
 from track_range.stereo.self_calibration.corner_tracks import MAX_GAP_S, CornerTracks, KeyPoints
 from track_range.stereo.self_calibration.focal_profile import (
@@ -49,8 +50,7 @@ class MotionEstimate:
     tracks have in common.
     """
 
-    log_focal: FloatArray  # (G,) ascending logarithms of the focal length in px
-    log_likelihood: FloatArray  # (G,) 0 at the best one
+    curve: FocalCurve
     focal_px: float  # mean of the likelihood over the logarithm
     sigma: float  # relative standard deviation of the focal length; above 0.3 it is unknown
     coefficients: tuple[float, ...]  # OpenCV's, of the distortion
@@ -121,16 +121,14 @@ class SceneMotion:
         lowest, highest = np.log(np.array(FOCAL_RANGE) * self._small_px[0]).tolist()
         log_focal = np.linspace(lowest, highest, _N_GRID)
         log_likelihood = -interpolated(profile, log_focal) / (2 * _widening(profile))
-        weight = np.exp(log_likelihood - log_likelihood.max())
-        weight /= weight.sum()
-        mean = float(weight @ log_focal)
-        sigma = math.sqrt(float(weight @ (log_focal - mean) ** 2))
+        curve = FocalCurve(log_focal + math.log(self._scale), log_likelihood)
+        mean = float(curve.density @ curve.log_focal)
+        sigma = math.sqrt(float(curve.density @ (curve.log_focal - mean) ** 2))
         sigma_of = np.sqrt(np.diag(profile.covariance.common))
         widest = max(profile.fit.scenes, key=lambda scene: abs(scene.turn_deg))
         return MotionEstimate(
-            log_focal=log_focal + math.log(self._scale),
-            log_likelihood=log_likelihood - log_likelihood.max(),
-            focal_px=math.exp(mean) * self._scale,
+            curve=curve,
+            focal_px=math.exp(mean),
             sigma=sigma,
             coefficients=profile.fit.lens.opencv_distortion(),
             k1_sigma=math.hypot(_COMMON_FACTOR * sigma_of[K1], _LEAST_K1_SIGMA),

@@ -31,6 +31,7 @@ from track_range.recording.cameras.camera_estimate import CameraEstimate, source
 from track_range.recording.sources.names import video_name
 from track_range.recording.video.options import RecordingOptions
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting
@@ -44,8 +45,7 @@ SIZE_PX = (1280, 720)
 def motion(focal_px=1000.0, sigma=0.02, **changes):
     log_f = np.log(np.geomspace(400, 2500, 200))
     values = {
-        "log_focal": log_f,
-        "log_likelihood": -0.5 * ((log_f - math.log(focal_px)) / sigma) ** 2,
+        "curve": FocalCurve.of_guess(FocalGuess(focal_px, sigma, "motion"), log_f),
         "focal_px": focal_px,
         "sigma": sigma,
         "coefficients": (-0.1, 0.0, 0.0, 0.0),

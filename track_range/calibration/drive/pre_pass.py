@@ -260,8 +260,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "")
     minutes, seconds = divmod(round(motion.span_s[0]), 60)
     event = "turn" if motion.turn_deg >= _TURN_DEG else "motion of the static scene"
     source = f"the {event} at {minutes}:{seconds:02}" + (f" of {video}" if video else "")
-    curve = FocalCurve(motion.log_focal, motion.log_likelihood)
-    by_motion = source_of_curve("motion", source, curve, before.size_px[0])
+    by_motion = source_of_curve("motion", source, motion.curve, before.size_px[0])
     sigma = by_motion.curve.estimate[1]
     if sigma > _UNKNOWN_SIGMA:
         return before
