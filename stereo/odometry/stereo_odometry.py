@@ -219,11 +219,13 @@ class StereoOdometry:
         dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
         is_usual = tracked is not None and tracked.is_usual
         if not is_usual:
-            if tracked is not None and self._have_zoomed(frame.time_s, matches, tracked):
-                fit = None
+            zoom = 0.0 if tracked is None else self._zoom(matches, tracked)
+            if zoom:
+                self._focal_factor *= 1 + zoom
+                self._zoomed_s, fit = frame.time_s, None
             matches = matches._replace(expected_px=np.full(len(matches.number), np.nan))
         moved = self._right_moved(matches, fit, frame.time_s, dt_s)
-        if not self._is_realigned(frame, tracked, matches):
+        if not self._realign(frame, tracked, matches):
             self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
         if before is None:
             return EgoMotion()
@@ -279,8 +281,10 @@ class StereoOdometry:
         """How the right camera moved so far against its rig."""
         return replace(self._right.now, is_lost=self._realignment.is_lost)
 
-    def _is_realigned(self, frame: Frame, tracked: _Tracked | None, matches: _Matches) -> bool:
-        """Whether the pair is lost, or has another alignment from this frame on."""
+    def _realign(self, frame: Frame, tracked: _Tracked | None, matches: _Matches) -> bool:
+        """Align the pair again after a far movement; returns whether it is lost, or has another
+        alignment from this frame on.
+        """
         if tracked is not None and tracked.is_usual:
             n_static, n_shown = len(tracked.static[0]), int((~matches.is_corner).sum())
             self._realignment.check(frame.time_s, n_static, n_shown, self._right.now)
@@ -325,25 +329,23 @@ class StereoOdometry:
             number[is_matched],
         )
 
-    def _have_zoomed(self, time_s: float, matches: _Matches, tracked: _Tracked) -> bool:
-        """Whether the points show that both cameras zoomed; not while the pair is aligned."""
+    def _zoom(self, matches: _Matches, tracked: _Tracked) -> float:
+        """Relative change of the focal length of both cameras that the points show; 0 = none, or
+        while the pair is aligned.
+        """
         if self._realignment.is_rough:
-            return False
+            return 0.0
         is_tracked = ~matches.is_corner
         number = matches.number[is_tracked]
         points, expected = matches.left[is_tracked], tracked.expected[number]
         camera = self._rig.left
         centre = (np.array([camera.cx_px, camera.cy_px]) + 0.5) / (1 << self._n_halved) - 0.5
-        zoom = common_zoom(
+        return common_zoom(
             expected - centre,
             points - centre,
             matches.expected_px[is_tracked],
             (points - matches.right[is_tracked]).astype(np.float64)[:, 0],
         )
-        if zoom:
-            self._focal_factor *= 1 + zoom
-            self._zoomed_s = time_s
-        return zoom != 0.0
 
     def _right_moved(
         self, matches: _Matches, fit: MotionFit | None, time_s: float, dt_s: float

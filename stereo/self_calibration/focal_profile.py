@@ -87,7 +87,8 @@ def _velocities(point: IntArray, time_s: FloatArray, xy_px: FloatArray) -> Float
     """(N, 2) velocities, px/s, by a parabola through three views of a point; each has as many."""
     order = np.lexsort((time_s, point))
     is_other = np.diff(point[order]) != 0
-    middle = np.arange(len(order)) + np.r_[True, is_other] - np.r_[is_other, True]
+    is_first, is_last = np.r_[True, is_other], np.r_[is_other, True]
+    middle = np.arange(len(order)) + is_first - is_last
     time_s = time_s[order]
     step_s = np.where(is_other, np.inf, np.diff(time_s))[:, None]
     slopes = np.diff(xy_px[order], axis=0) / step_s
