@@ -21,13 +21,12 @@ def cauchy_fit(
     values: FloatArray,
     *,
     least_scale: float,
-    cauchy_sigmas: float = 2.0,
     n_rounds: int = 4,
 ) -> CauchyFit:
     """The parameters (P,) with which a design (N, P) explains values (N,), some of which are wrong.
 
-    Iteratively reweighted least squares, from equal weights: a residual of `cauchy_sigmas` standard
-    deviations has half the weight. The standard deviation is that of the residuals (MAD), at least
+    Iteratively reweighted least squares, from equal weights: a residual of two standard deviations
+    has half the weight. The standard deviation is that of the residuals (MAD), at least
     `least_scale`.
     """
     weight = np.ones(len(values))
@@ -37,6 +36,6 @@ def cauchy_fit(
         solution = np.linalg.solve(information, design.T @ (weight * values))
         residual = values - design @ solution
         scale = max(mad_sigma(residual), least_scale)
-        weight = 1 / (1 + (residual / (cauchy_sigmas * scale)) ** 2)
+        weight = 1 / (1 + (residual / (2 * scale)) ** 2)
     covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
     return CauchyFit(np.asarray(solution, np.float64), covariance, residual)
