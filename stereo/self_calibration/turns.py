@@ -16,7 +16,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.frames import grey
 
-_WIDTH_PX = 160  # of the small images
+# of the small images; focal length of a usual road camera, 0.8 image widths
+_WIDTH_PX, _FOCAL_PX = 160, 128.0
 _UPPER = 0.6  # fraction of the rows, from the top
 # longest time between two images that are compared, and in which the rate is interpolated
 _MAX_GAP_S, _MAX_UNSEEN_S = 0.6, 1.3
@@ -34,21 +35,18 @@ class TurningSpan(NamedTuple):
 def turning_spans(
     images: Iterable[tuple[float, Image]],
     *,
-    focal_fraction: float = 0.8,
     span_s: float = 10.0,
-    n_spans: int = 2,
     min_turn_deg: float = 5.0,
 ) -> tuple[TurningSpan, ...]:
-    """At most `n_spans` spans of at most `span_s` seconds that do not overlap, the largest turn
-    first.
+    """At most two spans of at most `span_s` seconds that do not overlap, the largest turn first.
 
     `images` are times and images (H, W) or (H, W, 3) of any size, 2 to 10 per second, or two of
-    these each second; `focal_fraction` is the assumed focal length in image widths.
+    these each second.
     """
-    times_s, heading_rad = _headings(images, focal_fraction)
+    times_s, heading_rad = _headings(images)
     spans = list[TurningSpan]()
     is_free = np.ones(len(times_s), np.bool_)
-    while len(spans) < n_spans:
+    while len(spans) < 2:
         best = max(
             (_turn(times_s, heading_rad, first, span_s, is_free) for first in range(len(times_s))),
             key=lambda span: span.turn_deg,
@@ -61,9 +59,7 @@ def turning_spans(
     return tuple(spans)
 
 
-def _headings(
-    images: Iterable[tuple[float, Image]], focal_fraction: float
-) -> tuple[FloatArray, FloatArray]:
+def _headings(images: Iterable[tuple[float, Image]]) -> tuple[FloatArray, FloatArray]:
     """(N,) times, and (N,) sums of the yaw since the first image, rad."""
     times_s, rates, before = list[float](), list[float](), None
     for time_s, image in images:
@@ -71,19 +67,19 @@ def _headings(
         if before is not None:
             gap_s = time_s - times_s[-1]
             is_near = gap_s <= _MAX_GAP_S and before.shape == small.shape
-            rates.append(_yaw_rad(before, small, focal_fraction) / gap_s if is_near else math.nan)
+            rates.append(_yaw_rad(before, small) / gap_s if is_near else math.nan)
         before = small
         times_s.append(time_s)
     return np.array(times_s), _integrated(np.array(times_s), np.array(rates))
 
 
-def _yaw_rad(before: FloatArray, now: FloatArray, focal_fraction: float) -> float:
+def _yaw_rad(before: FloatArray, now: FloatArray) -> float:
     """The yaw between two small images; 0 where they have nothing in common."""
     window = cv2.createHanningWindow(now.shape[::-1], cv2.CV_32F)
     (shift_px, _), response = cv2.phaseCorrelate(before, now, window)
     if response <= _MIN_RESPONSE:
         return 0.0
-    return -math.atan(shift_px / (focal_fraction * _WIDTH_PX))
+    return -math.atan(shift_px / _FOCAL_PX)
 
 
 def _integrated(times_s: FloatArray, rate: FloatArray) -> FloatArray:
