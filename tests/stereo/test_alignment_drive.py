@@ -14,12 +14,7 @@ import pytest
 from track_range.foundation.arrays import Image
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
-from track_range.stereo.alignment.feature_tracks import (
-    FeatureTracks,
-    PairPoints,
-    TrackedFrame,
-    row_offset_px,
-)
+from track_range.stereo.alignment.feature_tracks import FeatureTracks, row_offset_px
 from track_range.stereo.alignment.from_drive import MIN_FRAMES, DriveAlignment
 from track_range.stereo.geometry.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.frames import Frame
@@ -72,35 +67,6 @@ def test_known_error_of_a_rendered_drive(x_px: float, y_px: float) -> None:
     assert alignment.is_clear is (x_px > 0)
     assert alignment.row_offset_px == pytest.approx(y_px, abs=0.03)
     assert alignment.source == "this drive, 13 frames"
-
-
-def tracked(index: int, zoom: float = 1.0) -> TrackedFrame:
-    """Points of a static scene, 0.3 m nearer in each frame, with a right camera that zooms."""
-    rng = np.random.default_rng(0)
-    n, camera, noise = 400, RIG.left, np.random.default_rng(index)
-    xyz = np.stack([rng.uniform(-8, 8, n), rng.uniform(-2, 1.6, n), rng.uniform(14, 60, n)], axis=1)
-    xyz -= [0.0, 0.0, 0.3 * index]
-    left_px, right_px = camera.project(xyz), camera.project(xyz - [RIG.baseline_m, 0.0, 0.0])
-    centre_px = np.array([camera.cx_px, camera.cy_px])
-    right_px = centre_px + zoom * (right_px - centre_px)
-    points = PairPoints(
-        np.arange(n),
-        left_px + noise.normal(0, 0.1, (n, 2)),
-        right_px + noise.normal(0, 0.1, (n, 2)),
-    )
-    return TrackedFrame(index / 10, points, flow_px=3.0, fraction_tracked=1.0)
-
-
-@pytest.mark.parametrize(("zoom", "n_frames"), [(1.0, 32), (1.02, 16)])
-def test_an_alignment_ends_where_the_right_camera_moves(zoom: float, n_frames: int) -> None:
-    drive = DriveAlignment(RIG)
-    for index in range(32):
-        drive.add_points(tracked(index, zoom if index >= 16 else 1.0))
-    assert drive.is_full is (zoom != 1.0)
-    alignment = drive.estimate()
-    assert alignment.source == f"this drive, {n_frames} frames"
-    assert alignment.focal_ratio == pytest.approx(1.0, abs=1e-3)
-    assert alignment.offset_px == pytest.approx(0.0, abs=0.1)
 
 
 def test_frames_too_close_in_time_are_skipped() -> None:
