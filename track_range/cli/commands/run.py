@@ -166,8 +166,9 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
         if is_verbose:
             print_summary(console, run.summary)
         print_outcome(run, console)
-        for report in (file for file in run.files if file.name == "report.html"):
-            print_line(console, f"Report of the run: {report}")
+        files = {file.name: file for file in run.files}
+        if "report.html" in files:
+            print_line(console, f"Report of the run: {files['report.html']}")
         rate = frames_per_s(run.summary)
         print_line(
             console,

@@ -1,32 +1,32 @@
 """The cameras of a fleet: clips of one camera without a calibration get one estimate from many of them.
 
 OUT/cameras/NAME.yaml    calibration of the camera
-OUT/cameras/NAME.json    its evidence, and the recordings that it is from
+OUT/cameras/NAME.json    its evidence, and the state of the files and settings that it is from
 """
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from rich.console import Console
 
 from track_range.calibration.drive.calibration import calibrate_from_drives
-from track_range.calibration.drive.known_metres import Detect
 from track_range.calibration.settings import DriveSettings
-from track_range.detection.catalogue.lookup import DEFAULT_MODEL
+from track_range.fleet.engine.plan import FleetPlan
+from track_range.fleet.engine.remaining import present_fingerprint
 from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.inputs.pattern import CLIP, Template
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import counted, quoted, shortened
+from track_range.foundation.files.input_files import counted, printable, quoted, shortened
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.files.structured_text import read_json
-from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.box_source import network_source
+from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.opened import open_detector
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 
@@ -34,20 +34,23 @@ from track_range.run.ready_model import ready_model
 MOST_CLIPS = 12
 
 
-def clips_by_camera(clips: Sequence[Clip], camera: str) -> dict[str, list[Clip]]:
+def clips_by_camera(clips: Sequence[Clip], plan: FleetPlan) -> dict[str, list[Clip]]:
     """The clips of one camera each that have no calibration, by the name of their camera, as the
-    text of `--camera` with its placeholders gives it.
+    text of `--camera` with its placeholders gives it; none without this option.
 
     Raises FleetInputError: a placeholder is unknown, every clip has a calibration, or one is not on
     this machine.
     """
+    camera = plan.settings.camera
+    if camera is None:
+        return {}
     template = Template.of(camera, "--camera")
     of_camera: dict[str, list[Clip]] = {}
     for clip in clips:
         if (
             clip.problem
             or clip.right is not None
-            or clip.settings.keys() & {"rig", "focal_px", "stereo_layout"}
+            or {**plan.options, **clip.settings}.keys() & {"rig", "focal_px", "stereo_layout"}
         ):
             continue
         values = {CLIP: clip.name, **clip.labels}
@@ -77,49 +80,39 @@ def _check_local(location: Location) -> None:
         )
 
 
-def chosen(clips: Sequence[Clip]) -> list[Clip]:
-    """The clips from which their camera is estimated."""
+def readable(clips: Sequence[Clip]) -> list[Clip]:
+    """The clips of a camera from which it is estimated: some of them, if they can be opened."""
     n = min(len(clips), MOST_CLIPS)
-    return [clips[k * len(clips) // n] for k in range(n)]
+    chosen = [clips[k * len(clips) // n] for k in range(n)]
+    return [checked.clip for checked in check_clips(chosen) if not checked.problems]
 
 
-def camera_lines(clips: Sequence[Clip], camera: str) -> list[str]:
-    """What is estimated before the run, a line for each camera."""
-    return [
-        f"Camera {name}: estimated once, from {len(chosen(of_camera))} of "
-        f"{counted(len(of_camera), 'clip')}"
-        for name, of_camera in clips_by_camera(clips, camera).items()
-    ]
-
-
-def with_cameras(
-    clips: Sequence[Clip], camera: str, out: Location, options: Mapping[str, Any], console: Console
-) -> list[Clip]:
+def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> list[Clip]:
     """The clips with the calibrations of their cameras, estimated unless an earlier run has, without
-    the clips that cannot be opened.
+    the clips that cannot be opened. A dry run estimates none.
 
     Raises FleetInputError: see `clips_by_camera`, the results are not on this machine, or the clips
     of a camera have images of different sizes; VideoError if a file changes meanwhile.
     """
-    _check_local(out)
     rigs: dict[str, str] = {}  # by name of the clip
-    for name, of_camera in clips_by_camera(clips, camera).items():
-        paths = tuple(
-            str(Location.of(checked.clip.left).path)
-            for checked in check_clips(chosen(of_camera))
-            if not checked.problems
-        )
-        if not paths:
-            continue  # its clips fail with their own problems
-        rig = out.path / "cameras" / f"{quote(name, safe='')}.yaml"
-        sentence = _estimated(paths, rig, options, console)
+    for name, of_camera in clips_by_camera(clips, plan).items():
+        _check_local(plan.out)
+        used = readable(of_camera)
+        rig = plan.out.path / "cameras" / f"{quote(name, safe='')}.yaml"
+        # as of the results of clips: without folders, which an anonymized fleet does not name
+        inputs = [plan.settings_hash, *([clip.name, present_fingerprint(clip)] for clip in used)]
+        sentence = _known_sentence(rig, inputs)
+        if used and not sentence and not plan.settings.dry_run:
+            sentence = _estimated(used, rig, inputs, plan, console)
+        if sentence:
+            rigs |= {clip.name: str(rig) for clip in of_camera}
         console.print(
-            f"Camera {name}: {sentence} By {len(paths)} of {counted(len(of_camera), 'clip')}.",
+            f"Camera {printable(name)}: {sentence or 'Not estimated yet.'} By {len(used)} of "
+            f"{counted(len(of_camera), 'clip')}.",
             highlight=False,
             markup=False,
             soft_wrap=True,
         )
-        rigs |= {clip.name: str(rig) for clip in of_camera}
     return [
         replace(clip, settings={**clip.settings, "rig": rigs[clip.name]})
         if clip.name in rigs
@@ -128,39 +121,46 @@ def with_cameras(
     ]
 
 
-def _estimated(
-    recordings: tuple[str, ...], rig: Path, options: Mapping[str, Any], console: Console
-) -> str:
-    """Write the calibration of a camera, and what it is from in words; one that is from the same
-    recordings stays.
-    """
+def _known_sentence(rig: Path, inputs: Sequence[object]) -> str:
+    """What an earlier calibration of a camera is from, in words; "" = none is of these inputs."""
     evidence = rig.with_suffix(".json")
-    # an anonymized fleet does not name folders
-    recordings_hash = hashlib.sha256("\n".join(recordings).encode()).hexdigest()
-    if rig.is_file() and evidence.is_file():
-        known = read_json(evidence, FleetInputError, "the evidence of a camera")
-        if known["recordings_hash"] == recordings_hash:
-            return str(known["sentence"])
+    if not (rig.is_file() and evidence.is_file()):
+        return ""
+    known = read_json(evidence, FleetInputError, "the evidence of a camera")
+    return str(known["sentence"]) if known.get("inputs") == inputs else ""
+
+
+def _estimated(
+    clips: Sequence[Clip], rig: Path, inputs: Sequence[object], plan: FleetPlan, console: Console
+) -> str:
+    """Write the calibration of a camera; what it is from, in words."""
     rig.parent.mkdir(parents=True, exist_ok=True)
-    settings = DriveSettings(recordings=recordings, out=rig, curves=options.get("curves"))
-
-    def open_detect() -> Detect:
-        model = ready_model(options.get("detector") or DEFAULT_MODEL, console)
-        network = open_detector(model, DetectorOptions())
-        return lambda frame: network.detect(frame.left)
-
+    recordings = tuple(str(Location.of(clip.left).path) for clip in clips)
+    settings = DriveSettings(recordings=recordings, out=rig, curves=plan.options.get("curves"))
+    detection = DetectionOptions.of(
+        {key: plan.options.get(key) for key in DetectionOptions.model_fields}
+        | {"threads": 0}  # no worker runs yet
+    )
     try:
-        calibration = calibrate_from_drives(settings, open_detect, partial(step_progress, console))
+        calibration = calibrate_from_drives(
+            settings,
+            lambda: (
+                network_source(
+                    detection, partial(ready_model, console=console), open_detector
+                ).detect
+            ),
+            partial(step_progress, console),
+        )
     except UsageError as error:
         raise FleetInputError(f"--camera: {error}") from error
     calibration.save(settings)
     sentence = calibration.mounted.estimate.sentence
     write_json(
-        evidence,
+        rig.with_suffix(".json"),
         {
             **calibration.figures,
             "source": " ".join(Path(name).name for name in recordings),
-            "recordings_hash": recordings_hash,
+            "inputs": inputs,
             "sentence": sentence,
         },
     )

@@ -71,9 +71,7 @@ def run_fleet(
         remove_unfinished(plan.out)
         console = console or Console(quiet=True)
         try:
-            if settings.camera is not None:
-                clips = with_cameras(clips, settings.camera, plan.out, plan.options, console)
-            return _FleetRun(plan, clips, console).run(process)
+            return _FleetRun(plan, with_cameras(clips, plan, console), console).run(process)
         finally:
             remove_unfinished(plan.out)
 

@@ -3,19 +3,21 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from track_range.fleet.engine.cameras import (
     MOST_CLIPS,
-    camera_lines,
-    chosen,
     clips_by_camera,
+    readable,
     with_cameras,
 )
+from track_range.fleet.engine.plan import FleetPlan, fleet_plan
 from track_range.fleet.inputs.clip import Clip, FleetInputError
-from track_range.fleet.storage.location import Location
+from track_range.fleet.settings import FleetSettings
+from track_range.foundation.errors import UserError
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 
 
@@ -29,55 +31,69 @@ def clips(tmp_path):
     ]
 
 
+def plan_of(camera, out="out", *, is_dry=False, **options):
+    settings = FleetSettings(recordings=("x",), out=str(out), camera=camera, dry_run=is_dry)
+    return FleetPlan(settings=settings, options=options)
+
+
 def names(of_camera):
     return {name: [clip.name for clip in clips] for name, clips in of_camera.items()}
 
 
 def test_a_name_is_the_camera_of_all_clips_and_a_placeholder_that_of_each_vehicle(clips):
-    assert names(clips_by_camera(clips, "dashcam")) == {"dashcam": ["a", "b", "c"]}
-    assert names(clips_by_camera(clips, "{vehicle}-front")) == {
+    assert names(clips_by_camera(clips, plan_of("dashcam"))) == {"dashcam": ["a", "b", "c"]}
+    assert names(clips_by_camera(clips, plan_of("{vehicle}-front"))) == {
         "van-front": ["a", "c"],
         "bus-front": ["b"],
     }
 
 
-def test_a_dry_run_names_the_cameras(clips):
-    assert camera_lines(clips, "{vehicle}") == [
-        "Camera van: estimated once, from 2 of 2 clips",
-        "Camera bus: estimated once, from 1 of 1 clip",
+def test_a_dry_run_names_the_cameras_and_counts_the_clips_that_can_be_opened(
+    clips, tmp_path, film, capsys
+):
+    for name in ("a", "b"):
+        film(tmp_path / f"{name}.mp4", [0, 0.1])
+    (tmp_path / "c.mp4").write_bytes(b"no video")
+    plan = plan_of("{vehicle}", tmp_path / "out", is_dry=True)
+    assert with_cameras(clips, plan, Console(width=300)) == clips
+    assert capsys.readouterr().out.splitlines() == [
+        "Camera van: Not estimated yet. By 1 of 2 clips.",
+        "Camera bus: Not estimated yet. By 1 of 1 clip.",
     ]
+    assert not (tmp_path / "out").exists()
 
 
 def test_clips_with_a_calibration_keep_it(clips, tmp_path):
     first, second, third = clips
     pair = replace(first, right=str(tmp_path / "right.mp4"))
     given = replace(second, settings={"focal_px": "900"})
-    assert names(clips_by_camera([pair, given, third], "dashcam")) == {"dashcam": ["c"]}
+    assert names(clips_by_camera([pair, given, third], plan_of("dashcam"))) == {"dashcam": ["c"]}
+    with pytest.raises(FleetInputError, match="without a calibration, found none"):
+        clips_by_camera(clips, plan_of("dashcam", focal_px=900))
     (tmp_path / "rig.yaml").write_text("")  # beside all videos
     with pytest.raises(FleetInputError, match="without a calibration, found none"):
-        clips_by_camera(clips, "dashcam")
+        clips_by_camera(clips, plan_of("dashcam"))
 
 
 def test_unknown_placeholders_are_named(clips):
     with pytest.raises(
         FleetInputError, match=r"--camera .*\{car\} is unknown; expected one of clip, v"
     ):
-        clips_by_camera(clips, "{car}")
+        clips_by_camera(clips, plan_of("{car}"))
 
 
-def test_many_clips_are_read_evenly():
-    clips = [Clip(str(k), f"/{k}.mp4") for k in range(3 * MOST_CLIPS)]
-    assert [int(clip.name) for clip in chosen(clips)] == list(range(0, 3 * MOST_CLIPS, 3))
-    assert chosen(clips[:2]) == clips[:2]
+def test_many_clips_are_read_evenly(tmp_path, film):
+    video = film(tmp_path / "0.mp4", [0, 0.1])
+    clips = [Clip(str(k), str(video)) for k in range(3 * MOST_CLIPS)]
+    assert [int(clip.name) for clip in readable(clips)] == list(range(0, 3 * MOST_CLIPS, 3))
+    assert readable(clips[:2]) == clips[:2]
 
 
 def test_remote_clips_are_refused(tmp_path):
     with pytest.raises(FleetInputError, match=r"s3://.*on this machine.*calibrate drive"):
         with_cameras(
             [Clip("a", "s3://bucket/a.mp4", settings={"ego_speed": "off"})],
-            "dashcam",
-            Location.of(str(tmp_path)),
-            {},
+            plan_of("dashcam", tmp_path),
             Console(quiet=True),
         )
 
@@ -85,8 +101,8 @@ def test_remote_clips_are_refused(tmp_path):
 def test_clips_that_cannot_be_opened_stay_for_the_run(clips, tmp_path):
     for clip in clips:
         (tmp_path / f"{clip.name}.mp4").write_bytes(b"no video")
-    out = Location.of(str(tmp_path / "out"))
-    assert with_cameras(clips, "dashcam", out, {}, Console(quiet=True)) == clips
+    plan = plan_of("dashcam", tmp_path / "out")
+    assert with_cameras(clips, plan, Console(quiet=True)) == clips
 
 
 @pytest.mark.slow
@@ -98,8 +114,8 @@ def test_one_estimate_is_that_of_all_clips_and_stays(small_drive, tmp_path, caps
     clips = [Clip(name, str(recordings / f"{name}.mp4")) for name in ("a", "b")]
     (recordings / "damaged.mp4").write_bytes(b"no video")
     clips.append(Clip("damaged", str(recordings / "damaged.mp4")))
-    out, console = Location.of(str(tmp_path / "out")), Console(width=300)
-    result = with_cameras(clips, "dash cam", out, {}, console)
+    plan, console = plan_of("dash cam", tmp_path / "out"), Console(width=300)
+    result = with_cameras(clips, plan, console)
     rig = tmp_path / "out" / "cameras" / "dash%20cam.yaml"
     assert [clip.settings["rig"] for clip in result] == [str(rig)] * 3
     printed = capsys.readouterr().out
@@ -112,10 +128,42 @@ def test_one_estimate_is_that_of_all_clips_and_stays(small_drive, tmp_path, caps
     mounting = read_calibration(rig, is_grey=False, is_pair=False).mounting
     assert 0.0 < mounting.focal_sigma < 0.4
     written_ns = rig.stat().st_mtime_ns
-    assert with_cameras(clips, "dash cam", out, {}, console) == result
+    assert with_cameras(clips, plan, console) == result
     assert rig.stat().st_mtime_ns == written_ns
     # a further clip is further evidence
     shutil.copy(small_drive.right, recordings / "c.mp4")
     more = [*clips, Clip("c", str(recordings / "c.mp4"))]
-    with_cameras(more, "dash cam", out, {}, console)
+    with_cameras(more, plan, console)
     assert rig.stat().st_mtime_ns > written_ns
+
+
+@pytest.mark.slow
+def test_an_estimate_is_of_the_present_files_and_options(small_drive, tmp_path):
+    video, out = tmp_path / "a.mp4", tmp_path / "out"
+    shutil.copy(small_drive.left, video)
+    clips, console = [Clip("a", str(video))], Console(quiet=True)
+    settings = FleetSettings(recordings=(str(video),), out=str(out), camera="dashcam")
+
+    def estimated(**options):
+        """When the calibration was written."""
+        (with_rig,) = with_cameras(clips, fleet_plan(settings, options), console)
+        return Path(with_rig.settings["rig"]).stat().st_mtime_ns
+
+    first_ns = estimated()
+    assert estimated() == first_ns
+    with_option_ns = estimated(min_score="0.4")
+    assert with_option_ns > first_ns
+    shutil.copy(small_drive.right, video)
+    assert estimated(min_score="0.4") > with_option_ns
+    dry = fleet_plan(settings.model_copy(update={"dry_run": True}), {"min_score": "0.4"})
+    assert "rig" in with_cameras(clips, dry, console)[0].settings
+    dry = fleet_plan(settings.model_copy(update={"dry_run": True}), {})
+    assert with_cameras(clips, dry, console) == clips
+
+
+@pytest.mark.slow
+def test_boxes_of_the_estimate_are_those_of_the_detector_options(small_drive, tmp_path):
+    shutil.copy(small_drive.left, tmp_path / "a.mp4")
+    clips = [Clip("a", str(tmp_path / "a.mp4"))]
+    with pytest.raises(UserError, match="--min-score"):
+        with_cameras(clips, plan_of("dashcam", tmp_path, min_score="2"), Console(quiet=True))

@@ -69,7 +69,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     are some.
     """
     from track_range.cli.shared.console import console, print_line
-    from track_range.fleet.engine.cameras import camera_lines
+    from track_range.fleet.engine.cameras import with_cameras
     from track_range.fleet.engine.plan import fleet_plan
     from track_range.fleet.engine.remaining import remaining, work_text
     from track_range.fleet.errors import ClipsFailedError
@@ -80,6 +80,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     from track_range.foundation.files.input_files import printable
 
     plan = fleet_plan(settings, options)
+    clips = with_cameras(clips, plan, console)
     table = ClipTable(Location.of(settings.out))
     todo, n_complete, n_failed = remaining(
         clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed
@@ -90,10 +91,9 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options
     }
     has_camera = settings.camera is not None
-    if settings.camera is not None:
-        print_line(console, *map(printable, camera_lines(clips, settings.camera)))
-    todo_clips = [task.clip for task in todo]
-    for checked in check_clips(todo_clips, has_camera=has_camera, **checked_settings):
+    for checked in check_clips(
+        [task.clip for task in todo], has_camera=has_camera, **checked_settings
+    ):
         seconds += checked.duration_s or 0.0
         line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
         line += "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
