@@ -16,8 +16,8 @@ import cv2
 from track_range.foundation.arrays import Image
 
 OVERLAP = 6  # following images with which an image is matched
-# smallest angle in degrees between the rays of the first pair, and its largest motion along the axis,
-# where COLMAP's 16 and 0.95 find none
+# smallest angle in degrees between the rays of the first pair, and its largest motion along the
+# axis, where COLMAP's 16 and 0.95 find none
 AHEAD = 2.0, 1.0
 
 
@@ -52,13 +52,13 @@ def colmap_camera(images: Sequence[Image]) -> ColmapResult | None:
         )
         pairing = pycolmap.SequentialPairingOptions(overlap=OVERLAP, loop_detection=False)
         pycolmap.match_sequential(database, pairing_options=pairing)
-        # a drive straight ahead has no first pair of images at the usual angle
-        options = pycolmap.IncrementalPipelineOptions()
         maps: dict[int, Any] = pycolmap.incremental_mapping(database, folder / "images", folder)
-        options.mapper.init_min_tri_angle, options.mapper.init_max_forward_motion = AHEAD
-        maps = maps or pycolmap.incremental_mapping(
-            database, folder / "images", folder, options=options
-        )
+        if not maps:  # a drive straight ahead has no first pair of images at the usual angle
+            options = pycolmap.IncrementalPipelineOptions()
+            options.mapper.init_min_tri_angle, options.mapper.init_max_forward_motion = AHEAD
+            maps = pycolmap.incremental_mapping(
+                database, folder / "images", folder, options=options
+            )
     seconds = time.process_time() - began_s
     if not maps:
         return ColmapResult(float("nan"), float("nan"), 0, seconds)
