@@ -78,7 +78,7 @@ def self_calibration(options: Namespace) -> Figures:
         found = _by_drive(stored.mapped("colmap", _colmap, reconstructed, 1))
         figures["colmap"] = {name: row for name, row in found.items() if "s" in row}
     if "time" in options.parts:
-        timed = [(str(options.cache), *drive) for drive in turning]
+        timed = [(str(options.cache), *drive) for drive in (*turning, *straight)]
         figures["time"] = _by_drive(stored.mapped("time", _time, timed, 1))
     return figures
 
