@@ -9,7 +9,7 @@ bottom edges.
 z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are
 0.1 m above or below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll
 and side roads, which act as an angle times the bearing. A road whose slope changes leaves the plane
-by bend z^2 / 2: 0.1 m at 30 m, 0.6 m at 80 m. Far objects, whose contact points matter
+by bend z^2 / 2: 0.1 m at 30 m, 0.5 m at 80 m. Far objects, whose contact points matter
 little, determine the horizon for near objects. y0 and H are estimated for each object from the
 other objects only, so that they are independent of its size: objects of the frame, and objects that
 were seen earlier in the drive (`DriveState`), between which the pitch has changed.
@@ -56,9 +56,10 @@ class GroundPrior:
     kerb_m: tuple[Sigma, Sigma] = (0.15, 0.5)
     # fraction of objects with the second standard deviation
     rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
-    # standard deviation of the curvature of the road's profile, 1/m; design rules allow 1.4e-3 on
-    # crests of streets for 50 km/h (AASHTO, A Policy on Geometric Design of Highways and Streets)
-    bend_per_m: Sigma = 2e-4
+    # standard deviation of the curvature of the road's profile, 1/m: that of contact points in
+    # KITTI's labels is about 1e-4; design rules allow 1.4e-3 on crests of streets for 50 km/h (AASHTO, A
+    # Policy on Geometric Design of Highways and Streets)
+    bend_per_m: Sigma = 1.5e-4
 
     def rough_variance(self, inverse_depth: FloatArray, bearing: FloatArray) -> FloatArray:
         """Variance of bottom edges by cross slope and by the bend of the road."""

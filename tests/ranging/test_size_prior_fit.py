@@ -143,7 +143,7 @@ def test_cross_validated_error_on_kitti(kitti, noise_px):
     )
     mono = figures(boxes, column)
     key = "mean_relative_error_pct"
-    for kind, fraction, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.97, 2.0)):
+    for kind, fraction, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):
         best = min(rows[kind][key] for rows in plain.values())
         assert least < mono[kind][key] < fraction * best, kind
     assert mono["van"][key] < 0.75 * plain["log-linear"]["van"][key]
