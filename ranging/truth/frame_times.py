@@ -80,6 +80,9 @@ def _read_times(path: Path) -> FloatArray:
         table = read_csv_table(path, LabelFileError, f"a column {_COLUMN}")
         table.require((_COLUMN,))
         time_s = table.finite(_COLUMN)
+        if "frame" in table:
+            frame = table.finite("frame")
+            table.check("frame", frame, frame == np.arange(len(frame)), "every frame from 0 on")
     else:
         text = read_text(path, LabelFileError, "times of frames", max_bytes=MAX_TABLE_BYTES)
         time_s = np.array([_seconds(line, path) for line in text.splitlines() if line.strip()])

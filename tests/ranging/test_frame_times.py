@@ -44,6 +44,14 @@ def test_files_of_times(labels, tmp_path):
         beside.at(np.array([3]))
 
 
+def test_times_of_some_frames_are_refused(labels, tmp_path):
+    """Times by frame: those of every second frame would give twice the speed."""
+    (tmp_path / "times").mkdir()
+    (tmp_path / "times/a.csv").write_text("frame,time_s\n0,7.0\n2,7.2\n4,7.4\n")
+    with pytest.raises(LabelFileError, match=r"a\.csv.*every frame.*got '2'"):
+        frame_times(labels, is_kitti=False)
+
+
 @pytest.mark.parametrize("text", ["0.1\n", "0.1\n0.1\n", "0.1\nlater\n"])
 def test_unusable_times(labels, tmp_path, text):
     (tmp_path / "times").mkdir()
