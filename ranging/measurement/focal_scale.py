@@ -13,7 +13,6 @@ is stretched in the same way before it meets them.
 import math
 from dataclasses import dataclass, replace
 
-from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
@@ -29,30 +28,19 @@ class FocalScale:
         """True / assumed focal length, and true / measured depth."""
         return math.exp(-self.log_factor)
 
-    def corrected(self, ranges: Ranges) -> Ranges:
-        """Distances with the true focal length."""
-        return ranges.scaled(self.factor)
-
     def corrected_motion(self, motion: EgoMotion) -> EgoMotion:
         """A motion along the stretched axis with the true focal length; a given speed is again as
         given, also if it was stretched by an earlier estimate.
         """
-        true = self._with_speed(
-            motion, self.factor if math.isnan(motion.stretch) else 1.0 / motion.stretch
+        factor = self.factor if math.isnan(motion.stretch) else 1.0 / motion.stretch
+        return replace(
+            motion.scaled(factor), yaw_rad_s=motion.yaw_rad_s / self.factor, stretch=math.nan
         )
-        return replace(true, yaw_rad_s=motion.yaw_rad_s / self.factor, stretch=math.nan)
 
     def stretched(self, given: EgoMotion) -> EgoMotion:
         """A given speed as the images show it with the assumed focal length."""
-        return replace(self._with_speed(given, 1.0 / self.factor), stretch=1.0 / self.factor)
-
-    def _with_speed(self, motion: EgoMotion, factor: float) -> EgoMotion:
-        return replace(
-            motion,
-            speed_mps=motion.speed_mps * factor,
-            speed_sigma_mps=motion.speed_sigma_mps * factor,
-            noise_mps=motion.noise_mps * factor,
-        )
+        stretch = 1.0 / self.factor
+        return replace(given.scaled(stretch), stretch=stretch)
 
     def camera(self, assumed: PinholeCamera) -> PinholeCamera:
         """The camera with the true focal length."""

@@ -82,10 +82,9 @@ class RigScale:
         """
         if self.factor == 1.0 and not self.sigma:
             return motion
-        speed_mps = motion.speed_mps * self.factor
-        sigma_mps = float(np.hypot(motion.speed_sigma_mps * self.factor, self.sigma * speed_mps))
-        noise_mps = motion.noise_mps * self.factor
-        return replace(motion, speed_mps=speed_mps, speed_sigma_mps=sigma_mps, noise_mps=noise_mps)
+        true = motion.scaled(self.factor)
+        sigma_mps = float(np.hypot(true.speed_sigma_mps, self.sigma * true.speed_mps))
+        return replace(true, speed_sigma_mps=sigma_mps)
 
 
 CALIBRATED = RigScale()

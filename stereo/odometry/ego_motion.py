@@ -3,7 +3,7 @@ frame shows of both and of the road; Odometry measures them.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from track_range.foundation.arrays import FloatArray
@@ -29,16 +29,18 @@ class EgoMotion:
     # factor of a given speed by the error of the focal length (`FocalScale`); NaN = not given
     stretch: float = math.nan
 
+    def scaled(self, factor: float) -> "EgoMotion":
+        """The motion with the speed and its standard deviations times a factor."""
+        return replace(
+            self,
+            speed_mps=self.speed_mps * factor,
+            speed_sigma_mps=self.speed_sigma_mps * factor,
+            noise_mps=self.noise_mps * factor,
+        )
+
 
 # random walk of a speed that is not measured, m/s per root of a second: 2.5 m/s after one second
 PREDICTED_NOISE = 2.5
-
-
-def predicted_sigma_mps(since_s: float) -> float:
-    """Standard deviation of the change of the camera's speed after a time without a
-    measurement.
-    """
-    return PREDICTED_NOISE * math.sqrt(since_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

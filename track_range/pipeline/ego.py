@@ -8,10 +8,10 @@ from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import (
+    PREDICTED_NOISE,
     Ego,
     EgoMotion,
     PairOdometry,
-    predicted_sigma_mps,
 )
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.given_speed import GivenSpeed
@@ -153,7 +153,7 @@ class EgoStage:
         last_s, last = self._last
         motion = EgoMotion(is_still=last.is_still)
         if time_s - last_s <= _MAX_PREDICTED_S:
-            grown_mps = predicted_sigma_mps(time_s - last_s)
+            grown_mps = PREDICTED_NOISE * math.sqrt(time_s - last_s)
             sigma_mps = math.hypot(last.speed_sigma_mps, grown_mps)
             motion = replace(last, speed_sigma_mps=sigma_mps, is_predicted=True)
         given = self._given(time_s, known)

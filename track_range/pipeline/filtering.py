@@ -160,7 +160,7 @@ def reported(
     sigma = doubt.shared_sigma
     by_method = {**measured.ranges, "fused": fused.ranges}
     ranges = {
-        name: focal.corrected(of_method).widened(sigma[name])
+        name: of_method.scaled(focal.factor).widened(sigma[name])
         for name, of_method in by_method.items()
     }
     for name, of_method in filtered.by_method.items():
