@@ -18,10 +18,8 @@ _FIRST = ("car", "van", "truck", "person", "bicycle")  # the classes of KITTI
 SIZE_CLASS_ORDER = (*_FIRST, *(name for name in SIZE_CLASSES if name not in _FIRST))
 """The size classes in the order of tables."""
 
-_OWN_SIZES = ("van",)  # size classes that detectors do not report
 _IGNORED = frozenset(KITTI_IGNORED) - {"Van"}
 _REGION = "DontCare"
-_NO_SIZES = "no road user with known sizes"
 _SITS = "people who sit have other sizes"
 _REASONS = {"Person": _SITS, "Person_sitting": _SITS}
 
@@ -34,7 +32,7 @@ def size_class_of(label_type: str) -> str:
         ['person', 'van', 'car', '']
     """
     key = class_key(label_type)
-    return key if key in _OWN_SIZES else road_class_of(key) or ""
+    return key if key == "van" else road_class_of(key) or ""  # vans have sizes of their own
 
 
 def size_classes_of(kitti_types: Sequence[str]) -> list[str]:
@@ -54,10 +52,9 @@ def not_counted_notes(
     """
     types = np.array(kitti_types, np.str_)
     notes = []
-    for name in np.unique(types[~np.isin(types, types[is_counted])]).tolist():
-        if name == _REGION:
-            continue
-        reason = unused if size_classes_of([name])[0] else _REASONS.get(name, _NO_SIZES)
+    for name in sorted(set(types.tolist()) - {*types[is_counted].tolist(), _REGION}):
+        of_other = _REASONS.get(name, "no road user with known sizes")
+        reason = unused if size_classes_of([name])[0] else of_other
         boxes = counted(int((types == name).sum()), "box is", "boxes are")
         notes.append(f"{shortened(name, 30)}: {boxes} not counted: {reason}.")
     return tuple(notes)

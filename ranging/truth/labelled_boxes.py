@@ -274,10 +274,8 @@ class _Sequence(NamedTuple):
 
 def _notes(sequences: Sequence[_Sequence]) -> tuple[str, ...]:
     """The time step of each origin, and the types of labels that are not counted."""
-    steps: dict[str, float] = {}
-    for sequence in sequences:
-        if sequence.times is not None:
-            steps.setdefault(sequence.times.origin, sequence.times.step_s)
+    clocks = [sequence.times for sequence in sequences if sequence.times is not None]
+    steps = {clock.origin: clock.step_s for clock in clocks}
     times = "; ".join(f"{step_s:.4g} s ({origin})" for origin, step_s in steps.items())
     return (
         *([f"Time step: {times}."] if times else []),
