@@ -13,6 +13,7 @@ from typing import Any
 
 from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
+from track_range.ranging.cameras.known_distances import KnownDistances
 from track_range.ranging.cameras.learnt_focal import FocalEstimate, LearntFocal
 from track_range.ranging.cameras.motion_evidence import MotionEvidence
 from track_range.ranging.cameras.posterior import CameraPosterior, posterior
@@ -95,6 +96,7 @@ class ScaleCheck:
             if isinstance(sizes, CuboidSizes):
                 sources.append(ShapeEvidence(camera, sizes))
         self._sources = sources
+        self._known = KnownDistances(())
         self._evidence_names = ""  # of the latest evaluation
         self._due_s = self._since_s = -math.inf
         self._first_s = math.inf  # time of the first frame
@@ -104,9 +106,10 @@ class ScaleCheck:
         self.agreement = Agreement(1.0, math.inf, "", 0.0)
         self.cameras: CameraPosterior = posterior(priors, [])
 
-    def use(self, source: EvidenceSource) -> None:
-        """Take the evidence of one more source into account, from the next frame on."""
-        self._sources.append(source)
+    def use(self, known: KnownDistances) -> None:
+        """Take distances that the user measured into account, from the next frame on."""
+        self._known = known
+        self._sources.append(known)
 
     @property
     def baseline_m(self) -> float | None:
@@ -210,7 +213,12 @@ class ScaleCheck:
             "alarms are given.",
         )
         of_focal = () if self.focal is None else (self.focal.sentence,)
-        past = (*of_focal, *self._offset_notes, *(was_in_doubt if spans else ()))
+        past = (
+            *self._known.notes,
+            *of_focal,
+            *self._offset_notes,
+            *(was_in_doubt if spans else ()),
+        )
         if learnt := self._learnt:
             has_speed = any(Unknown.SPEED in item.of for item in self._speeds.evidence)
             advice = "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"

@@ -31,6 +31,7 @@ def test_distance_by_the_rig_in_the_frame_of_the_time_is_compared():
     for time_s, distance_m in ((1.9, 12.5), (2.0, 12.0), (2.1, 11.5)):
         known.add(seen(time_s, distance_m=distance_m))
     (evidence,) = known.evidence
+    assert not known.notes
     assert evidence.of == OF_PAIR
     assert evidence.value == pytest.approx(math.log(1.2))
     assert evidence.sigma == pytest.approx(math.hypot(0.02, 0.03))
@@ -49,6 +50,7 @@ def test_objects_without_a_distance_or_a_track_are_no_evidence(frame):
     known.add(frame)
     known.add(seen(2.1))
     assert not known.evidence
+    assert "--known-distance at 2 s" in known.notes[0]
 
 
 def test_a_time_without_a_frame_is_no_evidence():
@@ -56,3 +58,4 @@ def test_a_time_without_a_frame_is_no_evidence():
     known = KnownDistances([KnownDistance(2.0, BOX_PX, 10.0)])
     known.add(seen(2.3))
     assert not known.evidence
+    assert len(known.notes) == 1

@@ -49,7 +49,7 @@ MOST_STATEMENTS = {
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
     # known distances as evidence of the scale of a pair (+39)
-    "ranging": 6_887,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 6_885,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)

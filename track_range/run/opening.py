@@ -151,8 +151,12 @@ def _with_estimate(
 
 def _known_distances(settings: RunSettings) -> KnownDistances:
     """The known distances of the settings as evidence of the scale of a pair."""
-    known = known_metres(settings.known_distance, (), ())
-    return KnownDistances([KnownDistance(one.time_s, one.xyxy_px, one.distance_m) for one in known])
+    return KnownDistances(
+        [
+            KnownDistance(one.time_s, one.xyxy_px, one.distance_m)
+            for one in known_metres(settings.known_distance, (), ())
+        ]
+    )
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:

@@ -50,9 +50,11 @@ def test_pair_without_a_rig_is_aligned_and_scaled_by_sizes(small_drive, run, tmp
         "--detections",
         small_drive.detections,
     )
+    nothing = ("--known-distance", "0,1,1,9,9,car=5")  # no object is there
     columns, summary, printed = run(
-        *bare, "--truth", small_drive.truth, "--disparity", "--no-overlay"
+        *bare, "--truth", small_drive.truth, "--disparity", "--no-overlay", *nothing
     )
+    assert "--known-distance at 0 s does not show the scale" in printed
     assert summary["calibration"] == "estimated"
     assert summary["alignment"]["offset_sigma_px"] < 0.3
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]

@@ -46,9 +46,9 @@ class MotionEvaluationSettings(Options):
     poses: Annotated[
         Path | None,
         option(
-            "Folder of poses, named like the labels, or one such file: a row of 12 numbers per frame, the 3 x 4 "
-            "matrix from the camera to the first camera in metres.",
-            metavar="DIR",
+            "Folder of poses, named like the labels, or one such file: a row of 12 numbers per "
+            "frame, the 3 x 4 matrix from the camera to the first camera in metres.",
+            metavar="DIR|FILE",
         ),
     ] = None
     boxes: BoxesField = "labels"

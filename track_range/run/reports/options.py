@@ -56,7 +56,8 @@ class OptionsWithoutEffect(Reports):
         notes = []
         if settings.mono is not None and settings.align not in ("auto", "off"):
             notes.append("--align is not used with one camera.")
-        if settings.known_distance and recording.calibration.estimate is None:
+        is_assumed = recording.rig is not None and recording.rig.is_assumed
+        if settings.known_distance and recording.calibration.estimate is None and not is_assumed:
             notes.append(
                 "--known-distance is not used: "
                 + (
