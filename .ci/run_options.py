@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from track_range.detection.detector import ObjectDetector
+    from track_range.stereo.geometry.mounting import Mounting
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.registry import ObjectTracker
 
@@ -56,6 +57,7 @@ ALSO = {
     "min_score": "float",
     "ego_speed": "float",
     "names": "Sequence[str]",
+    "mount": "Mounting",
     "rig": "StereoRig",
 }
 """What else Python gives for an option."""

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from track_range.stereo.alignment.file import load_alignment as load_alignment
     from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
     from track_range.stereo.geometry.frames import Frame as Frame
+    from track_range.stereo.geometry.mounting import Mounting as Mounting
     from track_range.stereo.geometry.rectification import Rectifier as Rectifier
     from track_range.stereo.geometry.rig import StereoRig as StereoRig
     from track_range.stereo.matching.patch_matcher import PatchMatcher as PatchMatcher
@@ -89,6 +90,7 @@ _NAMES = LazyNames(
         "track_range.ranging.measurement.ranges": "Ranges",
         "track_range.ranging.warning.warnings": "Warnings",
         "track_range.stereo.geometry.camera": "PinholeCamera",
+        "track_range.stereo.geometry.mounting": "Mounting",
         "track_range.stereo.geometry.rig": "StereoRig",
         "track_range.detection.classes": "ROAD_CLASSES class_id=road_class_id",
         "track_range.ranging.methods.size_regression": "SizeRanger",

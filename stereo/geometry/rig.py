@@ -138,7 +138,7 @@ class RigAccuracy:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mounting:
+class RoadCalibration:
     """Results of a calibration from the road; the names of the attributes are keys of rig.yaml."""
 
     focal_sigma: float  # relative standard deviation of the focal length

@@ -16,7 +16,8 @@ from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.schemas.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
-from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import RigAccuracy, RigError, RoadCalibration, StereoRig
 from track_range.stereo.lenses.registry import LENSES
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
@@ -69,6 +70,8 @@ class RigCalibration:
     metres_per_unit: float = 1.0  # of the lengths in the file
     unit_doubt: str = ""  # why the unit of the lengths is not known, as a message; "" = it is known
     # height and pitch of a single camera, and the uncertainty of its focal length; None = unknown
+    road: RoadCalibration | None = None
+    # where the left (or only) camera is in its vehicle, and where it looks; None = unknown
     mounting: Mounting | None = None
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
 

@@ -13,24 +13,36 @@ estimated), and its height and pitch:
 
     mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
 
+The place and the direction of the (left) camera in its vehicle are in the same block; all keys are optional, and beside
+them, the calibration from drives is in a block `road`:
+
+    mounting: {yaw_deg: -58, pitch_deg: 2, roll_deg: 0, x_m: 1.5, y_m: -0.8, z_m: 2.03, sigma_deg: 2}
+
 A calibration with a board has the relative standard deviations of focal length and scale (focal length times baseline):
 
     accuracy: {focal_sigma: 0.0008, scale_sigma: 0.0011}
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from track_range.foundation.files.input_files import alternatives
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.schemas.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig, rigid_motion
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import (
+    RigAccuracy,
+    RigError,
+    RoadCalibration,
+    StereoRig,
+    rigid_motion,
+)
 from track_range.stereo.geometry.rig_checks import (
     ImageSide,
     RigCalibration,
@@ -80,7 +92,7 @@ class _MotionFile(BaseModel):
     translation_m: _Row
 
 
-class _MountingFile(BaseModel):
+class _RoadFile(BaseModel):
     model_config = _Strict
     focal_sigma: Annotated[Number, Field(ge=0, le=1)]
     camera_height_m: Annotated[Number, Field(gt=0, le=10)]
@@ -102,12 +114,29 @@ class _RigFile(BaseModel):
     left: _CameraFile
     right: _CameraFile | None = None
     right_from_left: _MotionFile | None = None
-    mounting: _MountingFile | None = None
+    road: _RoadFile | None = None
+    mounting: Mounting | None = None
     accuracy: _AccuracyFile | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _road_of_mounting(cls, content: Any) -> Any:
+        """The content with a calibration from the road that is in the place of the mounting, as in
+        files without one, in a place of its own.
+        """
+        block = content.get("mounting") if isinstance(content, dict) else None
+        if isinstance(block, dict) and "focal_sigma" in block:
+            return {**content, "road": block, "mounting": None}
+        return content
 
 
 def save_rig(
-    rig: StereoRig, path: Path, *, comments: Sequence[str] = (), accuracy: RigAccuracy | None = None
+    rig: StereoRig,
+    path: Path,
+    *,
+    comments: Sequence[str] = (),
+    mounting: Mounting | None = None,
+    accuracy: RigAccuracy | None = None,
 ) -> None:
     """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an
     unwritable file.
@@ -120,7 +149,7 @@ def save_rig(
         "left": _camera_content(rig.left),
         "right": _camera_content(rig.right),
         "right_from_left": {"rotation": rotation, "translation_m": translation_m},
-        **({} if accuracy is None else {"accuracy": asdict(accuracy)}),
+        **_known_content(None, mounting, accuracy),
     }
     _save(content, path, comments)
 
@@ -130,22 +159,34 @@ def save_camera(
     path: Path,
     *,
     comments: Sequence[str] = (),
+    road: RoadCalibration | None = None,
     mounting: Mounting | None = None,
     accuracy: RigAccuracy | None = None,
 ) -> None:
     """Write the calibration of one camera, for --mono, as rig.yaml, with `comments` as its first
     lines.
 
-    `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the camera is
-    implausible, or the file cannot be written.
+    `road`, `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the
+    camera is implausible, or the file cannot be written.
     """
     check_camera(camera, path)
-    known = {
+    known = _known_content(road, mounting, accuracy)
+    _save({"left": _camera_content(camera), **known}, path, comments)
+
+
+def _known_content(
+    road: RoadCalibration | None, mounting: Mounting | None, accuracy: RigAccuracy | None
+) -> dict[str, Any]:
+    """The blocks of what is known; a calibration from the road is in that of an unknown mounting,
+    where earlier versions read it.
+    """
+    of_road = "mounting" if mounting is None else "road"
+    known = {of_road: road, "mounting": mounting or road, "accuracy": accuracy}
+    return {
         name: {key: value for key, value in asdict(part).items() if value is not None}
-        for name, part in (("mounting", mounting), ("accuracy", accuracy))
+        for name, part in known.items()
         if part is not None
     }
-    _save({"left": _camera_content(camera), **known}, path, comments)
 
 
 def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[str]) -> None:
@@ -174,13 +215,13 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
     left = rig.left.camera()
     accuracy = None if rig.accuracy is None else RigAccuracy(**rig.accuracy.model_dump())
-    known = () if accuracy is None else (accuracy.sentence,)
+    notes = () if accuracy is None else (accuracy.sentence,)
+    known = RigCalibration(left, None, None, mounting=rig.mounting, accuracy=accuracy, notes=notes)
     if rig.right is None or rig.right_from_left is None:
-        mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
-        notes = known if mounting is None else (mounting.sentence, *known)
-        return RigCalibration(left, None, None, mounting=mounting, accuracy=accuracy, notes=notes)
+        road = None if rig.road is None else RoadCalibration(**rig.road.model_dump())
+        return replace(known, road=road, notes=notes if road is None else (road.sentence, *notes))
     motion = rigid_motion(rig.right_from_left.rotation, rig.right_from_left.translation_m)
-    return RigCalibration(left, rig.right.camera(), motion, accuracy=accuracy, notes=known)
+    return replace(known, right=rig.right.camera(), right_from_left=motion)
 
 
 RIG_YAML = RigFormat(

@@ -32,15 +32,17 @@ from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import ObjectTracker, create_tracker
 
-_SIDE_VIEW = (
-    "--yaw-deg: a view to the side has no lane lines, no horizon from image motion, no times to "
-    "collision and no collision warnings; distances are along the axis of the view."
+_NOT_AHEAD = (
+    "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no horizon "
+    "from image motion, no times to collision and no collision warnings; distances are along its "
+    "axis."
 )
 
 
@@ -76,7 +78,8 @@ def open_pipeline(
     re-identification or lane network cannot be used; TrackerError: the tracker cannot be created;
     MethodError: ranging methods of other packages depend on each other in a cycle.
     """
-    is_ahead = calibration.view.yaw_deg == 0
+    mounting = calibration.view_mounting(settings.mounting)
+    is_ahead = mounting is None or mounting.is_ahead
     context = _method_context(settings, calibration, boxes, region)
     flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
@@ -84,9 +87,8 @@ def open_pipeline(
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
-    yaw_deg = calibration.view.yaw_deg
     ego = _ego_stage(
-        context, flow, ego_speed, priors, measures_speed=measures_speed, yaw_deg=yaw_deg
+        context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
     )
     check = None
     if is_ahead:
@@ -109,7 +111,7 @@ def open_pipeline(
         ),
         world=WorldStage(camera, centre_sigma_px=calibration.centre_sigma_px),
         alarming=AlarmStage(camera, warning),
-        setup_notes=(*appearance_notes, *(() if is_ahead else (_SIDE_VIEW,))),
+        setup_notes=(*appearance_notes, *(() if is_ahead else (_NOT_AHEAD,))),
     )
 
 
@@ -119,17 +121,19 @@ def _method_context(
     boxes: BoxSource,
     region: Region,
 ) -> MethodContext:
+    mounting = calibration.view_mounting(settings.mounting)
+    given_m = settings.camera_height_m or (None if mounting is None else mounting.z_m)
     return MethodContext(
         camera=calibration.camera,
         rig=calibration.rig,
         focal_sigma=calibration.focal_sigma,
         size_model=load_curves(settings.curves, region),
         box_errors=boxes.box_errors,
-        camera_height_m=settings.camera_height_m or calibration.camera_height_m,
+        camera_height_m=given_m or calibration.camera_height_m,
         region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
-        has_lane_lines=settings.lanes != "off" and calibration.view.yaw_deg == 0,
+        has_lane_lines=settings.lanes != "off" and (mounting is None or mounting.is_ahead),
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
@@ -148,17 +152,17 @@ def _ego_stage(
     priors: CameraPriors,
     *,
     measures_speed: bool,
-    yaw_deg: float,
+    mounting: Mounting | None,
 ) -> EgoStage:
     """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height.
 
-    In a view to the side, no motion is measured from the images.
+    In a view that does not look along the drive, no motion is measured from the images.
     """
     # also follows the right camera, and checks a given speed
     pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
-    if yaw_deg != 0:
+    if mounting is not None and not mounting.is_ahead:
         return EgoStage(
-            speed=None if ego_speed is None else ego_speed.along(yaw_deg),
+            speed=None if ego_speed is None else ego_speed.along(mounting.yaw_deg),
             pair_odometry=pair_odometry,
             uses_pair_speed=False,
         )

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from track_range.detection.detector import ObjectDetector
+    from track_range.stereo.geometry.mounting import Mounting
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.registry import ObjectTracker
 
@@ -43,6 +44,7 @@ class PipelineKeywords(TypedDict, total=False):
     lanes: str | Path | None
     lane_width_m: float | None
     camera_height_m: float | None
+    mount: str | Sequence[str] | Mounting | None
 
 
 class RunKeywords(PipelineKeywords, total=False):

@@ -20,11 +20,11 @@ from track_range.recording.cameras.camera_estimate import CameraEstimate, source
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
-from track_range.stereo.geometry.rig import Mounting
+from track_range.stereo.geometry.rig import RoadCalibration
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
-MOUNTING = Mounting(
+ROAD = RoadCalibration(
     focal_sigma=0.04,
     camera_height_m=1.4,
     camera_height_sigma_m=0.05,
@@ -111,12 +111,12 @@ def test_known_cameras():
         assert camera.source
 
 
-def test_mounting_in_rig_yaml(tmp_path, cli):
+def test_road_calibration_in_rig_yaml(tmp_path, cli):
     camera = PinholeCamera.of_focal_length(900.0, (1280, 720))
     path = tmp_path / "rig.yaml"
-    save_camera(camera, path, mounting=MOUNTING)
+    save_camera(camera, path, road=ROAD)
     assert load_camera(path, size_px=(1280, 720))[0] == camera
-    assert mounting_of(path) == MOUNTING
+    assert road_of(path) == ROAD
     status, printed, _ = cli("rig", "show", path)
     assert (status, "4.0 %" in printed, "1.40" in printed) == (0, True, True)
     assert (
@@ -124,9 +124,9 @@ def test_mounting_in_rig_yaml(tmp_path, cli):
         in cli("rig", "convert", path, tmp_path / "cv.yml", "--to", "opencv")[1]
     )
     assert "OUT does not store" not in cli("rig", "convert", path, tmp_path / "copy.yaml")[1]
-    assert mounting_of(tmp_path / "copy.yaml") == MOUNTING
+    assert road_of(tmp_path / "copy.yaml") == ROAD
     save_camera(camera, path)
-    assert mounting_of(path) is None
+    assert road_of(path) is None
 
 
 def test_wrong_commands(tmp_path, cli, film):
@@ -185,9 +185,9 @@ def test_simulated_video(tmp_path, cli, small_drive):
     assert status == 0, complaint
     assert "known height" in printed
     assert "as measured" in printed
-    fitted, mounting = load_camera(out, size_px=None)[0], mounting_of(out)
-    assert fitted.fx_px == pytest.approx(camera.fx_px, rel=4 * mounting.focal_sigma)
-    assert mounting.camera_height_m == pytest.approx(1.65, abs=0.1)
+    fitted, road = load_camera(out, size_px=None)[0], road_of(out)
+    assert fitted.fx_px == pytest.approx(camera.fx_px, rel=4 * road.focal_sigma)
+    assert road.camera_height_m == pytest.approx(1.65, abs=0.1)
     assert json.loads(figures.read_text())["focal_px"] == pytest.approx(fitted.fx_px)
     status, printed, complaint = cli(
         "run",
@@ -261,9 +261,9 @@ def test_real_drive(shared_data, tmp_path, cli):
     )
     assert status == 0, complaint
     assert "from the measurements" in printed
-    focal_px, mounting = load_camera(out, size_px=None)[0].fx_px, mounting_of(out)
-    assert 0.05 < mounting.focal_sigma < 0.12
-    assert abs(math.log(focal_px / 721.5)) < 2.5 * mounting.focal_sigma
+    focal_px, road = load_camera(out, size_px=None)[0].fx_px, road_of(out)
+    assert 0.05 < road.focal_sigma < 0.12
+    assert abs(math.log(focal_px / 721.5)) < 2.5 * road.focal_sigma
     known = (
         "--known-distance",
         f"{box}=31.1",
@@ -275,8 +275,8 @@ def test_real_drive(shared_data, tmp_path, cli):
     status, printed, complaint = cli("calibrate", "--mono", video, *known, "--out", out)
     assert status == 0, complaint
     assert load_camera(out, size_px=None)[0].fx_px == pytest.approx(721.5, rel=0.06)
-    assert -1.0 < mounting_of(out).pitch_deg < 3.0
-    one_sigma = mounting.focal_sigma
+    assert -1.0 < road_of(out).pitch_deg < 3.0
+    one_sigma = road.focal_sigma
     wrong = ("--known-distance", f"{box}=31.1", "--known-distance", "0,257,176,301,200=10")
     written = out.read_bytes()
     status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out)
@@ -284,15 +284,15 @@ def test_real_drive(shared_data, tmp_path, cli):
     assert out.read_bytes() == written
     status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out, "--force")
     assert status == 0, complaint
-    assert mounting_of(out).focal_sigma > 3 * one_sigma
+    assert road_of(out).focal_sigma > 3 * one_sigma
     status, _, complaint = cli(
         "calibrate", "--mono", video, "--known-distance", "0,900,20,980,60=12", "--out", out
     )
     assert (status, "the detector finds none there" in complaint) == (2, True)
 
 
-def mounting_of(path):
-    return read_calibration(path, is_grey=False, is_pair=False).mounting
+def road_of(path):
+    return read_calibration(path, is_grey=False, is_pair=False).road
 
 
 def test_focal_length_before_the_measurements_is_named_once():

@@ -34,7 +34,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_curve import FocalCurve
 from track_range.stereo.geometry.focal_guess import FocalGuess, default_guess
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.geometry.rig import Mounting
+from track_range.stereo.geometry.rig import RoadCalibration
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate
@@ -244,7 +244,7 @@ def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
     assert "2 videos" in printed
     assert "all" in printed
     true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
-    first = read_calibration(out, is_grey=False, is_pair=False).mounting
+    first = read_calibration(out, is_grey=False, is_pair=False).road
     camera, _ = load_camera(out, size_px=None)
     assert abs(math.log(camera.fx_px / true_px)) < 3 * first.focal_sigma
     estimate = json.loads(figures.read_text())["camera_estimate"]
@@ -257,7 +257,7 @@ def test_two_recordings_and_their_continuation(tmp_path, cli, small_drive):
     kinds = [source["kind"] for source in estimate["sources"]]
     assert "given" in kinds
     assert "usual" not in kinds
-    second = read_calibration(out, is_grey=False, is_pair=False).mounting
+    second = read_calibration(out, is_grey=False, is_pair=False).road
     assert second.focal_sigma < 1.1 * first.focal_sigma
     assert second.camera_height_m == pytest.approx(1.6, abs=0.06)
     assert second.camera_height_sigma_m <= 0.049
@@ -297,7 +297,7 @@ def test_a_drive_without_motion_keeps_an_earlier_calibration(tmp_path, cli):
     write_video(video := tmp_path / "still.mp4", [0] * 12)
     earlier = PinholeCamera(150.0, 150.0, 84.0, 65.5, 160, 120, (-0.3, 0.08, 0.0, 0.0))
     rig, out = tmp_path / "rig.yaml", tmp_path / "new.yaml"
-    mounting = Mounting(
+    road = RoadCalibration(
         focal_sigma=0.01,
         camera_height_m=1.5,
         camera_height_sigma_m=0.02,
@@ -305,14 +305,14 @@ def test_a_drive_without_motion_keeps_an_earlier_calibration(tmp_path, cli):
         pitch_sigma_deg=0.1,
         k1_sigma=0.01,
     )
-    save_camera(earlier, rig, mounting=mounting)
+    save_camera(earlier, rig, road=road)
     status, _, complaint = cli("calibrate", "drive", video, "--rig", rig, "--out", out)
     assert status == 0, complaint
     camera, _ = load_camera(out, size_px=None)
     assert camera.distortion == earlier.distortion
     assert camera.fx_px == pytest.approx(150.0, rel=0.01)
     assert (camera.cx_px, camera.cy_px) == (84.0, 65.5)
-    after = read_calibration(out, is_grey=False, is_pair=False).mounting
+    after = read_calibration(out, is_grey=False, is_pair=False).road
     assert after.k1_sigma == 0.01
     assert after.pitch_deg == pytest.approx(math.degrees(math.atan(6 / 150)), abs=0.1)
 

@@ -17,7 +17,7 @@ from track_range.recording.video.threads import FRAMES_AHEAD
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
+from track_range.stereo.geometry.rig import RigAccuracy, RigError, RoadCalibration, StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12
@@ -213,14 +213,14 @@ def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
 
 def test_uncertain_focal_length_of_a_file(pair, tmp_path):
     camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
-    mounting = Mounting(
+    road = RoadCalibration(
         focal_sigma=0.04,
         camera_height_m=1.4,
         camera_height_sigma_m=0.05,
         pitch_deg=1.5,
         pitch_sigma_deg=0.2,
     )
-    save_camera(camera, tmp_path / "rig.yaml", mounting=mounting)
+    save_camera(camera, tmp_path / "rig.yaml", road=road)
     recording = open_recording(pair[0])
     assert (recording.calibration.focal_sigma, recording.calibration.camera_height_m) == (0.04, 1.4)
     assert any("4.0 %" in note for note in recording.notes)

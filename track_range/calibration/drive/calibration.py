@@ -36,7 +36,7 @@ from track_range.recording.sources.names import source_of, video_name
 from track_range.recording.speed_source import AUTO, OFF
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
-from track_range.stereo.geometry.rig import Mounting
+from track_range.stereo.geometry.rig import RoadCalibration
 from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
@@ -64,10 +64,10 @@ class DriveCalibration:
         return self.mounted.estimate.camera
 
     @property
-    def mounting(self) -> Mounting:
+    def road(self) -> RoadCalibration:
         """Height and pitch of the camera, and the uncertainty of its focal length."""
         fit, estimate = self.fit, self.mounted.estimate
-        return Mounting(
+        return RoadCalibration(
             focal_sigma=round(self.mounted.focal_sigma, 4),
             camera_height_m=round(fit.height_m, 3),
             camera_height_sigma_m=round(fit.height_sigma_m, 3),
@@ -84,7 +84,7 @@ class DriveCalibration:
             known = len({residual.name for residual in self.fit.residuals})
             drives = counted(len(settings.recordings), "recording")
             comments = [f"track-range calibrate: from {drives} of drives, {known} measurements"]
-            save_camera(self.camera, settings.out, comments=comments, mounting=self.mounting)
+            save_camera(self.camera, settings.out, comments=comments, road=self.road)
         if settings.json_file is not None:
             write_json(settings.json_file, self.figures)
         return [file for file in (settings.out, settings.json_file) if file is not None]
@@ -101,7 +101,7 @@ class DriveCalibration:
             "source": self.source,
             "frames": mounted.n_frames,
             "focal_px": mounted.estimate.focal_px,
-            **asdict(self.mounting),
+            **asdict(self.road),
             "roll_deg": float(np.degrees(fit.roll_rad)),
             "focal_height_sigma": fit.product_sigma,
             "guesses": [asdict(guess) for guess in self.guesses],
@@ -196,7 +196,7 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
             f"{path}: expected a pinhole camera, found a wide lens, which drives do not calibrate."
         )
     content = read_calibration(path, is_grey=False, is_pair=False)
-    mounting, stated = content.mounting, content.mounting or content.accuracy
+    road, stated = content.road, content.road or content.accuracy
     sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
     focal = FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name))
     given = source_of_guess(focal, "given", drive.size_px[0])
@@ -204,10 +204,10 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
         size_px=drive.size_px, sources=(given,), principal_px=(camera.cx_px, camera.cy_px)
     )
     if camera.distortion:
-        k1_sigma = 0.0 if mounting is None else mounting.k1_sigma or 0.0
+        k1_sigma = 0.0 if road is None else road.k1_sigma or 0.0
         estimate = replace(estimate, coefficients=camera.distortion, k1_sigma=k1_sigma)
-    if mounting is None:
+    if road is None:
         return estimate, None
-    if mounting.camera_height_sigma_m > GIVEN_SIGMA * mounting.camera_height_m + _ROUNDING_M:
+    if road.camera_height_sigma_m > GIVEN_SIGMA * road.camera_height_m + _ROUNDING_M:
         return estimate, None
-    return estimate, mounting.camera_height_m
+    return estimate, road.camera_height_m

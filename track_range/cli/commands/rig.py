@@ -112,16 +112,24 @@ def _convert(options: ConvertOptions) -> None:
             calibration,
             out,
             comments=comments,
+            road=content.road,
             mounting=content.mounting,
             accuracy=content.accuracy,
         )
     elif options.to == _OURS and isinstance(calibration, StereoRig):
-        save_rig(calibration, out, comments=comments, accuracy=content.accuracy)
+        save_rig(
+            calibration,
+            out,
+            comments=comments,
+            mounting=content.mounting,
+            accuracy=content.accuracy,
+        )
     else:
         writers[options.to](calibration, out, comments)
-        if content.mounting is not None or content.accuracy is not None:
+        if (content.road, content.mounting, content.accuracy) != (None, None, None):
             notes.append(
-                f"OUT does not store the uncertainty of the calibration: use --rig {source.name}."
+                "OUT does not store the uncertainty of the calibration and the mounting: use "
+                f"--rig {source.name}."
             )
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, *notes, f"Written: {out}, {cameras}.")

@@ -75,7 +75,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
     error_type, limits = first["type"], first.get("ctx", {})
     if error_type == "missing":
         return key, "expected a value, found none"
-    if error_type == "extra_forbidden":
+    if error_type in ("extra_forbidden", "unexpected_keyword_argument"):
         return key, "this key is unknown"
     if error_type in ("value_error", "assertion_error"):
         return key, shortened(first["msg"].partition(", ")[2].removesuffix("."), _MAX_PROBLEM)

@@ -30,8 +30,9 @@ from track_range.stereo.geometry.camera import (
 )
 from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess, default_guess
 from track_range.stereo.geometry.frames import Frame, ImageView
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
+from track_range.stereo.geometry.rig import RigAccuracy, RigError, RoadCalibration, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.lenses.registry import wide_lenses
@@ -102,6 +103,8 @@ class RecordingCalibration:
     estimate: CameraEstimate | None = None
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the
     # road; None = unknown
+    road: RoadCalibration | None = None
+    # where the left or only camera is in its vehicle, and where it looks; None = unknown
     mounting: Mounting | None = None
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
     # other readings of the calibration or focal length
@@ -116,7 +119,7 @@ class RecordingCalibration:
         if self.focal is not None:
             return self.focal.sigma
         largest = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
-        return math.hypot(largest, 0.0 if self.mounting is None else self.mounting.focal_sigma)
+        return math.hypot(largest, 0.0 if self.road is None else self.road.focal_sigma)
 
     @property
     def scale_sigma(self) -> float:
@@ -147,18 +150,26 @@ class RecordingCalibration:
             return _CENTRE_SIGMA * self.camera.width_px
         return _CENTRE_SIGMA_PX
 
+    def view_mounting(self, given: Mounting | None = None) -> Mounting | None:
+        """How the view is mounted, to which the images are rectified: its direction is that of the
+        camera as given, else as in the file, turned by the view; None = it is not known.
+
+        A lens whose view is turned is taken to look ahead itself, if its mounting is not known.
+        """
+        mounting = given or self.mounting
+        if self.view.yaw_deg and mounting is None:
+            mounting = Mounting()
+        return None if mounting is None else mounting.turned(self.view.yaw_deg)
+
     @property
     def camera_height_m(self) -> float | None:
         """Height of the camera above the road in its calibration, if the calibration has it; None =
         unknown.
         """
-        mounting = self.mounting
-        if (
-            mounting is None
-            or mounting.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * mounting.camera_height_m
-        ):
+        road = self.road
+        if road is None or road.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * road.camera_height_m:
             return None
-        return mounting.camera_height_m
+        return road.camera_height_m
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -535,7 +546,8 @@ def _loaded(
     content = content.of_size(fitted_px[0])
     return replace(
         _of_cameras(cameras, path, notes, sizes_px, view),
-        mounting=content.mounting if len(sizes_px) == 1 else None,
+        road=content.road if len(sizes_px) == 1 else None,
+        mounting=content.mounting,
         accuracy=content.accuracy,
         left_from_reference_m=np.array(content.left_from_reference_m),
         alternatives=image_size.fit_to_size(content.left, fitted_px[0]).alternatives,

@@ -1,18 +1,30 @@
 """Options of a run for its distances, warnings and events."""
 
+from __future__ import annotations
+
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import (
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
 
-from track_range.foundation.schemas.options import Options, option
+from track_range.foundation.schemas.options import Options, contradiction, option
 from track_range.foundation.schemas.validation import chosen_numbers
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.events.event import EventSettings
 
+if TYPE_CHECKING:
+    from track_range.stereo.geometry.mounting import Mounting
+
 _clip_option = partial(option, is_per_clip=True)
+_TWO_HEIGHTS = "give the height of the camera once: --mount z=M or --camera-height-m"
 
 
 class RangingOptions(Options):
@@ -105,6 +117,37 @@ class RangingOptions(Options):
             le=5.0,
         ),
     ] = None
+    mount: Annotated[
+        tuple[str, ...],
+        _clip_option(
+            "Where the (left) camera looks from its vehicle, and where it is, such as "
+            "yaw=-58,pitch=2: yaw (positive = to the left; 180 = to the rear), pitch (down) and roll "
+            "(right side lower) in degrees and their standard deviation sigma (2); x (forward) and "
+            "y (to the left) in metres from the point of the vehicle whose speed is given, and the "
+            "height z above the road. The given speed is then that of the vehicle. A view of a wide "
+            "lens is turned further, by --yaw-deg to the right (default: as in --rig, else unknown).",
+            metavar="NAME=NUMBER",
+            is_repeated=True,
+        ),
+    ] = ()
+
+    @field_validator("mount", mode="wrap")
+    @classmethod
+    def _checked_mounting(cls, value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        """Texts that are a mounting, also of a `Mounting`."""
+        from track_range.stereo.geometry.mounting import Mounting  # imports NumPy
+
+        texts = handler(value.parts if isinstance(value, Mounting) else value)
+        if texts:
+            Mounting.of(texts)
+        return texts
+
+    @model_validator(mode="after")
+    def _with_one_height(self) -> Self:
+        mounting_m = None if self.mounting is None else self.mounting.z_m
+        if len({mounting_m, self.camera_height_m} - {None}) > 1:
+            raise contradiction(_TWO_HEIGHTS, ("mount", "camera_height_m"))
+        return self
 
     @field_validator("sgbm_options", "warning_options", "event_options")
     @classmethod
@@ -118,6 +161,13 @@ class RangingOptions(Options):
                 WarningSettings if info.field_name == "warning_options" else EventSettings, values
             )
         return values
+
+    @property
+    def mounting(self) -> Mounting | None:
+        """Where the camera is in its vehicle, and where it looks, as given; None = not given."""
+        from track_range.stereo.geometry.mounting import Mounting  # imports NumPy
+
+        return Mounting.of(self.mount) if self.mount else None
 
     @property
     def warning_settings(self) -> WarningSettings:

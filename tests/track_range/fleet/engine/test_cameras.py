@@ -125,8 +125,8 @@ def test_one_estimate_is_that_of_all_clips_and_stays(small_drive, tmp_path, caps
     evidence = json.loads(rig.with_suffix(".json").read_text())
     assert camera.fx_px == pytest.approx(evidence["focal_px"])
     assert evidence["source"] == "a.mp4 b.mp4"
-    mounting = read_calibration(rig, is_grey=False, is_pair=False).mounting
-    assert 0.0 < mounting.focal_sigma < 0.4
+    road = read_calibration(rig, is_grey=False, is_pair=False).road
+    assert 0.0 < road.focal_sigma < 0.4
     written_ns = rig.stat().st_mtime_ns
     assert with_cameras(clips, plan, console) == result
     assert rig.stat().st_mtime_ns == written_ns
