@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 
-_ORDER = "ZYX"  # of yaw, pitch and roll, each about the axis that the angles before it turned
 # of the axes of a level camera that looks forward, in those of the vehicle
 _LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 # Largest angle in the road's plane between the axis and the drive of a camera that looks ahead. Lane
@@ -105,7 +104,7 @@ class Mounting:
     def vehicle_from_camera(self) -> FloatArray:
         """(3, 3) rotation from the axes of the camera to those of the vehicle."""
         angles_deg = self.yaw_deg, self.pitch_deg, self.roll_deg
-        turn = Rotation.from_euler(_ORDER, angles_deg, degrees=True)
+        turn = Rotation.from_euler("ZYX", angles_deg, degrees=True)
         return np.asarray(turn.as_matrix() @ _LEVEL)
 
     @property
@@ -122,7 +121,7 @@ class Mounting:
         if right_deg == 0.0:
             return self
         matrix = self.vehicle_from_camera @ view_from_camera(right_deg).T @ _LEVEL.T
-        yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler(_ORDER, degrees=True).tolist()
+        yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True).tolist()
         return replace(self, yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)
 
     def velocity_mps(self, speed_mps: float, yaw_rad_s: float = 0.0) -> FloatArray:
