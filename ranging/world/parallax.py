@@ -1,16 +1,16 @@
 r"""Parallax: distances of parked vehicles, signs and lights, triangulated over time from the motion
 of the camera.
 
-With the rotation between two frames removed, the points of a static object move away from the
-epipole e by
+With the rotation between two frames removed, the points of a static object move by
 
-    p' - e = (1 + g) (R p - e),   g = V dt / Z
+    p' - q = g (d_z q - d),   q = R p,   g = V dt / Z        d: unit direction of travel
 
-so V dt, which the camera travels, and the growth g give the distance Z, the better the farther the
-object is from e. Corners inside each box are tracked from frame to frame, in an image of twice the
-size of odometry's; g is their median. A filter of 1 / Z follows the object:
+away from the epipole d / d_z, so V dt, which the camera travels, and the growth g give the distance
+Z, the better the farther the object is from the epipole. Corners inside each box are tracked from
+frame to frame, in an image of twice the size of odometry's; g is their median. A filter of 1 / Z
+follows the object:
 
-    rho' = rho / (1 - rho V dt)
+    rho' = rho / (1 - rho V dt d_z)
 
 A moving vehicle has a growth as well, by its own speed along the road: a car that moves with half
 of the camera's speed appears twice as far. An object counts as static if its triangulated distance
@@ -123,7 +123,7 @@ class Parallax:
         """(4, N) states of the present tracks, with the growth of this frame."""
         rho, P, measured_s, agreed_s = self._state.get(now.tracks.track_id)
         is_followed = np.isfinite(rho) & (step.time_s - measured_s < _MAX_GAP_S)
-        approach = np.maximum(1.0 - rho * step.travelled_m, _MIN_APPROACH)
+        approach = np.maximum(1.0 - rho * step.travelled_m * step.travel[2], _MIN_APPROACH)
         rho, P = np.where(is_followed, [rho / approach, P / approach**4], np.nan)
         growth, variance = self._growths(
             before, now, step, np.where(is_followed, 1.0 / rho, other.distance_m)
@@ -150,21 +150,21 @@ class Parallax:
         owner = np.concatenate([np.full(len(corners), row) for row, corners in parts])
         corners = np.concatenate([corners for _, corners in parts])
         turned = self._rays(corners, now.n_halved) @ step.rotation.T
-        from_epipole = turned[:, :2] / turned[:, 2:] - step.travel
-        expected = 1.0 + np.nan_to_num(step.travelled_m / expected_m[owner])
+        q = turned[:, :2] / turned[:, 2:]
+        from_epipole = step.travel[2] * q - step.travel[:2]
         camera, factor = self._camera, 1 << now.n_halved
-        tangents = step.travel + from_epipole * expected[:, None]
+        tangents = q + from_epipole * np.nan_to_num(step.travelled_m / expected_m[owner, None])
         full_px = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
         start = np.asarray((full_px - (factor - 1) / 2) / factor, np.float32)
         points, is_tracked = tracked_corners(
             before.image, now.image, corners, window_px=_WINDOW_PX, n_levels=_N_LEVELS, start=start
         )
-        moved = self._rays(points, now.n_halved)[:, :2] - step.travel
+        moved = self._rays(points, now.n_halved)[:, :2] - q
         focal_px = camera.fx_px / factor
         radius = np.maximum(np.linalg.norm(from_epipole, axis=1), _MIN_RADIUS / 10)
         away = from_epipole / radius[:, None]
         across_px = focal_px * np.abs(moved[:, 0] * away[:, 1] - moved[:, 1] * away[:, 0])
-        g = (moved * away).sum(axis=1) / radius - 1.0
+        g = (moved * away).sum(axis=1) / radius
         is_good = is_tracked & (across_px < _MAX_ACROSS_PX) & (radius > _MIN_RADIUS)
         for row, _ in parts:
             rows = np.flatnonzero((owner == row) & is_good)

@@ -108,6 +108,11 @@ class Mounting:
         return np.asarray(turn.as_matrix() @ _LEVEL)
 
     @property
+    def travel_from_camera(self) -> FloatArray:
+        """(3, 3) rotation from the axes of the camera to those of travel: right, down, forward."""
+        return _LEVEL.T @ self.vehicle_from_camera
+
+    @property
     def is_ahead(self) -> bool:
         """Whether the axis looks along the drive: within 10 degrees to either side, whatever its
         pitch.

@@ -52,8 +52,7 @@ class CameraStep:
     rotation: FloatArray  # (3, 3) rotation `now_from_before` of the static scene
     # standard deviation of the yaw between the frames, which does not average out
     rotation_sigma_rad: float
-    # (2,) x, y of the ray at depth 1 along the direction of travel, in this frame
-    travel: FloatArray
+    travel: FloatArray  # (3,) unit vector of the direction of travel, in this frame
     travelled_m: float  # distance travelled
     travelled_sigma: float  # relative standard deviation of `travelled_m`, the same in all frames
     now: FlowFrame  # the images of this frame

@@ -1,21 +1,24 @@
 r"""GroundOdometry: speed of one camera in units of its height above the road, and the horizon, one
 frame after another.
 
-The road ahead is resampled on a grid of X and Z as seen from above, in the previous frame and in
-this one, with the rotation between them removed. Driving s metres then shifts the picture along Z:
+The road is resampled on a grid of X and Z as seen from above, in the previous frame and in this one,
+with the rotation between them removed. Driving s metres then shifts the picture along Z:
 
     now(X, Z - s) = before(X, Z)        pixel of (X, Z): pi(R C [X, h, Z])
 
 C is the rotation from a level frame, which looks along the direction of travel, to the camera's
 frame; R is the rotation from frame to frame (`ImageMotion`). A car drives parallel to the road, so
-the horizon has the row of the epipole. `RoadHorizon` filters this row.
+the horizon of the road ahead has the row of the epipole. `RoadHorizon` filters this row. A camera
+that looks ahead shows the lane of the car; one that looks aside shows strips beside it, each in a
+picture.
 
-The picture is divided into strips. The shift is the maximum of their mean normalised correlation;
+The pictures are divided into strips. The shift is the maximum of their mean normalised correlation;
 strips under boxes of road users or without texture do not count. The speed is unknown if the
 maximum is low or not unique. A horizon in a wrong row makes distant parts of the road shift more,
 or less, than near parts: if the horizon is taken to be d rad too low, a point at distance Z seems
 to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h). So the slope
-of the shifts over the distances measures the horizon, whatever the height.
+of the shifts over the distances measures the horizon, whatever the height. An error of the roll of
+r rad, positive = the road too low on the right, makes it s (1 + (2 Z d + X r) / h).
 
 An error of the camera height is an equal relative error of the speed. The road is taken to be plane
 up to 15 m.
@@ -44,7 +47,13 @@ _FARTHEST_M = 15.0  # farthest road in the picture, if it is long enough
 # length of the picture to aim at, and of the road that a pixel may cover in it
 _MIN_LENGTH_M, _MAX_PIXEL_M = 8.0, 0.25
 _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
+# Lanes beside the vehicle, for cameras that do not show the road ahead: nearest and farthest edges,
+# width, shortest one, and number. The nearest lanes are the most likely ones to be
+# road, and in the plane under the wheels.
+_BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 3
+_LONGEST_M = 40.0  # largest Z of a picture
 _STRIP_M = 2.0  # length of a strip
+_N_STRIP = round(_STRIP_M / _STEP_Z_M)  # cells of it
 # distance of the middle of the picture, at which its plane has the slope of the road
 _PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
@@ -61,6 +70,7 @@ _SCALE_SIGMA = 0.03
 
 # The horizon from the shifts of the strips:
 _MIN_STRIPS = 4  # minimum number of strips for a measurement
+_MIN_ROLL_M = 1e-3  # smallest change of the shifts by the roll, m per rad: none in one lane
 # largest difference of a strip's shift from the common one: the farthest's, 0.012 rad off, 30 m/s
 _MAX_STRIP_CELLS = 6
 _MIN_STRIP_CORRELATION = 0.4  # of the strip at its own shift
@@ -94,11 +104,22 @@ class GroundOdometry:
     source = "the motion of the road in the images"
 
     def __init__(
-        self, camera: PinholeCamera, height_m: float, *, flow: BackgroundFlow | None = None
+        self,
+        camera: PinholeCamera,
+        height_m: float,
+        *,
+        flow: BackgroundFlow | None = None,
+        travel_from_camera: FloatArray | None = None,
     ) -> None:
+        """`travel_from_camera` (3, 3) are the axes of travel, right, down and forward, in the
+        camera's; None = the camera looks along the drive.
+        """
         self._camera, self.height_m = camera, height_m
         self._flow = flow or BackgroundFlow()
-        self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
+        self._travel_from_camera = np.eye(3) if travel_from_camera is None else travel_from_camera
+        self._image_motion = ImageMotionEstimator(
+            camera, flow=self._flow, travel_from_camera=travel_from_camera
+        )
         self._filter = SpeedFilter()
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
@@ -116,10 +137,10 @@ class GroundOdometry:
 
     @property
     def view(self) -> RoadView:
-        """The road in the last frame; lengths are in units of the camera height of this
-        instance.
+        """The road in the last frame, in the camera's axes; lengths are in units of the camera
+        height of this instance.
         """
-        return self._horizon.view
+        return self._horizon.seen(self._travel_from_camera)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
@@ -155,12 +176,14 @@ class GroundOdometry:
         if not is_known or now is None or math.isnan(self._side) or ego.speed_mps <= 0:
             return None
         has_sigma = math.isfinite(ego.speed_sigma_mps)
+        axes = self._travel_from_camera
+        travel = np.array([self._side, self._horizon.view.horizon, 1.0]) @ axes
         return CameraStep(
             time_s=motion.time_s,
             dt_s=motion.dt_s,
-            rotation=motion.rotation,
+            rotation=axes.T @ motion.rotation @ axes,
             rotation_sigma_rad=motion.yaw_sigma_rad_s * motion.dt_s,
-            travel=np.array([self._side, self.view.horizon]),
+            travel=travel / np.linalg.norm(travel),
             travelled_m=ego.speed_mps * motion.dt_s,
             travelled_sigma=ego.speed_sigma_mps / ego.speed_mps if has_sigma else _UNKNOWN_SIGMA,
             now=now,
@@ -172,17 +195,15 @@ class GroundOdometry:
         """The filtered speed; moves the horizon on to this frame."""
         dt_s = motion.dt_s
         is_moving = motion.is_known and not motion.is_still
-        # direction of travel: slopes to the right and down
-        side = (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px
-        row = (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px
+        side, row = motion.travel
         if is_moving and math.isfinite(side):
             self._follow_side(side, dt_s)
             self._direction.add(dt_s, side, motion.yaw_rad_s)
-        shift_m = 0.0 if motion.is_still else math.nan
+        shift_m, by_roll = 0.0 if motion.is_still else math.nan, 0.0
         if is_moving and math.isfinite(self._side):
-            shift_m = self._shift_m(motion, before, now, boxes)
+            shift_m, by_roll = self._shift_m(motion, before, now, boxes)
         independent_mps = _SHIFT_SIGMA_M / dt_s
-        common_mps = _SCALE_SIGMA * abs(shift_m / dt_s)
+        common_mps = math.hypot(_SCALE_SIGMA, by_roll) * abs(shift_m / dt_s)
         speed = self._filter.update(
             motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps
         )
@@ -220,86 +241,135 @@ class GroundOdometry:
 
     def _shift_m(
         self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
-    ) -> float:
-        """Distance travelled; NaN = not reliable. The shifts of the strips first correct the
-        horizon.
+    ) -> tuple[float, float]:
+        """Distance travelled, NaN = not reliable, and its relative standard deviation by the roll.
+
+        The shifts of the strips first correct the horizon and the roll.
         """
-        view, camera = self._horizon.view, self._camera
-        horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
-        lowest = (camera.height_px - 2 - camera.cy_px) / camera.fy_px
-        sharp_m = math.sqrt(_MAX_PIXEL_M * camera.fy_px * self.height_m)
-        nearest_m = max(
-            _NEAREST_M * min(sharp_m / _FARTHEST_M, 1.0), self.height_m / (lowest - horizon)
-        )
-        farthest_m = min(max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M), sharp_m)
-        if not 0 < nearest_m < farthest_m - 2 * _STRIP_M:
-            return math.nan
-        # the road at all cells in both images, from far to near
-        level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
-        Z = np.arange(farthest_m, nearest_m, -_STEP_Z_M)
-        X = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _STEP_X_M)
-        road = np.stack(
-            [np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))],
-            axis=1,
-        )
-        before_px = camera.project(road @ level.T)
-        now_px = camera.project(road @ (motion.rotation @ level).T)
-        hw = len(Z), len(X)
-        masked_fraction = (
-            np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1]))
-            .reshape(hw)
-            .mean(axis=1)
-        )
-        pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
-        nearer_m, scores = _strip_correlations(*pictures, masked_fraction, motion.dt_s)
-        distance_m = farthest_m - nearer_m
+        view = self._horizon.view
+        horizon, roll = view.horizon - view.curvature_per_m * _PICTURE_M / 2, -view.slope
+        turned = cv2.Rodrigues(np.array([-horizon, self._side, -roll]))[0]
+        level = self._travel_from_camera.T @ turned  # from the level road to the camera
+        level_now = self._travel_from_camera.T @ motion.rotation @ turned
+        lanes = self._lanes(level)
+        longest = max((len(Z) for _, Z in lanes), default=0)
+        n_shifts = min(round(_MAX_SPEED_MPS * motion.dt_s / _STEP_Z_M), longest - _N_STRIP) + 1
+        strips = [
+            self._strips((before, now), (level, level_now), lane, boxes, n_shifts) for lane in lanes
+        ]
+        if not strips:
+            return math.nan, 0.0
+        x_m, z_m, scores = (np.concatenate(parts) for parts in zip(*strips, strict=True))
         best = _best_shift(scores)
         if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
-            return math.nan  # two strips only confirm a speed
+            return math.nan, 0.0  # two strips only confirm a speed
         shift_m, shifts_m = _STEP_Z_M * best, _STEP_Z_M * _peaks_near(scores, round(best))
-        slope = horizon_error(shift_m, distance_m - shift_m / 2, shifts_m, self.height_m)
-        if slope is None:
-            return shift_m
-        ahead_m = slope.distance_m + shift_m  # the camera follows the curve, too
+        error = plane_error(shift_m, x_m, z_m - shift_m / 2, shifts_m, self.height_m)
+        if error is None:
+            return shift_m, self._sigma_by_roll(float(x_m.mean()))
+        ahead_m = error.z_m + shift_m  # the camera follows the curve, too
         is_consistent = self._horizon.measure(
-            horizon - slope.error,
-            slope.variance,
+            horizon + error.by_roll * roll - error.horizon,
+            error.variance,
             ahead_m=ahead_m,
-            frames=min(slope.distance_m / shift_m - 0.5, _MAX_FRAMES),
+            frames=min(error.z_m / shift_m - 0.5, _MAX_FRAMES),
+            by_roll=error.by_roll,
             max_sigma=_OUTLIER_SIGMA,
         )
         if not is_consistent:
-            return math.nan
+            return math.nan, 0.0
+        self._horizon.measure_roll(roll - error.roll, error.roll_variance)
         self.has_horizon = True
         view = self._horizon.view
-        error = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
-        return shift_m * (1 - 2 * slope.distance_m * error / self.height_m)
+        too_low = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
+        longer = (2 * error.z_m * too_low - error.x_m * (roll + view.slope)) / self.height_m
+        return shift_m * (1 - longer), self._sigma_by_roll(error.x_m)
+
+    def _sigma_by_roll(self, x_m: float) -> float:
+        """Relative standard deviation of a shift at a distance to the side, by the roll."""
+        return abs(x_m) / self.height_m * math.sqrt(self._horizon.roll_variance)
+
+    def _lanes(self, level: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """X and Z, from far to near, of the cells of the lanes whose road is measured: that of the
+        car, or lanes beside it; `level` (3, 3) turns from the level road to the camera.
+        """
+        ahead = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _STEP_X_M)
+        Z = self._seen_m(ahead, level, _NEAREST_M)
+        if len(Z) * _STEP_Z_M > 2 * _STRIP_M:
+            return [(ahead, Z)]
+        lanes = []
+        for inner_m in np.arange(*_BESIDE_M, _BESIDE_WIDTH_M):
+            right = np.arange(inner_m, inner_m + _BESIDE_WIDTH_M, _STEP_X_M)
+            lanes += [(X, self._seen_m(X, level, 0.0)) for X in (right, -right)]
+        return [lane for lane in lanes if len(lane[1]) * _STEP_Z_M > _MIN_BESIDE_M][:_MOST_BESIDE]
+
+    def _seen_m(self, X: FloatArray, level: FloatArray, from_m: float) -> FloatArray:
+        """(K,) Z, from far to near, at which the image shows the road at all X well."""
+        camera = self._camera
+        Z = np.arange(_LONGEST_M, -_LONGEST_M, -_STEP_Z_M)
+        edges = np.stack([_road(X[:1], Z, self.height_m), _road(X[-1:], Z, self.height_m)])
+        road = edges @ level.T
+        depth_m = road[..., 2].min(axis=0)
+        xy_px = camera.project(road.reshape(-1, 3)).reshape(2, -1, 2)
+        is_inside = ((xy_px >= 1) & (xy_px <= np.array(camera.size_px) - 2)).all(axis=(0, 2))
+        sharp_m = math.sqrt(_MAX_PIXEL_M * camera.fy_px * self.height_m)
+        is_seen = is_inside & (depth_m <= sharp_m)
+        is_seen &= depth_m >= from_m * min(sharp_m / _FARTHEST_M, 1.0)
+        nearest_m = depth_m[is_seen].min(initial=math.inf)
+        is_seen &= depth_m <= max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M)
+        return np.asarray(Z[is_seen])
+
+    def _strips(
+        self,
+        images: tuple[Image, Image],
+        levels: tuple[FloatArray, FloatArray],
+        lane: tuple[FloatArray, FloatArray],
+        boxes: tuple[FloatArray, FloatArray],
+        n_shifts: int,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(K,) X and Z of the strips of a lane in the image before, and (K, M) correlations with
+        the image now; `levels` are the rotations (3, 3) from the level road to the camera.
+        """
+        X, Z = lane
+        hw = len(Z), len(X)
+        road = _road(X, Z, self.height_m)
+        points_px = [self._camera.project(road @ level.T) for level in levels]
+        before, now = (_sampled(image, px, hw) for image, px in zip(images, points_px, strict=True))
+        masked = [_inside(px, xyxy_px) for px, xyxy_px in zip(points_px, boxes, strict=True)]
+        masked_fraction = np.maximum(*masked).reshape(hw).mean(axis=1)
+        nearer_m, scores = _strip_correlations(before, now, masked_fraction, n_shifts)
+        return np.full(len(scores), X.mean()), Z[0] - nearer_m, scores
+
+
+def _road(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
+    """(len(Z) * len(X), 3) points of the road in the level frame, from far to near."""
+    return np.stack(
+        [np.tile(X, len(Z)), np.full(len(X) * len(Z), height_m), np.repeat(Z, len(X))], axis=1
+    )
 
 
 def _strip_correlations(
-    before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
+    before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, n_shifts: int
 ) -> tuple[FloatArray, FloatArray]:
     """(K,) distance of usable strips of two pictures from the pictures' far end, in m, and (K, M)
     their correlations.
 
     NaN = outside the picture.
     """
-    n_strip = round(_STRIP_M / _STEP_Z_M)
-    n_shifts = min(round(_MAX_SPEED_MPS * dt_s / _STEP_Z_M), len(before) - n_strip) + 1
     nearer_m, scores = [], []
-    for top in range(0, len(before) - n_strip + 1, n_strip // 2):
-        strip = before[top : top + n_strip]
+    for top in range(0, len(before) - _N_STRIP + 1, _N_STRIP // 2):
+        strip = before[top : top + _N_STRIP]
         if (
-            masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION
+            masked_fraction[top : top + _N_STRIP].mean() > _MAX_MASKED_FRACTION
             or strip.std() < _MIN_STRIP_GREY
         ):
             continue
         score = np.full(n_shifts, np.nan)
         known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
         score[: len(known)] = known
-        nearer_m.append(_STEP_Z_M * (top + (n_strip - 1) / 2))
+        nearer_m.append(_STEP_Z_M * (top + (_N_STRIP - 1) / 2))
         scores.append(score)
-    return np.array(nearer_m), np.array(scores)
+    return np.array(nearer_m), np.array(scores).reshape(-1, n_shifts)
 
 
 def _best_shift(scores: FloatArray) -> float | None:
@@ -318,35 +388,48 @@ def _best_shift(scores: FloatArray) -> float | None:
     )
 
 
-class HorizonError(NamedTuple):
-    """Error of the assumed horizon: how much too low it is, as a tangent; its variance; mean
-    distance of the strips.
+class PlaneError(NamedTuple):
+    """Errors of the assumed plane of the road, as tangents, at the mean of the strips.
+
+    The horizon is `horizon - by_roll * E` too low if the roll is E too large.
     """
 
-    error: float
+    horizon: float
     variance: float
-    distance_m: float
+    by_roll: float
+    roll: float  # how much too large the roll is
+    roll_variance: float  # infinite for strips of one lane
+    x_m: float
+    z_m: float
 
 
-def horizon_error(
-    shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, height_m: float
-) -> HorizonError | None:
-    """Error of the horizon from the slope of the shifts over the distances; None = too few strips.
+def plane_error(
+    shift_m: float, x_m: FloatArray, z_m: FloatArray, shifts_m: FloatArray, height_m: float
+) -> PlaneError | None:
+    """Error of the plane from the slopes of the shifts over the road; None = too few strips.
 
-    `shift_m` is the common shift of the strips, `distance_m` (K,) the distances of their centres in
-    the middle of the shift, `shifts_m` (K,) the shift of each, NaN = unknown, and `height_m` the
-    camera's height above the road.
+    `shift_m` is the common shift of the strips, `x_m` and `z_m` (K,) their centres in the middle of
+    the shift, `shifts_m` (K,) the shift of each, NaN = unknown, and `height_m` the camera's height
+    above the road.
     """
     is_known = np.isfinite(shifts_m)
     if is_known.sum() < _MIN_STRIPS or shift_m <= 0:
         return None
-    mean_m = float(distance_m[is_known].mean())
-    centred = distance_m[is_known] - mean_m
-    spread = float(centred @ centred)
-    slope = float(centred @ shifts_m[is_known]) / spread
-    to_rad = height_m / (2 * shift_m)
-    return HorizonError(
-        slope * to_rad, (to_rad * _STRIP_SIGMA_M) ** 2 / spread + _STRIPS_SIGMA_RAD**2, mean_m
+    places = np.stack([z_m, x_m], axis=1)[is_known]
+    z_mean, x_mean = places.mean(axis=0).tolist()
+    by_tilt = (places - [z_mean, x_mean]) * np.array([2.0, -1.0]) * (shift_m / height_m)
+    Q, R = np.linalg.qr(by_tilt)  # two independent measurements, the second of the roll alone
+    of_horizon, of_roll = (Q.T @ shifts_m[is_known]).tolist()
+    a, b, c = R[0, 0], R[0, 1], R[1, 1]
+    sees_roll = abs(c) > _MIN_ROLL_M
+    return PlaneError(
+        horizon=of_horizon / a,
+        variance=(_STRIP_SIGMA_M / a) ** 2 + _STRIPS_SIGMA_RAD**2,
+        by_roll=b / a,
+        roll=of_roll / c if sees_roll else 0.0,
+        roll_variance=(_STRIP_SIGMA_M / c) ** 2 + _STRIPS_SIGMA_RAD**2 if sees_roll else math.inf,
+        x_m=x_mean,
+        z_m=z_mean,
     )
 
 

@@ -10,9 +10,12 @@ with Tukey weights (Hartley and Zisserman, 2004, section 11.4.3). Yaw and a side
 points alike. Near points separate them, but their surroundings deform as they approach, which
 increases errors of the flow: their weight is lower, and t is a random walk, so that its last
 estimate is the prior of the next one. Corners on edges are left out: a lane line in a curve stays
-in its place in the image, as if the road did not turn. With the rotation removed, points move away
-from the epipole e by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the
-forward speed over a typical depth.
+in its place in the image, as if the road did not turn. With the rotation removed, points move by
+p' - R p = g (t - t_z R p), with the motion g in units of the depth; the expansion is the median of
+g per second, the speed over a typical depth.
+
+A camera may look in any direction: its mounting gives the axes of travel (right, down, forward) in
+which rates and the direction of travel are stated, and in which the prior of the direction is.
 """
 
 import math
@@ -55,9 +58,9 @@ _MIN_FEATURES = 16  # minimum number of static points
 _MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracked ones
 _MAX_STILL_PX = 0.1  # largest median motion of the static points of a camera at rest
 _MAX_GAP_S = 0.6  # longest time between two frames
-# smallest forward part of a unit translation; a smaller one has no epipole near the image
+# smallest part of a unit translation along the axis of travel; a smaller one is no usual motion
 _MIN_FORWARD = 0.5
-# smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
+# smallest motion of a point by a translation of its depth, at which the growth is measured
 _MIN_RADIUS = 0.03
 
 
@@ -71,11 +74,11 @@ class ImageMotion:
     yaw_sigma_rad_s: float = math.nan  # its standard deviation
     pitch_rad_s: float = math.nan  # pitch rate, positive = upwards
     roll_rad_s: float = math.nan  # roll rate, positive = clockwise as the driver sees it
-    # median relative growth of the distances from the epipole per second, positive = forwards
+    # median translation per second in units of the depth, positive = forwards
     expansion_hz: float = math.nan
     expansion_sigma_hz: float = math.nan  # its standard deviation
-    # x, y of the direction of travel in full pixels, NaN = unknown
-    epipole_px: tuple[float, float] = (math.nan, math.nan)
+    # slopes of the direction of travel to the right of and below the axis of travel, NaN = unknown
+    travel: tuple[float, float] = (math.nan, math.nan)
     # fraction of the tracked corners that move like a static scene
     static_fraction: float = math.nan
     n_features: int = 0  # number of tracked corners
@@ -88,7 +91,9 @@ class ImageMotion:
 
     @property
     def rotation(self) -> FloatArray:
-        """(3, 3) rotation `now_from_before` of the static scene, against which the camera turns."""
+        """(3, 3) rotation `now_from_before` of the static scene, against which the camera turns, in
+        the axes of travel.
+        """
         turn = np.array([-self.pitch_rad_s, -self.yaw_rad_s, -self.roll_rad_s]) * self.dt_s
         return np.asarray(cv2.Rodrigues(turn)[0], np.float64)
 
@@ -100,26 +105,38 @@ class ImageMotionEstimator:
     use the same `flow` of the background; None = a separate one.
     """
 
-    def __init__(self, camera: PinholeCamera, *, flow: BackgroundFlow | None = None) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        *,
+        flow: BackgroundFlow | None = None,
+        travel_from_camera: FloatArray | None = None,
+    ) -> None:
+        """`travel_from_camera` (3, 3) are the axes of travel, right, down and forward, in the
+        camera's; None = the camera looks along the drive.
+        """
         self._camera = camera
         self._flow = flow or BackgroundFlow()
+        self._travel_from_camera = np.eye(3) if travel_from_camera is None else travel_from_camera
         self._last_s = math.nan
-        self._direction = np.array([0.0, 0.0, -1.0])
+        self._direction = -self._travel_from_camera[2]
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
     def expect_travel(self, row: float, variance: float) -> None:
         """Combine the direction of travel with its expected row in the next frame, from the horizon
         of the road.
 
-        `row` is the tangent of the direction below the camera's axis.
+        `row` is the tangent of the direction below the axis of travel.
         """
-        forward = self._direction[2]
+        along = self._travel_from_camera @ self._direction
+        forward = along[2]
         if abs(forward) < _MIN_FORWARD:
             return
         fraction = self._direction_variance[1] / (self._direction_variance[1] + variance)
-        direction = self._direction / forward
-        direction[1] += fraction * (row - direction[1])
-        self._direction = direction * (math.copysign(1.0, forward) / np.linalg.norm(direction))
+        along = along / forward
+        along[1] += fraction * (row - along[1])
+        along *= math.copysign(1.0, forward) / np.linalg.norm(along)
+        self._direction = along @ self._travel_from_camera
         self._direction_variance = self._direction_variance * [1.0, 1.0 - fraction]
 
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
@@ -162,6 +179,7 @@ class ImageMotionEstimator:
             now,
             direction=self._direction,
             direction_variance=self._direction_variance,
+            travel_from_camera=self._travel_from_camera,
             noise=_NOISE_PX / focal_px,
             max_residual=_MAX_RESIDUAL_PX / focal_px,
         )
@@ -173,24 +191,28 @@ class ImageMotionEstimator:
         turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
         is_still = bool(median_of(motion_px) <= _MAX_STILL_PX)
-        epipole_px = math.nan, math.nan
+        x, y, backward = (self._travel_from_camera @ fit.direction).tolist()
+        travel = math.nan, math.nan
         if not is_still:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
-            if abs(fit.direction[2]) >= _MIN_FORWARD:
-                x, y = (fit.direction[:2] / fit.direction[2]).tolist()
-                epipole_px = camera.fx_px * x + camera.cx_px, camera.fy_px * y + camera.cy_px
+            if abs(backward) >= _MIN_FORWARD:
+                travel = x / backward, y / backward
         growth, growth_sigma = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
-        pitch, yaw, roll = (-fit.rotation / dt_s).tolist()  # the camera turns against the scene
+        growth = math.copysign(growth, -backward)
+        down = self._travel_from_camera[1]
+        yaw_sigma = math.sqrt(float(down @ fit.rotation_covariance @ down))
+        # the camera turns against the scene
+        pitch, yaw, roll = (self._travel_from_camera @ fit.rotation / -dt_s).tolist()
         return ImageMotion(
             time_s=time_s,
             dt_s=dt_s,
             yaw_rad_s=yaw,
-            yaw_sigma_rad_s=math.hypot(float(fit.rotation_sigma[1]), _BIAS_PX / focal_px) / dt_s,
+            yaw_sigma_rad_s=math.hypot(yaw_sigma, _BIAS_PX / focal_px) / dt_s,
             pitch_rad_s=pitch,
             roll_rad_s=roll,
             expansion_hz=0.0 if is_still else growth / dt_s,
             expansion_sigma_hz=growth_sigma / dt_s,
-            epipole_px=epipole_px,
+            travel=travel,
             static_fraction=static_fraction,
             n_features=n_features,
             is_still=is_still,
@@ -202,10 +224,10 @@ class EpipolarFit:
     """Rotation and direction of travel between two frames."""
 
     rotation: FloatArray  # (3,) rotation vector `now_from_before`, rad
-    rotation_sigma: FloatArray  # (3,) its standard deviations
+    rotation_covariance: FloatArray  # (3, 3) its covariance
     # (3,) unit vector t of the translation `now_from_before`; (0, 0, -1) = straight ahead
     direction: FloatArray
-    direction_variance: FloatArray  # (2,) variances of its x and y
+    direction_variance: FloatArray  # (2,) variances to the right of and below the axis of travel
     is_static: BoolArray  # (N,) whether a point is near its epipolar line
 
 
@@ -215,6 +237,7 @@ def fit_epipolar(
     *,
     direction: FloatArray,
     direction_variance: FloatArray,
+    travel_from_camera: FloatArray,
     noise: float,
     max_residual: float,
 ) -> EpipolarFit:
@@ -222,10 +245,12 @@ def fit_epipolar(
     both frames.
 
     The iteration starts from `direction` (3,), the expected unit translation; `direction_variance`
-    (2,) is of its x and y. `noise` is the standard deviation of the ray of a distant point,
-    `max_residual` the largest Sampson distance of a static point, both in rad.
+    (2,) is of its x and y in the axes of travel. `noise` is the standard deviation of the ray of a
+    distant point, `max_residual` the largest Sampson distance of a static point, both in rad.
     """
-    x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
+    flow = median_of((now[:, :2] - before[:, :2]).T)
+    # across the motion of a point on the axis, which the translation causes
+    x, y = (flow - direction[:2] * (direction[:2] @ flow)).tolist()
     rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction
     pair = np.ascontiguousarray(before.T), np.ascontiguousarray(now.T)
     prior, sigma = np.zeros((5, 5)), np.full(len(now), noise)
@@ -241,11 +266,12 @@ def fit_epipolar(
         spread = max(MAD_TO_SIGMA * float(median), 1.0)
         weight = (1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) ** 2
         weighted = jacobian * (weight / (spread * sigma) ** 2)
-        across = tangents[:, :2]
+        across = (tangents @ travel_from_camera.T)[:, :2]
         prior[3:, 3:] = (across / direction_variance) @ across.T
         information = np.asarray(weighted @ jacobian.T + prior, np.float64)
         gradient = weighted @ residual
-        gradient[3:] += across @ ((t - direction)[:2] / direction_variance)
+        away = (travel_from_camera @ (t - direction))[:2]
+        gradient[3:] += across @ (away / direction_variance)
         n = 3 if k < _N_ROTATION_ROUNDS else 5
         regular = information[:n, :n].copy()  # it is singular if too few points have weight
         regular.flat[:: n + 1] += 1e-9 * regular.trace()
@@ -261,7 +287,7 @@ def fit_epipolar(
     is_backward = median_of((flow * (t - now * t[2])).sum(axis=1)) < 0
     return EpipolarFit(
         rotation=np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3),
-        rotation_sigma=np.sqrt(np.diag(covariance)[:3]),
+        rotation_covariance=np.asarray(covariance[:3, :3], np.float64),
         direction=-t if is_backward else t,
         direction_variance=np.asarray(np.diag(across.T @ covariance[3:, 3:] @ across), np.float64),
         is_static=np.asarray(np.abs(residual) <= max_residual),
@@ -303,17 +329,13 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
-    """Median growth of the distances from the epipole, and its standard deviation."""
-    forward = (
-        direction[2] if abs(direction[2]) >= _MIN_FORWARD else math.copysign(1.0, direction[2])
-    )
-    epipole = direction[:2] / forward if abs(direction[2]) >= _MIN_FORWARD else np.zeros(2)
-    from_epipole = turned[:, :2] - epipole
-    radius2 = (from_epipole**2).sum(axis=1)
+    """Median motion of static points in units of the depth, and its standard deviation."""
+    moved = direction[:2] - turned[:, :2] * direction[2]
+    radius2 = (moved**2).sum(axis=1)
     is_far = radius2 >= _MIN_RADIUS**2
     if not is_far.any():
         return math.nan, math.nan
-    growth = ((now[:, :2] - epipole) * from_epipole).sum(axis=1)[is_far] / radius2[is_far] - 1.0
+    growth = ((now - turned)[:, :2] * moved).sum(axis=1)[is_far] / radius2[is_far]
     median = median_of(growth)
     spread = MAD_TO_SIGMA * float(median_of(np.abs(growth - median)))
     return float(median), 1.25 * spread / math.sqrt(len(growth))

@@ -7,7 +7,8 @@ y is the horizon, the vanishing line of the road under the car; h the height of 
 curvature of the road in the vertical plane, positive where it turns upwards. A Kalman filter has
 the state
 
-    x = [y, m, k, g]        m: mean of y over the drive (mounting, load); g: error of the measured rotation per frame
+    x = [y, m, k, g, r, q]  m: mean of y over the drive (mounting, load); g: error of the measured rotation per frame
+                            r: roll; q: its mean over the drive
 
     y' = y + (pitch - g) - k V dt       the camera turns with the road, its horizon only with the pitch of the car
     k' = k exp(-V dt / l)               a random road with standard deviation and correlation length of its curvature
@@ -17,6 +18,9 @@ of travel, since a car drives parallel to the road, and the slope of the shifts 
 strips of the road (`GroundOdometry`): it belongs to the road Z ahead, whose horizon is y - k Z / 2.
 The height of a curved road at Z is a mean of the curvatures on the way with their centre at Z / 3,
 so k(Z) = k exp(-Z / 3l).
+
+All of it is in the axes of travel (right, down, forward), which are the camera's if it looks ahead.
+A camera that looks aside sees the roll as its own pitch, and the strips beside the lane measure it.
 
 Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor,
 so is 1 / k.
@@ -46,6 +50,9 @@ _CURVATURE_PER_M = 0.0003
 _CURVATURE_LENGTH_M = 80.0  # its correlation length
 # time constant to roll 0: errors of the measured rotation add up to more than a car rolls
 _ROLL_S = 0.5
+# standard deviation of a car's roll against the lanes beside it, by springs and crowns of roads
+_ROLL_RAD = 0.01
+_Y, _K, _R, _Q = 0, 2, 4, 5  # indices of y, k, r and q in the state
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,24 +97,37 @@ class RoadHorizon:
     """Kalman filter of the horizon; the state belongs to the instance."""
 
     def __init__(self) -> None:
-        self._x = np.zeros(4)
-        mounting, springs = _MOUNTING_RAD**2, _SPRINGS_RAD**2
+        self._x = np.zeros(6)
+        mounting, springs, roll = _MOUNTING_RAD**2, _SPRINGS_RAD**2, _ROLL_RAD**2
+        bias = _ROTATION_BIAS_RAD**2
         self._P = np.diag(
-            [mounting + springs, mounting, _CURVATURE_PER_M**2, _ROTATION_BIAS_RAD**2]
+            [mounting + springs, mounting, _CURVATURE_PER_M**2, bias, mounting + roll, mounting]
         )
-        self._P[0, 1] = self._P[1, 0] = mounting
-        self._roll = 0.0
+        self._P[0, 1] = self._P[1, 0] = self._P[_R, _Q] = self._P[_Q, _R] = mounting
 
     @property
     def view(self) -> RoadView:
-        """The road in the last frame."""
+        """The road in the last frame, in the axes of travel."""
+        return self.seen(np.eye(3))
+
+    def seen(self, travel_from_camera: FloatArray) -> RoadView:
+        """The road in the last frame in the axes of a camera, from which the rotation (3, 3) leads to
+        the axes of travel.
+        """
+        right, down, forward = travel_from_camera
+        # normal n of the road, and the horizon: n . (x, horizon + slope x, 1) = 0
+        n = down - self._x[_Y] * forward + self._x[_R] * right
+        horizon, slope = -n[2] / n[1], -n[0] / n[1]
+        by_state = np.zeros(6)  # derivatives of the horizon
+        by_state[[_Y, _R]] = np.array([forward, -right])[:, 1:] @ [horizon, 1.0] / n[1]
+        along = forward[2] ** 2  # curvature along the axis
         return RoadView(
-            horizon=float(self._x[0]),
-            horizon_variance=float(self._P[0, 0]),
-            slope=-self._roll,
-            curvature_per_m=float(self._x[2]),
-            curvature_variance=float(self._P[2, 2]),
-            covariance=float(self._P[0, 2]),
+            horizon=float(horizon),
+            horizon_variance=float(by_state @ self._P @ by_state),
+            slope=float(slope),
+            curvature_per_m=float(along * self._x[_K]),
+            curvature_variance=float(along**2 * self._P[_K, _K]),
+            covariance=float(along * by_state @ self._P[_K]),
         )
 
     def predict(
@@ -121,20 +141,27 @@ class RoadHorizon:
         is_known = math.isfinite(pitch_rad)
         travelled_m = abs(travelled_m) if math.isfinite(travelled_m) else 0.0
         stays = math.exp(-travelled_m / _CURVATURE_LENGTH_M)
-        F = np.eye(4)
-        F[0, 2:] = (-travelled_m, -1.0) if is_known else 0.0
-        F[2, 2] = stays
-        noise_rad = _ROTATION_RAD if is_known else _LOST_RAD
-        Q = [noise_rad**2, _MOUNTING_DRIFT_RAD**2 * dt_s, _CURVATURE_PER_M**2 * (1 - stays**2), 0.0]
+        stays_rolled = math.exp(-dt_s / _ROLL_S)
+        F = np.eye(6)
+        F[0, 2:4] = (-travelled_m, -1.0) if is_known else 0.0
+        F[_K, _K] = stays
+        F[_R, _R:] = stays_rolled, 1.0 - stays_rolled
+        pitch_noise = (_ROTATION_RAD if is_known else _LOST_RAD) ** 2
+        drift = _MOUNTING_DRIFT_RAD**2 * dt_s
+        curvature_noise = _CURVATURE_PER_M**2 * (1 - stays**2)
+        roll_noise = _ROLL_RAD**2 * (1 - stays_rolled**2)
         self._x = F @ self._x
-        self._P = F @ self._P @ F.T + np.diag(Q)
-        if is_known:
-            self._x[0] += pitch_rad
-        self._roll = math.exp(-dt_s / _ROLL_S) * (
-            self._roll + (roll_rad if math.isfinite(roll_rad) else 0.0)
+        self._P = F @ self._P @ F.T + np.diag(
+            [pitch_noise, drift, curvature_noise, 0.0, roll_noise, drift]
         )
+        if is_known:
+            self._x[_Y] += pitch_rad
+        if math.isfinite(roll_rad):
+            self._x[_R] += stays_rolled * roll_rad
         frames_per_pitch = max(2 * _SPRINGS_S / dt_s, 1.0)
-        self._update(np.array([1.0, -1.0, 0.0, 0.0]), 0.0, _SPRINGS_RAD**2 * frames_per_pitch)
+        self._update(
+            np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0]), 0.0, _SPRINGS_RAD**2 * frames_per_pitch
+        )
 
     def measure(
         self,
@@ -143,21 +170,31 @@ class RoadHorizon:
         *,
         ahead_m: float = 0.0,
         frames: float = 0.0,
+        by_roll: float = 0.0,
         max_sigma: float = math.inf,
     ) -> bool:
         """Add a measurement of the horizon, as a tangent, and its variance; False = not added, an
         outlier.
 
         The road was seen to `ahead_m`: the measurement is y - k ahead / 2. `frames` is its error
-        per constant error of the rotation between two frames, `max_sigma` the largest innovation,
-        in standard deviations.
+        per constant error of the rotation between two frames, `by_roll` per error of the roll,
+        `max_sigma` the largest innovation, in standard deviations.
         """
-        h = np.array([1.0, 0.0, -ahead_m / 2, frames])
+        h = np.array([1.0, 0.0, -ahead_m / 2, frames, by_roll, 0.0])
         S = float(h @ self._P @ h) + variance
         if abs(horizon - float(h @ self._x)) > max_sigma * math.sqrt(S):
             return False
         self._update(h, horizon, variance)
         return True
+
+    @property
+    def roll_variance(self) -> float:
+        """Variance of the roll."""
+        return float(self._P[_R, _R])
+
+    def measure_roll(self, roll: float, variance: float) -> None:
+        """Add a measurement of the roll, as a tangent, and its variance."""
+        self._update(np.eye(6)[_R], roll, variance)
 
     def _update(self, h: FloatArray, z: float, R: float) -> None:
         Ph = self._P @ h

@@ -240,7 +240,7 @@ def test_prior_by_region_and_speed():
         dt_s=0.1,
         rotation=np.eye(3),
         rotation_sigma_rad=0.001,
-        travel=np.zeros(2),
+        travel=np.array([0.0, 0.0, 1.0]),
         travelled_m=3.0,
         travelled_sigma=0.03,
         now=still.now,

@@ -9,6 +9,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.world.parallax import Parallax
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
@@ -19,7 +20,10 @@ FACES = np.random.default_rng(5).uniform(30, 220, (2, 12, 20))
 """Grey levels of the patches of each board."""
 
 
-def boards_at(distances_m, sides_m=(-5.0, 6.0), half_m=(1.9, 0.75)):
+SIDES_M = np.array([-5.0, 6.0])
+
+
+def boards_at(distances_m, sides_m=SIDES_M, half_m=(1.9, 0.75)):
     """(N, 4) boxes of boards 3.8 x 1.5 m."""
     boxes = []
     for distance_m, side_m in zip(distances_m, sides_m, strict=True):
@@ -29,10 +33,10 @@ def boards_at(distances_m, sides_m=(-5.0, 6.0), half_m=(1.9, 0.75)):
     return np.array(boxes)
 
 
-def picture(distances_m):
+def picture(distances_m, sides_m=SIDES_M):
     image = np.full((240, 640), 128.0)
     column, row = np.meshgrid(np.arange(640), np.arange(240))
-    for face, (x1, y1, x2, y2) in zip(FACES, boards_at(distances_m), strict=True):
+    for face, (x1, y1, x2, y2) in zip(FACES, boards_at(distances_m, sides_m), strict=True):
         u, v = (column - x1) / (x2 - x1) * 19, (row - y1) / (y2 - y1) * 11
         inside = (u >= 0) & (u <= 19) & (v >= 0) & (v <= 11)
         u0, v0 = (
@@ -53,21 +57,23 @@ def driven(
     sigma=0.08,
     travelled_m=WAY_M,
     starts_m=(32.0, 28.0),
+    travel=(0.0, 0.0, 1.0),
 ):
     """Ranges after some frames, and the true distances; the objects move with `speeds_mps` away
-    from the camera."""
+    from the camera, which drives in the direction `travel`."""
     parallax, flow = Parallax(CAMERA), BackgroundFlow()
     distances_m, ids = np.array(starts_m), np.array([1, 2])
+    sides_m, travel = SIDES_M, np.array(travel)
     for k in range(N_FRAMES):
-        boxes = boards_at(distances_m)
-        flow.add(picture(distances_m), boxes, DT_S * k)
+        boxes = boards_at(distances_m, sides_m)
+        flow.add(picture(distances_m, sides_m), boxes, DT_S * k)
         tracks = Tracks(ids, boxes, np.full(2, class_id), np.ones(2), np.ones(2, bool))
         step = CameraStep(
             time_s=DT_S * k,
             dt_s=DT_S,
             rotation=np.eye(3),
             rotation_sigma_rad=1e-4,
-            travel=np.zeros(2),
+            travel=travel,
             travelled_m=travelled_m,
             travelled_sigma=0.02,
             now=flow.now,
@@ -77,7 +83,8 @@ def driven(
             tracks, step if k else None, Ranges(ids, other_m, sigma * other_m)
         )
         true_m = distances_m
-        distances_m = distances_m - WAY_M + DT_S * np.array(speeds_mps)
+        distances_m = distances_m - WAY_M * travel[2] + DT_S * np.array(speeds_mps)
+        sides_m = sides_m - WAY_M * travel[0]
     return ranges, true_m
 
 
@@ -87,6 +94,13 @@ def test_distances_of_parked_cars(size_error):
     ranges, true_m = driven(size_error=size_error)
     assert ranges.distance_m == pytest.approx(true_m, rel=0.03)
     assert (ranges.sigma_m / ranges.distance_m < 0.06).all()
+
+
+@pytest.mark.parametrize("yaw_deg", [-58.0, 90.0, 180.0])
+def test_distances_from_a_camera_that_looks_aside(yaw_deg):
+    travel = Mounting(yaw_deg=yaw_deg).travel_from_camera[2]
+    ranges, true_m = driven(travel=travel)
+    assert ranges.distance_m == pytest.approx(true_m, rel=0.03)
 
 
 def test_error_of_the_way_is_an_error_of_the_distance():

@@ -9,13 +9,15 @@ from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ground_odometry import GroundOdometry, horizon_error
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.odometry.ground_odometry import GroundOdometry, plane_error
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
 from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 
 NO_BOXES = np.zeros((0, 4))
+AHEAD = Mounting()
 
 
 def fitted(rays, rho, now):
@@ -29,13 +31,14 @@ def fitted(rays, rho, now):
     )
 
 
-def epipolar_fit(rays, now):
-    ahead = np.array([0.0, 0.0, -1.0])
+def epipolar_fit(rays, now, mounting=AHEAD):
+    travel_from_camera = mounting.travel_from_camera
     return fit_epipolar(
         rays,
         now,
-        direction=ahead,
+        direction=-travel_from_camera[2],
         direction_variance=np.full(2, 0.05**2),
+        travel_from_camera=travel_from_camera,
         noise=NOISE,
         max_residual=5 * NOISE,
     )
@@ -109,25 +112,53 @@ def test_filter_ignores_one_outlier_and_bridges_gaps():
     assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0)
 
 
+@pytest.mark.parametrize("yaw_deg", [-30.0, -58.0, 90.0, 120.0, 180.0])
+@pytest.mark.parametrize("turn_rad", [-0.02, 0.0, 0.02])
+def test_yaw_and_direction_of_a_camera_that_looks_aside(yaw_deg, turn_rad):
+    """The car drives along its own axis and 0.03 rad to its right, which the fit shows."""
+    mounting = Mounting(yaw_deg=yaw_deg)
+    travel = np.array([math.sin(0.03), 0.0, math.cos(0.03)]) @ mounting.travel_from_camera
+    rays, _, now = static_scene(RigidMotion(yawed(-turn_rad), -0.7 * travel))
+    fit = epipolar_fit(rays, now, mounting)
+    sigma = math.sqrt(fit.rotation_covariance[1, 1])
+    assert sigma < 2e-3
+    assert abs(-fit.rotation[1] - turn_rad) < 4 * sigma
+    assert -fit.direction @ travel > math.cos(0.02)
+    assert fit.is_static.mean() > 0.9
+
+
 @pytest.mark.parametrize("offset_rad", [-0.008, 0.0, 0.008])
 @pytest.mark.parametrize("speed_mps", [10.0, 30.0])
 def test_horizon_error_from_strips(offset_rad, speed_mps):
     """A horizon that is too low lengthens the shifts of distant strips: s (1 + 2 Z d / h)."""
     height_m, shift_m = 1.65, speed_mps / 10
-    distance_m = np.arange(6.0, 14.0)
-    shifts_m = shift_m * (1 + 2 * distance_m * offset_rad / height_m)
+    z_m = np.arange(6.0, 14.0)
+    shifts_m = shift_m * (1 + 2 * z_m * offset_rad / height_m)
     shifts_m[3] = math.nan
-    slope = horizon_error(shift_m, distance_m, shifts_m, height_m)
-    assert slope is not None
-    assert slope.error == pytest.approx(offset_rad, abs=1e-6)
-    assert slope.distance_m == pytest.approx(np.delete(distance_m, 3).mean())
-    assert 0.001 < math.sqrt(slope.variance) < 0.005
+    error = plane_error(shift_m, np.zeros(8), z_m, shifts_m, height_m)
+    assert error is not None
+    assert error.horizon == pytest.approx(offset_rad, abs=1e-6)
+    assert error.z_m == pytest.approx(np.delete(z_m, 3).mean())
+    assert 0.001 < math.sqrt(error.variance) < 0.005
+    assert math.isinf(error.roll_variance)
+
+
+def test_horizon_and_roll_errors_from_two_lanes():
+    """s (1 + (2 Z d - X r) / h), for strips of both signs of Z beside the car."""
+    x_m, z_m = np.repeat([3.0, 4.5], 5), np.tile(np.arange(-3.0, 7.0, 2.0), 2)
+    horizon, roll = 0.01, -0.02
+    shifts_m = 1.2 * (1 + (2 * z_m * horizon - x_m * roll) / 2.0)
+    error = plane_error(1.2, x_m, z_m, shifts_m, 2.0)
+    assert error is not None
+    assert error.roll == pytest.approx(roll, abs=1e-6)
+    assert error.horizon - error.by_roll * error.roll == pytest.approx(horizon, abs=1e-6)
+    assert error.x_m == pytest.approx(3.75)
+    assert 0.005 < math.sqrt(error.roll_variance) < 0.02
 
 
 def test_horizon_error_of_few_strips_is_unknown():
-    assert (
-        horizon_error(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 1.65) is None
-    )
+    shifts_m = np.array([1.0, 1.1, math.nan])
+    assert plane_error(1.0, np.zeros(3), np.array([6.0, 8.0, 9.0]), shifts_m, 1.65) is None
 
 
 def textured_pair(seed=0):

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.road_horizon import (
     RoadHorizon,
     RoadView,
@@ -93,6 +94,32 @@ def test_roll_tilts_the_horizon_and_returns():
     for _ in range(100):
         road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, travelled_m=1.0)
     assert abs(road.view.slope) < 0.001
+
+
+def test_a_camera_that_looks_to_the_left_sees_the_roll_as_its_horizon():
+    """With 0.02 rad of pitch and 0.05 rad of roll, which raises the road on the right of the car:
+    the camera sees the left, where it is lower, and its own right side is the front of the car."""
+    road = RoadHorizon()
+    road.measure(0.02, 1e-12)
+    road.measure_roll(0.05, 1e-12)
+    view = road.seen(Mounting(yaw_deg=90.0).travel_from_camera)
+    assert view.horizon == pytest.approx(0.05, abs=1e-4)
+    assert view.slope == pytest.approx(0.02, abs=1e-4)
+    back = road.seen(Mounting(yaw_deg=180.0).travel_from_camera)
+    assert (back.horizon, back.slope) == pytest.approx((-0.02, 0.05), abs=1e-4)
+
+
+def test_a_pitched_camera_sees_the_horizon_above_its_axis():
+    view = RoadHorizon().seen(Mounting(pitch_deg=2.0).travel_from_camera)
+    assert view.horizon == pytest.approx(-math.tan(math.radians(2.0)))
+
+
+def test_variance_of_the_horizon_of_a_camera_that_looks_aside():
+    """At 30 degrees: cos 30 of the pitch and sin 30 of the roll, both unknown by themselves."""
+    road = RoadHorizon()
+    road.measure(0.0, 1e-12)
+    view = road.seen(Mounting(yaw_deg=-30.0).travel_from_camera)
+    assert view.horizon_variance == pytest.approx(0.25 * road.roll_variance, rel=1e-3)
 
 
 def test_scaled_lengths():

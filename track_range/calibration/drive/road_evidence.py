@@ -104,9 +104,9 @@ class RoadEvidence:
             if self.has_horizon:
                 if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
                     self.lane_rows.append(row[0])
-                epipole_px = travel.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
-                if np.isfinite(epipole_px[1]):
-                    self.travel_rows.append(epipole_px[1])
+                motion = travel.update(frame.left, frame.time_s, detections.xyxy_px)
+                if np.isfinite(motion.travel[1]):
+                    self.travel_rows.append(camera.fy_px * motion.travel[1] + camera.cy_px)
             self.n_frames += 1
             advance(self.n_frames, None)
 

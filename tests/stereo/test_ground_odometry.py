@@ -1,0 +1,71 @@
+"""GroundOdometry in a street without end: a road, a wall on either side, all with known texture."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
+
+CAMERA = PinholeCamera(240.0, 240.0, 240.0, 135.0, 480, 270)
+COLUMN, ROW = np.meshgrid(np.arange(480.0), np.arange(270.0))
+RAYS = CAMERA.rays(np.stack([COLUMN.ravel(), ROW.ravel()], axis=1))
+NO_BOXES = np.zeros((0, 4))
+HEIGHT_M, WALL_M, CELL_M, DT_S = 1.8, 9.0, 0.15, 0.1
+TEXTURE = cv2.GaussianBlur(
+    np.random.default_rng(3).uniform(0, 255, (512, 512)).astype(np.float32), (0, 0), 0.8
+)
+
+
+def street(mounting, z_m, heading_rad=0.0):
+    """The image at `z_m` along the street."""
+    turn = cv2.Rodrigues(np.array([0.0, heading_rad, 0.0]))[0]
+    x, y, z = turn @ mounting.travel_from_camera @ RAYS.T
+    to_road = HEIGHT_M / np.maximum(y, 1e-9)
+    to_wall = WALL_M / np.maximum(np.abs(x), 1e-9)
+    distance_m = np.minimum(to_road, to_wall)
+    along_m = z_m + distance_m * z
+    across_m = np.where(to_road < to_wall, distance_m * x, 40.0 * np.sign(x) + distance_m * y)
+    maps = [np.asarray(m / CELL_M % 511, np.float32).reshape(270, 480) for m in (across_m, along_m)]
+    grey = cv2.remap(TEXTURE, *maps, cv2.INTER_LINEAR)
+    fade = np.minimum(1.0, 25.0 / distance_m).reshape(270, 480)  # far texture would be aliased
+    return np.asarray(128 + fade * (grey - 128), np.uint8)
+
+
+def driven(true, assumed, *, speed_mps=8.0, n=11, yaw_rad_s=0.0):
+    """The odometry of an assumed mounting, and its motions along the street."""
+    odometry = GroundOdometry(CAMERA, HEIGHT_M, travel_from_camera=assumed.travel_from_camera)
+    motions = [
+        odometry.update(
+            Frame(k, k * DT_S, street(true, speed_mps * k * DT_S, yaw_rad_s * k * DT_S), None),
+            NO_BOXES,
+        )
+        for k in range(n)
+    ]
+    return odometry, motions
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, -30.0, -58.0, 90.0, 180.0])
+def test_speed_and_yaw_rate_whatever_the_mounting(yaw_deg):
+    mounting = Mounting(yaw_deg=yaw_deg, pitch_deg=5.0)
+    _, motions = driven(mounting, mounting)
+    speeds_mps = np.array([motion.speed_mps for motion in motions[4:]])
+    sigmas_mps = np.array([motion.speed_sigma_mps for motion in motions[4:]])
+    assert np.isfinite(speeds_mps).all()
+    assert speeds_mps.mean() == pytest.approx(8.0, rel=0.03)
+    assert (np.abs(speeds_mps - 8.0) < 3 * sigmas_mps).all()
+    assert (sigmas_mps < 1.0).all()
+    assert np.abs([motion.yaw_rad_s for motion in motions[4:]]).max() < 0.02
+
+
+def test_pitch_of_a_camera_that_looks_aside_is_measured():
+    """Lanes beside the car show that the camera looks down by 2 degrees, which was not given."""
+    odometry, motions = driven(Mounting(yaw_deg=90.0, pitch_deg=2.0), Mounting(yaw_deg=90.0), n=16)
+    sigma = math.sqrt(odometry.view.horizon_variance)
+    assert odometry.view.horizon == pytest.approx(-math.tan(math.radians(2.0)), abs=2.5 * sigma)
+    assert 0.001 < sigma < 0.02
+    assert motions[-1].speed_mps == pytest.approx(8.0, abs=2 * motions[-1].speed_sigma_mps)
