@@ -100,7 +100,8 @@ class Doubt:
         is_given = ego.given is not None and ego.trusts_given
         sigma = self.given_sigma if is_given else self.odometry_sigma
         speed_sigma_mps = math.hypot(motion.speed_sigma_mps, sigma * motion.speed_mps)
-        return replace(motion, speed_sigma_mps=speed_sigma_mps)
+        right_sigma_mps = math.hypot(motion.right_sigma_mps, sigma * motion.right_mps)
+        return replace(motion, speed_sigma_mps=speed_sigma_mps, right_sigma_mps=right_sigma_mps)
 
 
 def _sigma_of_pair(cameras: CameraPosterior, rig: RigScale, focal: FocalScale) -> float:

@@ -2,10 +2,10 @@ r"""LateralMotion: lateral position and speed of tracks relative to the camera, 
 per track.
 
          o ---> u      The state is the lateral position x of the object's centre and its lateral speed u along the
-        /              current x axis. The camera yaws with the rate w (positive = to the right) at the speed V:
-    z  /                   x' = u - w z        u' = -w (z' + V)
-      / x              so that a static object has u = 0 in a bend, too. Without w, u is the rate of x.
-     []
+        /              current x axis. The camera yaws with the rate w (positive = to the right) at the speed V along
+    z  /               its axis and U to the right of it:
+      / x                  x' = u - U - w z        u' = -w (z' + V)
+     []                so that a static object has u = 0 in a bend and aside, too. Without w, it does not turn.
 
 The measurement is the middle of the box's left and right edges, each at its depth: the near edge at
 the distance d, the inner edge of an object beside the axis at up to d + L, since the box of a
@@ -120,6 +120,7 @@ class LateralFilters:
         distance_sigma_m: FloatArray | float = 0.0,
         yaw_rad_s: float = math.nan,
         own_mps: FloatArray | float = 0.0,
+        right_mps: float = 0.0,
     ) -> LateralMotion:
         """Lateral motion of N tracks after the measurements of a frame, not earlier than the
         previous one.
@@ -127,7 +128,8 @@ class LateralFilters:
         Predicted boxes and boxes truncated at the left or right border are not measured. The
         distances z (N,), NaN = unknown, have standard deviations of the errors that change from
         frame to frame. `yaw_rad_s` is the camera's yaw rate w, positive = to the right, NaN =
-        unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
+        unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown; `right_mps` the camera's
+        speed U to the right of its axis, NaN = unknown.
         """
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
@@ -137,11 +139,9 @@ class LateralFilters:
         is_stale = ~(time_s - last.measured_s <= _MAX_GAP_S)
         dt = time_s - last.time_s
         state = ConstantVelocity(*last[:5]).predict(dt, q=_ACCELERATION_NOISE**2)
-        if math.isfinite(yaw_rad_s):
-            turned = yaw_rad_s * dt
-            state = replace(
-                state, x=state.x - turned * np.nan_to_num(distance_m), v=state.v - turned * own_mps
-            )
+        turned = np.nan_to_num(yaw_rad_s) * dt
+        moved_m = turned * np.nan_to_num(distance_m) + np.nan_to_num(right_mps) * dt
+        state = replace(state, x=state.x - moved_m, v=state.v - np.nan_to_num(turned * own_mps))
         innovation = x - state.x
         is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (state.P_xx + R))
         is_measured, starts = (

@@ -5,11 +5,11 @@ World frame `map`: origin at the camera in the first frame with a known speed, x
 axis, y to the left, z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The
 road is taken to be a plane.
 
-    psi' = psi - w dt        x' = x + V dt cos(psi - w dt / 2)        y' = y + V dt sin(psi - w dt / 2)
+    psi' = psi - w dt        [x' y'] = [x y] + R(psi - w dt / 2) [V -U] dt
 
-V is the speed, w the yaw rate (positive = to the right). The errors of speed and yaw rate have a
-part that all frames share (scale, bias), whose effect J on the pose grows with the distance
-travelled, and a part that decays within a second:
+V is the speed along the axis, U that to the right of it, w the yaw rate (positive = to the right).
+The errors of both speeds and the yaw rate have a part that all frames share (scale, bias), whose
+effect J on the pose grows with the distance travelled, and a part that decays within a second:
 
     P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
 """
@@ -67,8 +67,8 @@ class EgoPath:
 
     def __init__(self) -> None:
         self._pose = EgoPose()
-        self._speed_mps = math.nan
-        self._P, self._J = np.zeros((3, 3)), np.zeros((3, 2))
+        self._velocity_mps = math.nan, math.nan
+        self._P, self._J = np.zeros((3, 3)), np.zeros((3, 3))
         self._time_s = self._known_s = math.nan
 
     def update(self, time_s: float, motion: EgoMotion) -> EgoPose:
@@ -80,30 +80,32 @@ class EgoPath:
             self._known_s = time_s
         elif math.isnan(self._known_s):
             return self._pose
-        V = motion.speed_mps if math.isfinite(motion.speed_mps) else self._speed_mps
-        sigma = (
-            motion.speed_sigma_mps
-            if math.isfinite(motion.speed_sigma_mps)
-            else _UNKNOWN_SPEED_SIGMA * abs(V)
-        )
+        V, U = self._velocity_mps
+        if math.isfinite(motion.speed_mps):
+            V, U = motion.speed_mps, motion.right_mps
+        sigma, sigma_U = motion.speed_sigma_mps, motion.right_sigma_mps
+        if not math.isfinite(sigma):
+            sigma, sigma_U = _UNKNOWN_SPEED_SIGMA * abs(V), _UNKNOWN_SPEED_SIGMA * abs(U)
         w, sigma_w = motion.yaw_rad_s, YAW_NOISE_RAD_S
         if math.isnan(w):
-            w, sigma_w = 0.0, UNKNOWN_LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
+            w, sigma_w = 0.0, UNKNOWN_LATERAL_MPS2 / max(math.hypot(V, U), _MIN_SPEED_MPS)
         if motion.is_still:
-            V, sigma, w, sigma_w = 0.0, 0.0, 0.0, 0.0
-        self._speed_mps = V
+            V, U, sigma, sigma_U, w, sigma_w = np.zeros(6).tolist()
+        self._velocity_mps = V, U
         if math.isnan(self._pose.x_m):
             self._pose = EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))
             return self._pose
         lost_s = time_s - self._known_s
         psi = self._pose.heading_rad - w * dt / 2
         along = np.array([math.cos(psi), math.sin(psi), 0.0])
-        step = V * dt
+        right = np.array([along[1], -along[0], 0.0])
+        dx, dy, _ = ((V * along + U * right) * dt).tolist()
         F = np.eye(3)
-        F[0, 2], F[1, 2] = -step * along[1], step * along[0]
-        turn = np.array([step / 2 * along[1], -step / 2 * along[0], -1.0]) * dt  # d pose' / d w
+        F[0, 2], F[1, 2] = -dy, dx
+        turn = np.array([dy / 2, -dx / 2, -1.0]) * dt  # d pose' / d w
         bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
-        self._J = F @ self._J + np.stack([along * sigma * dt, turn * bias], axis=1)
+        shared = np.stack([along * sigma * dt, right * sigma_U * dt, turn * bias], axis=1)
+        self._J = F @ self._J + shared
         gap_m = _GAP_MPS2 * lost_s * dt
         turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
         self._P = (
@@ -112,8 +114,8 @@ class EgoPath:
             + np.outer(along, along) * gap_m**2
         )
         self._pose = EgoPose(
-            self._pose.x_m + step * float(along[0]),
-            self._pose.y_m + step * float(along[1]),
+            self._pose.x_m + dx,
+            self._pose.y_m + dy,
             self._pose.heading_rad - w * dt,
             self._P + self._J @ self._J.T,
         )

@@ -2,7 +2,7 @@
 ego motion.
 
     u = v + V - w x    speed along the optical axis: filtered rate v of the distance, ego speed V, yaw rate w
-    x'                 speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
+    x'                 speed to the right of it over ground (`LateralFilters`, which removes the motion of the camera)
 
 The filter has the probability q that an object moves along the axis, and the moments of u over both
 cases; the moments of u for moving objects follow. x' has the variance B = f P_x'x' (f since errors
@@ -14,7 +14,8 @@ B):
     R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
 
 The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their
-differences.
+differences. A wrong size is a wrong x' of objects at rest, too, if the camera moves to its right:
+the variance of its speed U and s^2 U^2 are part of B, with the systematic error s of the distance.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from track_range.ranging.world.ego_path import EgoPose
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 MotionState = Literal["parked", "moving", "oncoming", "crossing"]
-# codes: at rest, along, against, across
+# codes: at rest, along the drive, against it, across
 MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
 _PARKED = 0
 _PERSON = ROAD_CLASSES.index("person")
@@ -113,7 +114,8 @@ def over_ground(
     sigma_V = sigma_V if math.isfinite(sigma_V) else _UNKNOWN_EGO_SIGMA_MPS
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
     is_person = class_id == _PERSON
-    u, right, B = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v, _RATE_FACTOR * x.P_vv
+    u, right = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v
+    B = _RATE_FACTOR * x.P_vv + s2 * ego.right_mps**2 + ego.right_sigma_mps**2
 
     # Moments of u where the object moves along the axis.
     q = np.maximum(
@@ -161,7 +163,11 @@ def _log_ratio(rate: FloatArray, variance: FloatArray, sigma: FloatArray | float
 class ObjectMotions:
     """Motion of all tracks of a video in the world; their states have a memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, axis_rad: float = 0.0) -> None:
+        """`axis_rad` is the direction of the camera's axis from that of the drive, positive = to the
+        left, since states are relative to the drive.
+        """
+        self._axis_rad = axis_rad
         # state, next state, since when its condition holds, time
         self._tracks = TrackState(np.full(4, np.nan))
 
@@ -192,7 +198,8 @@ class ObjectMotions:
         """
         last, pending, since_s, _ = self._tracks.get(track_id)
         p = ground.moving
-        angle = np.abs(np.arctan2(ground.right_mps, ground.along_mps))
+        angle = np.arctan2(-ground.right_mps, ground.along_mps) + self._axis_rad
+        angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
         n_directions = len(MOTION_STATES) - 1
         directions = np.stack(
             [np.zeros_like(p), np.full_like(p, np.pi), np.full_like(p, np.pi / 2)]

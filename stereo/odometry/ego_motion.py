@@ -23,6 +23,10 @@ class EgoMotion:
     speed_sigma_mps: float = math.nan  # its standard deviation; NaN = not measured
     yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right; NaN = not measured
     is_still: bool = False  # whether the camera is at rest; False if unknown
+    # speed to the right of the optical axis, of a camera that does not look along the drive, and its
+    # standard deviation; NaN like the speed
+    right_mps: float = 0.0
+    right_sigma_mps: float = 0.0
     is_predicted: bool = False  # whether the speed is that of an earlier frame
     # the part of the standard deviation of the speed that is new in each frame; the rest lasts
     noise_mps: float = 0.0
@@ -30,7 +34,7 @@ class EgoMotion:
     stretch: float = math.nan
 
     def scaled(self, factor: float) -> "EgoMotion":
-        """The motion with the speed and its standard deviations times a factor."""
+        """The motion with the speed along the axis and its standard deviations times a factor."""
         return replace(
             self,
             speed_mps=self.speed_mps * factor,

@@ -1,7 +1,7 @@
-"""EgoSpeed: forward speed of the camera along its optical axis over the time of the video.
+"""EgoSpeed: forward speed over the time of the video, of the vehicle if the camera's mounting is
+known, else of the camera along its optical axis.
 
-The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera
-is not modelled.
+The speed is interpolated linearly between samples and is NaN outside them.
 """
 
 from __future__ import annotations
@@ -24,22 +24,24 @@ TABLE_SIGMA_MPS = 0.2
 
 @dataclass(frozen=True, slots=True)
 class EgoSpeed:
-    """Samples of the camera's speed."""
+    """Samples of the speed."""
 
     # (N,) increasing, seconds from the video's first frame; a single -inf = constant speed
     time_s: FloatArray
-    speed_mps: FloatArray  # (N,) along the camera's axis, negative = backwards
+    speed_mps: FloatArray  # (N,) forwards, negative = backwards
     source: str  # where the samples come from, for notes
     speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples
     time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
     # (N, 2) latitude and longitude, to check the speeds; None = unknown
     positions_deg: FloatArray | None = None
+    # (N,) speed of the vehicle over ground, if `speed_mps` is along the camera's axis; None = unknown
+    over_ground_mps: FloatArray | None = None
 
-    def along(self, yaw_deg: float) -> EgoSpeed:
-        """The speed along an axis that is `yaw_deg` to the side of the camera's axis."""
-        fraction = math.cos(math.radians(yaw_deg))
-        sigma_mps = abs(fraction) * self.speed_sigma_mps
-        return replace(self, speed_mps=fraction * self.speed_mps, speed_sigma_mps=sigma_mps)
+    def of_vehicle(self) -> EgoSpeed:
+        """The speed of the vehicle, for a camera whose mounting is known."""
+        if self.over_ground_mps is None:
+            return self
+        return replace(self, speed_mps=self.over_ground_mps)
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""

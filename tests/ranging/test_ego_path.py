@@ -77,3 +77,17 @@ def test_a_gap_is_bridged_with_a_growing_sigma():
 def test_unknown_yaw_is_less_certain():
     known, unknown = driven(51)[-1], driven(51, yaw_rad_s=math.nan)[-1]
     assert unknown.sigmas[2] > 3 * known.sigmas[2]
+
+
+def test_a_camera_that_looks_aside_takes_the_same_path():
+    """A camera that looks 90 degrees to the left moves to its right."""
+    ahead, aside = EgoPath(), EgoPath()
+    for i in range(51):
+        ahead_pose = ahead.update(STEP_S * i, EgoMotion(10.0, 0.1, 0.2))
+        seen = EgoMotion(0.0, 0.0, 0.2, right_mps=10.0, right_sigma_mps=0.1)
+        pose = aside.update(STEP_S * i, seen)
+    # x of the map is the first axis, to the left of the drive
+    assert (-pose.y_m, pose.x_m) == pytest.approx((ahead_pose.x_m, ahead_pose.y_m))
+    assert pose.heading_rad == pytest.approx(ahead_pose.heading_rad)
+    x, y, heading = ahead_pose.sigmas
+    assert pose.sigmas == pytest.approx((y, x, heading))

@@ -192,3 +192,16 @@ def test_predicted_boxes_and_long_gaps() -> None:
 def test_no_tracks() -> None:
     offsets = Course(CAMERA).update(tracks([]), np.zeros(0), np.zeros(0), 0.0)
     assert len(offsets.lateral_offset_m) == 0
+
+
+def test_object_at_rest_beside_a_camera_that_moves_across_its_axis() -> None:
+    """The camera moves to its right by 8 m/s, so that the object moves to the left in its frame."""
+    filters, over_ground, still = LateralFilters(CAMERA), [], LateralFilters(CAMERA)
+    for number in range(8):
+        seen = tracks([box(4.0 - 0.8 * number, 20.0, 1.8)])
+        time_s, distance_m = number * STEP_S, np.array([20.0])
+        motion = filters.update(seen, distance_m, time_s, right_mps=8.0)
+        over_ground.append(motion.state.v[0])
+        relative = still.update(seen, distance_m, time_s, right_mps=np.nan)
+    assert np.abs(over_ground).max() < 0.5  # the inner edge may be at the far end of a car
+    assert relative.state.v[0] == pytest.approx(-8.0, abs=1.5)

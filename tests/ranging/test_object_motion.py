@@ -88,9 +88,9 @@ def test_unknown_ego_speed_and_uncertain_rates_have_no_speed():
     assert np.isnan(ground_of([-2.0], [3.0], rate_sigma_mps=4.0).speed_mps).all()
 
 
-def states_of(rates_mps, rights_mps, *, step_s=0.1):
+def states_of(rates_mps, rights_mps, *, step_s=0.1, motions=None):
     """State of one car in each frame, None = unknown."""
-    motions, states = ObjectMotions(), []
+    motions, states = motions or ObjectMotions(), []
     for i, (rate, right) in enumerate(zip(rates_mps, rights_mps, strict=True)):
         found = motions.update(
             np.array([4]),
@@ -138,3 +138,20 @@ def test_world_positions_and_headings_turn_with_the_pose():
     _, found = states_of([-2.0] * 4, [0.0] * 4)  # the ego vehicle looks along y
     assert (found.world_x_m[0], found.world_y_m[0]) == pytest.approx((5.0 + 1.0, 20.0))
     assert found.heading_deg[0] == pytest.approx(90.0)
+
+
+def test_states_of_a_camera_that_looks_aside_are_relative_to_the_drive():
+    """A car that overtakes, seen by a camera that looks 90 degrees to the right, moves to its left."""
+    for axis_rad, state in ((-math.pi / 2, "moving"), (math.pi / 2, "oncoming"), (0.0, "crossing")):
+        states, _ = states_of([-EGO_MPS] * 6, [-12.0] * 6, motions=ObjectMotions(axis_rad))
+        assert states[-1] == state
+
+
+def test_size_error_of_an_object_at_rest_is_no_speed_across():
+    """A camera at 10 m/s to its right sees a car at rest, which is read 5 % too near, move by 0.5 m/s."""
+    motion, lateral = motion_of([0.0], sigma_m=1.0, static=[0.97]), lateral_of([0.5])
+    ego = EgoMotion(0.0, 0.05, right_mps=10.0, right_sigma_mps=0.3)
+    assert over_ground(motion, lateral, np.array([CAR]), ego).moving[0] < 0.1
+    straight = EgoMotion(0.0, 0.05)
+    without = over_ground(motion, lateral_of([0.5], sigma_mps=0.1), np.array([CAR]), straight)
+    assert without.moving[0] > 0.3

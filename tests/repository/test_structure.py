@@ -38,9 +38,9 @@ MOST_STATEMENTS = {
     # the direction of travel beside the principal point (28), a segment in which the right camera
     # moved (15), and noise of speeds (1)
     # a movement for the summary (+15)
-    # where a camera is in its vehicle (72)
+    # where a camera is in its vehicle (75)
     # speed, yaw rate and horizon of a camera that looks in any direction (70)
-    "stereo": 9_307,
+    "stereo": 9_310,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -51,7 +51,8 @@ MOST_STATEMENTS = {
     # the posterior along such a likelihood (24)
     # known metres as evidence of the posterior (18), and the errors of sizes in one place (11)
     # known distances as evidence of the scale of a pair (+39)
-    "ranging": 6_885,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # a camera that moves across its axis (10)
+    "ranging": 6_895,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -80,15 +81,16 @@ MOST_STATEMENTS = {
     # the right camera is followed also where the speed of the pair is not used (3)
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
     # slopes in speeds by the road, and the notes of the road (5)
-    "pipeline": 859,
+    # the motion of the vehicle as that of a camera (12)
+    "pipeline": 871,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
     # with any of OpenCV's coefficients (2); a wide lens is named (10)
     # images in memory without a calibration (15)
     # the images shortly after each keyframe, which are enough to find turns (32)
-    # the direction of a view in the vehicle (7)
-    "recording": 7_337,
+    # the direction of a view in the vehicle, and the speed over ground of a table (12)
+    "recording": 7_342,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
@@ -101,8 +103,8 @@ MOST_STATEMENTS = {
     # a movement in the summary (+4)
     # the boxes of the pre-pass are used again (13)
     # known distances for pairs (+7)
-    # the mounting of a camera as an option (25)
-    "run": 2_368,
+    # the mounting of a camera as an option (26)
+    "run": 2_369,
     "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)

@@ -7,6 +7,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import (
     PREDICTED_NOISE,
     Ego,
@@ -37,6 +38,8 @@ class EgoStage:
     # relative standard deviation of a given speed over the measured one, before the drive
     speed_ratio_sigma: float = 1.0
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`
+    # of the camera in the vehicle whose speed is given; None = it is that along the axis
+    mounting: Mounting | None = None
     given_speed: GivenSpeed = field(default_factory=GivenSpeed)  # against that of the images
     # motion in the last frame that was measured, and its time
     _last: tuple[float, EgoMotion] = (math.nan, EgoMotion())
@@ -95,7 +98,7 @@ class EgoStage:
         if given is not None:
             shown = (by_pair, by_road) if has_sure_time else (None, None)
             used = self._weighed(frame.time_s, given, *shown, scale, known)
-            used = scale.focal.stretched(used)
+            used = scale.focal.stretched(self._of_camera(used, motion.yaw_rad_s))
         ego = Ego(
             motion=_with_given(motion, used, trusts_given=trusts_given),
             by_pair=by_pair,
@@ -157,9 +160,29 @@ class EgoStage:
             sigma_mps = math.hypot(last.speed_sigma_mps, grown_mps)
             motion = replace(last, speed_sigma_mps=sigma_mps, is_predicted=True)
         given = self._given(time_s, known)
-        used = None if given is None else focal.stretched(given)
+        used = None
+        if given is not None:
+            used = focal.stretched(self._of_camera(given, last.yaw_rad_s))
         motion = _with_given(motion, used, trusts_given=trusts_given)
         return Ego(motion=motion, given=given, trusts_given=trusts_given)
+
+    def _of_camera(self, vehicle: EgoMotion, yaw_rad_s: float) -> EgoMotion:
+        """The motion of the camera, of that of its vehicle along x, which turns with a yaw rate.
+
+        An error of the angles moves the camera across its motion.
+        """
+        if self.mounting is None:
+            return vehicle
+        right_mps, _, forward_mps = self.mounting.velocity_mps(vehicle.speed_mps, yaw_rad_s)
+        right, _, forward = self.mounting.velocity_mps(vehicle.speed_sigma_mps)
+        angle = math.radians(self.mounting.sigma_deg)
+        return replace(
+            vehicle,
+            speed_mps=float(forward_mps),
+            speed_sigma_mps=math.hypot(forward, angle * right_mps),
+            right_mps=float(right_mps),
+            right_sigma_mps=math.hypot(right, angle * forward_mps),
+        )
 
     def _given(self, time_s: float, known: EgoMotion | None) -> EgoMotion | None:
         if known is not None or self.speed is None:

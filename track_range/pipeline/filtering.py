@@ -24,8 +24,9 @@ from track_range.tracking.tracks import Tracks
 
 # lateral speed, and standard deviations of it, above which an object moves
 _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
-# error of the lateral speed relative to w z in turns, from the error of the distance z
-_TURN_ERROR = 0.2
+# error of the lateral speed relative to w z in turns, and to that of the camera, from the error of
+# the distance z
+_SCALE_ERROR = 0.2
 FUSED_NOISE_FRACTION = (
     0.35  # initial fraction of the fused sigma that is independent between frames
 )
@@ -127,6 +128,7 @@ class FilterStage:
             distance_sigma_m=np.sqrt(motion.state.P_xx),
             yaw_rad_s=ego.yaw_rad_s,
             own_mps=own_mps,
+            right_mps=ego.right_mps,
         )
         if not self._is_ahead:
             filtered["fused"] = replace(motion, ttc_s=np.full(len(tracks), np.nan))
@@ -136,7 +138,8 @@ class FilterStage:
         """(N,) False = the track certainly moves across the camera's axis."""
         last = self._lateral.last(tracks.track_id)
         across_mps = _ACROSS_MPS + _ACROSS_SIGMA * np.sqrt(last.P_vv)
-        across_mps += _TURN_ERROR * np.nan_to_num(abs(ego.yaw_rad_s) * fused.distance_m)
+        turned_mps = np.nan_to_num(abs(ego.yaw_rad_s) * fused.distance_m)
+        across_mps += _SCALE_ERROR * (turned_mps + np.nan_to_num(abs(ego.right_mps)))
         return np.asarray(~(np.abs(last.v) > across_mps))
 
     def _are_hidden(self, tracks: Tracks, fused: Fused) -> BoolArray | None:

@@ -37,10 +37,14 @@ class World:
 class WorldStage:
     """Places the tracks of a drive in the world of its first frame."""
 
-    def __init__(self, camera: PinholeCamera, *, centre_sigma_px: float = 0.0) -> None:
-        """`centre_sigma_px` is the standard deviation of the camera's principal point."""
+    def __init__(
+        self, camera: PinholeCamera, *, centre_sigma_px: float = 0.0, axis_deg: float = 0.0
+    ) -> None:
+        """`centre_sigma_px` is the standard deviation of the camera's principal point, and
+        `axis_deg` the direction of its axis from that of the drive, positive = to the left.
+        """
         self._camera, self._centre_sigma_px = camera, centre_sigma_px
-        self._path, self._motions = EgoPath(), ObjectMotions()
+        self._path, self._motions = EgoPath(), ObjectMotions(math.radians(axis_deg))
 
     def update(
         self,

@@ -87,6 +87,8 @@ def open_pipeline(
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
+    if ego_speed is not None and mounting is not None:
+        ego_speed = ego_speed.of_vehicle()
     ego = _ego_stage(
         context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
     )
@@ -109,7 +111,11 @@ def open_pipeline(
         filtering=FilterStage(
             camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
         ),
-        world=WorldStage(camera, centre_sigma_px=calibration.centre_sigma_px),
+        world=WorldStage(
+            camera,
+            centre_sigma_px=calibration.centre_sigma_px,
+            axis_deg=0.0 if mounting is None else mounting.yaw_deg,
+        ),
         alarming=AlarmStage(camera, warning),
         setup_notes=(*appearance_notes, *(() if is_ahead else (_NOT_AHEAD,))),
     )
@@ -162,7 +168,8 @@ def _ego_stage(
     pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
     if mounting is not None and not mounting.is_ahead:
         return EgoStage(
-            speed=None if ego_speed is None else ego_speed.along(mounting.yaw_deg),
+            speed=ego_speed,
+            mounting=mounting,
             pair_odometry=pair_odometry,
             uses_pair_speed=False,
         )
@@ -175,6 +182,7 @@ def _ego_stage(
         road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
         has_road_scale=measures_speed and ego_speed is None and is_height_known,
         speed_ratio_sigma=speed_ratio_sigma(priors),
+        mounting=mounting,
     )
 
 

@@ -29,6 +29,7 @@ from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidenc
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.right_camera.correction import RightCamera
@@ -354,3 +355,24 @@ class _SteadyOdometry:
 
     def update(self, frame: Frame, xyxy_px: np.ndarray) -> EgoMotion:
         return EgoMotion(9.0, 0.1, 0.1)
+
+
+def test_given_speed_of_the_vehicle_is_turned_to_the_axes_of_the_camera():
+    speed = EgoSpeed(np.array([0.0, 2.0]), np.array([10.0, 10.0]), "a file", speed_sigma_mps=0.2)
+    mounting = Mounting(yaw_deg=-60.0, x_m=2.0, sigma_deg=1.0)
+    motion = EgoStage(speed=speed, mounting=mounting).update(frame(), NO_BOXES).motion
+    assert (motion.speed_mps, motion.right_mps) == pytest.approx((5.0, -8.660), abs=1e-3)
+    # 1 degree of the angle moves it across: 0.0175 x 8.66 = 0.151, 0.0175 x 5 = 0.087
+    assert motion.speed_sigma_mps == pytest.approx(math.hypot(0.1, 0.151), abs=1e-3)
+    assert motion.right_sigma_mps == pytest.approx(math.hypot(0.173, 0.087), abs=1e-3)
+
+
+def test_camera_away_from_the_reference_point_moves_in_turns():
+    stage = EgoStage(
+        speed=EgoSpeed(np.array([-np.inf]), np.array([9.0]), "a number"),
+        pair_odometry=_SteadyOdometry(),
+        mounting=Mounting(x_m=2.0, y_m=1.0),
+    )
+    motion = stage.update(frame(), NO_BOXES).motion
+    # 0.1 rad/s to the right, 2 m in front and 1 m to the left of the reference point
+    assert (motion.speed_mps, motion.right_mps) == pytest.approx((9.1, 0.2))

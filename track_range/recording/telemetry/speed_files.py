@@ -24,6 +24,7 @@ from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS, EgoSpeed
 
 _MPS_PER_KMH = 1 / 3.6
 _MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller
+_OVER_GROUND = "speed_over_ground_mps"  # column of a table whose speeds are along the camera's axis
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed column to m/s
 # of a constant speed; assumed: one that a person reads from a speedometer
 _CONSTANT_SIGMA_MPS = 1.0
@@ -78,7 +79,11 @@ def _from_csv(path: Path) -> EgoSpeed:
             f"{path}: expected time_s to increase from row to row; sort the rows "
             "and drop duplicates."
         )
-    return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
+    over_ground_mps = None
+    if _OVER_GROUND in table:
+        over_ground_mps = _plausible(table.finite(_OVER_GROUND), str(path))
+    speed_mps = _plausible(speed_mps, str(path))
+    return EgoSpeed(time_s, speed_mps, path.name, over_ground_mps=over_ground_mps)
 
 
 def _from_oxts(folder: Path) -> EgoSpeed:

@@ -47,6 +47,15 @@ def test_header_gives_the_unit(tmp_path, unit, factor):
     assert ego.at(2.2) == pytest.approx(20 * factor)
 
 
+def test_speed_over_ground_is_that_of_the_vehicle(tmp_path):
+    path = tmp_path / "speed.csv"
+    path.write_text("time_s,speed_mps,speed_over_ground_mps\n0,5,10\n1,6,12\n")
+    along = open_ego_speed(str(path))
+    assert (along.at(0.5), along.of_vehicle().at(0.5)) == (5.5, 11.0)
+    path.write_text("time_s,speed_mps\n0,5\n1,6\n")
+    assert open_ego_speed(str(path)).of_vehicle().at(0.5) == 5.5
+
+
 def test_unknown_outside_the_file_and_in_long_gaps(tmp_path):
     ego = open_ego_speed(csv_file(tmp_path, "time_s,speed_mps\n0,10\n1,10\n9,10\n10,12\n"))
     assert [math.isnan(ego.at(t)) for t in (-0.3, -0.2, 0.5, 5.0, 9.5, 10.2, 10.3)] == [
