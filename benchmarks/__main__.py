@@ -57,6 +57,10 @@ WORKLOADS = {
     "lanes": ("accuracy.detection.lanes", "lane detectors: time, accuracy, agreement"),
     "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
     "occlusion": ("accuracy.ranging.occlusion", "stereo matchers for road users behind obstacles"),
+    "mountings": (
+        "accuracy.ranging.mountings",
+        "cameras that look aside and back, and given heights, on real roads",
+    ),
     "odometry": ("accuracy.ranging.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
     "processor_time": (

@@ -105,7 +105,9 @@ MOST_STATEMENTS = {
     # known distances for pairs (+7)
     # the mounting of a camera as an option (26)
     "run": 2_369,
-    "simulation": 3_220,  # a street with a bend, from which the focal length of a camera follows (25)
+    # a street with a bend, from which the focal length of a camera follows (25), and cameras that
+    # look to any side from any place of the vehicle (24)
+    "simulation": 3_244,
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)
     "views": 2_614,

@@ -36,7 +36,7 @@ from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.settings import DriveOptions
+from track_range.simulation.settings import DriveOptions, mounting_of
 from track_range.simulation.tables import (
     TRUTH_HEADER,
     contacts_text,
@@ -134,7 +134,7 @@ def write_drive(
     drive = Drive.in_folder(
         folder, is_lossless=options.lossless, is_packed=options.stereo_layout is not None
     )
-    save_rig(rig_in_file(rig, options), drive.rig)
+    save_rig(rig_in_file(rig, options), drive.rig, mounting=mounting_of(options.mount))
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     truth = _DriveTruth(folder, renderer, pinholes, options)
     with (
@@ -169,7 +169,13 @@ def write_drive(
 def _scene_of(options: DriveOptions, scene: Scene) -> Scene:
     if options.car_size != 1.0:
         scene = scene.with_car_sizes(options.car_size)
-    return replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
+    mounting = mounting_of(options.mount) or scene.mounting
+    return replace(
+        scene,
+        camera_pitch_rad=math.radians(options.camera_pitch_deg),
+        camera_height_m=mounting.z_m or scene.camera_height_m,
+        mounting=mounting,
+    )
 
 
 @contextmanager

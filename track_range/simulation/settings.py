@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import field_validator
 
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.video.layouts import PackedLayout
 from track_range.simulation.camera.fault_options import Faults, fault_option
+
+if TYPE_CHECKING:
+    from track_range.stereo.geometry.mounting import Mounting
 
 SCENARIO_NAMES = (
     *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
@@ -40,6 +45,17 @@ class _Recording(Options):
             le=20,
         ),
     ] = 0.0
+    mount: Annotated[
+        tuple[str, ...],
+        option(
+            "Where the left camera looks from the ego car, and where it is, as in "
+            "`track-range run --mount`; x and y count from the middle of the car, 1.5 m behind its "
+            "front (default: ahead, 1.65 m above the road).",
+            metavar="NAME=NUMBER",
+            panel=_DRIVE,
+            is_repeated=True,
+        ),
+    ] = ()
     lossless: Annotated[
         bool,
         option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT),
@@ -81,6 +97,19 @@ class _Recording(Options):
 
 class DriveOptions(Faults, _Recording):
     """How a drive is recorded: size of its cars, files, and the faults and noise of its cameras."""
+
+    @field_validator("mount")
+    @classmethod
+    def _checked_mounting(cls, texts: tuple[str, ...]) -> tuple[str, ...]:
+        mounting_of(texts)
+        return texts
+
+
+def mounting_of(texts: tuple[str, ...]) -> Mounting | None:
+    """The mounting of the left camera in the ego car; None = as usual."""
+    from track_range.stereo.geometry.mounting import Mounting  # imports NumPy
+
+    return Mounting.of(texts) if texts else None
 
 
 class _Input(Options):

@@ -7,6 +7,7 @@ sensor noise
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
@@ -32,7 +33,7 @@ from track_range.simulation.render.surface import Surface
 from track_range.simulation.world.bodies.faces import Face
 from track_range.simulation.world.bodies.obstacles import body_of_obstacle
 from track_range.simulation.world.bodies.road_users import body_of
-from track_range.simulation.world.road_shape import CameraPose
+from track_range.simulation.world.road_shape import AHEAD, CameraPose, yaw_rotation
 from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.textures.scenery import sky_picture
 from track_range.simulation.world.truth import corners_m
@@ -111,7 +112,7 @@ class Renderer:
         self._cameras = {"left": _finer(rig.left), "right": _finer(right_camera(rig.left, faults))}
         wobble = scene.wobble
         rotates = not scene.road.is_straight or any(
-            (wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad)
+            (wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad, scene.mounting != AHEAD)
         )
         # The sky has half the resolution of the canvas, and is larger than the image if the camera
         # rotates.
@@ -229,7 +230,7 @@ class Renderer:
             camera, turn = _finer(view.camera), view_from_camera(view.yaw_deg)
         canvas = Canvas(camera, self._store, has_labels=has_labels)
         shift_m, rotation = turn @ self._shift_m(side), turn @ pose.camera_from_world
-        street = self._street.faces(ego_z_m)
+        street = self._street.faces(ego_z_m, math.radians(self.scene.mounting.yaw_deg))
         canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
         self._draw_bodies(canvas, time_s, shift_m, solids or self._solids, turn)
         if n_rows := canvas.n_sky_rows():
@@ -274,7 +275,9 @@ class Renderer:
         camera_matrix, sky_matrix = camera.matrix, left.matrix
         sky_size_px = 2 * np.array(self._sky.shape[1::-1])
         sky_matrix[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
-        to_sky = sky_matrix @ pose.camera_from_world.T @ np.linalg.inv(camera_matrix)
+        # around the direction in which the camera is mounted
+        turn = yaw_rotation(math.radians(self.scene.mounting.yaw_deg)) @ pose.camera_from_world.T
+        to_sky = sky_matrix @ turn @ np.linalg.inv(camera_matrix)
         to_half_sky = np.linalg.inv(_FROM_HALF) @ to_sky @ _FROM_HALF
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size_px = (camera.width_px // 2, (n_rows + 1) // 2)

@@ -20,7 +20,7 @@ from track_range.simulation.render.face_table import (
     joined_tables,
     unlabelled_faces,
 )
-from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
+from track_range.simulation.world.road_shape import STRAIGHT, RoadShape, yaw_rotation
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS, Row, Surroundings
 from track_range.simulation.world.textures import scenery
 from track_range.simulation.world.textures.surfaces import plain, value_noise
@@ -87,11 +87,12 @@ class Street:
                 textures[start_m, length] = self._store.add(part), part.shape[:2]
         return textures
 
-    def faces(self, ego_z_m: float) -> FaceTable:
+    def faces(self, ego_z_m: float, camera_yaw_rad: float = 0.0) -> FaceTable:
         """The faces of ground and sides from the camera onwards, stretch by stretch, then the
-        roadside objects.
+        roadside objects; also those behind the car for a camera that looks aside or back, by
+        `camera_yaw_rad` to the left of the road's direction.
         """
-        visible = list(stretches(ego_z_m, self._stretches_m))
+        visible = list(stretches(ego_z_m, self._stretches_m, is_behind_too=camera_yaw_rad != 0))
         start_m, length_m = np.array(visible, np.float64).T
         near, far = self._middle_m(start_m), self._middle_m(start_m + length_m)
         ahead, half_m = far - near, np.array([self._half_width_m, 0.0, 0.0])
@@ -120,24 +121,28 @@ class Street:
             np.array([texels for _, texels in textures], np.int64),
             two_sided=np.tile(np.arange(len(strips)) >= 3, len(visible)),
         )
-        return joined_tables([table, *self.roadside.faces(ego_z_m)])
+        return joined_tables([table, *self.roadside.faces(ego_z_m, camera_yaw_rad)])
 
     def _middle_m(self, z_m: FloatArray) -> FloatArray:
         return np.stack([self._road.x_m(z_m), self._road.y_m(z_m), z_m], axis=1)
 
 
 def stretches(
-    ego_m: float, lengths_m: tuple[tuple[float, int], ...] = STRETCHES_M
+    ego_m: float,
+    lengths_m: tuple[tuple[float, int], ...] = STRETCHES_M,
+    *,
+    is_behind_too: bool = False,
 ) -> Iterator[tuple[float, int]]:
-    """(start, length) in metres of adjacent stretches, from just behind the camera to `FAR_M`
-    ahead.
+    """(start, length) in metres of adjacent stretches, from just behind the camera, or from
+    `FAR_M` behind it, to `FAR_M` ahead.
     """
-    start_m = float(np.floor(ego_m / lengths_m[0][1])) * lengths_m[0][1]
+    first_m = ego_m - FAR_M if is_behind_too else ego_m
+    start_m = float(np.floor(first_m / lengths_m[0][1])) * lengths_m[0][1]
     while start_m - ego_m < FAR_M:
         fitting = [
             length
             for from_m, length in lengths_m
-            if start_m - ego_m >= from_m and start_m % length == 0.0
+            if max(start_m - ego_m, ego_m - start_m - length) >= from_m and start_m % length == 0.0
         ]
         length = max(fitting, default=lengths_m[0][1])
         yield start_m, length
@@ -182,12 +187,14 @@ class Roadside:
         }
         self._texels = {name: group[0].shape[:2] for name, group in pictures.items() if group}
 
-    def faces(self, ego_z_m: float) -> list[FaceTable]:
-        """The faces in front of the camera, in world axes: shadows of trees first, then all
+    def faces(self, ego_z_m: float, camera_yaw_rad: float = 0.0) -> list[FaceTable]:
+        """The faces that the camera may see, in world axes: shadows of trees first, then all
         objects.
         """
-        shadows = [self._shadows(row, ego_z_m) for row in self._rows if row.kind == "tree"]
-        return [*shadows, *(self._objects(row, ego_z_m) for row in self._rows)]
+        numbers = [_numbers(row, ego_z_m, camera_yaw_rad != 0) for row in self._rows]
+        rows = list(zip(self._rows, numbers, strict=True))
+        shadows = [self._shadows(row, which) for row, which in rows if row.kind == "tree"]
+        return [*shadows, *(self._objects(row, which, camera_yaw_rad) for row, which in rows)]
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
         """(N, 3) positions of the lamp heads in world axes."""
@@ -199,11 +206,10 @@ class Roadside:
         ]
         return np.concatenate([np.zeros((0, 3)), *heads])
 
-    def _shadows(self, row: Row, ego_z_m: float) -> FaceTable:
+    def _shadows(self, row: Row, numbers: IntArray) -> FaceTable:
         """The shadows of a row of trees, as wide as the crowns, on the ground to their left, away
         from the sun.
         """
-        numbers = _numbers(row, ego_z_m)
         reach = TREE_M[0] * _growth(row, numbers)
         z_m = _positions_m(row, numbers)
         far, near = (
@@ -216,8 +222,8 @@ class Roadside:
             vectors, np.full(len(numbers), self._shade), _leaf_shadow().shape, is_shadow=True
         )
 
-    def _objects(self, row: Row, ego_z_m: float) -> FaceTable:
-        numbers = _numbers(row, ego_z_m)
+    def _objects(self, row: Row, numbers: IntArray, camera_yaw_rad: float) -> FaceTable:
+        """The objects `numbers` of a row, turned with the camera's mounting."""
         foot, size_m, which = (
             self._on_ground_m(row.x_m, _positions_m(row, numbers)),
             POST_M[None],
@@ -230,6 +236,7 @@ class Roadside:
             size_m, which = LAMP_M[None], which + int(row.x_m > 0)
         along, down = np.zeros_like(foot), np.zeros_like(foot)
         along[:, 0], down[:, 1] = size_m[:, 0], size_m[:, 1]
+        along = along @ yaw_rotation(-camera_yaw_rad).T
         vectors = (foot - along / 2 - down, along, down)
         return unlabelled_faces(vectors, self._numbers[row.kind][which], self._texels[row.kind])
 
@@ -238,9 +245,10 @@ class Roadside:
         return np.stack([self._road.x_m(z_m, across_m), self._road.y_m(z_m), z_m], axis=1)
 
 
-def _numbers(row: Row, ego_z_m: float) -> IntArray:
-    """The numbers of the objects of a row that are ahead and near enough to draw."""
-    first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
+def _numbers(row: Row, ego_z_m: float, is_behind_too: bool = False) -> IntArray:
+    """The numbers of the objects of a row that are near enough to draw, ahead or all."""
+    from_m = ego_z_m - VISIBLE_M if is_behind_too else ego_z_m + 1.0
+    first = int(np.ceil((from_m - row.first_m) / row.every_m))
     last = int(np.floor((ego_z_m + VISIBLE_M - row.first_m) / row.every_m))
     return np.arange(first, last + 1)
 

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.geometry.mounting import Mounting
 
+AHEAD = Mounting()
 WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its springs
 
 
@@ -109,19 +111,28 @@ class CameraPose:
 
 
 def pose_on_road(
-    road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad: tuple[float, float]
+    road: RoadShape,
+    z_m: float,
+    *,
+    height_m: float,
+    pitch_roll_rad: tuple[float, float],
+    mounting: Mounting = AHEAD,
 ) -> CameraPose:
-    """The pose of a camera `height_m` above the ego lane's centre, directed along the road."""
+    """The pose of a camera `height_m` above the road, of a car on the ego lane's centre."""
     z = np.array(z_m)
     yaw_rad = float(road.yaw_rad(z))
     slope = slope_rotation(float(road.climb_rad(z)))
-    position_m = np.array([road.x_m(z), road.y_m(z), z_m], np.float64) - slope[:, 1] * height_m
+    world_from_car = slope @ yaw_rotation(yaw_rad)
+    on_road_m = np.array([road.x_m(z), road.y_m(z), z_m], np.float64)
+    camera_m = np.array([-mounting.y_m, -height_m, mounting.x_m])
     pitch, roll = pitch_roll_rad
     roll_rotation = np.array(
         [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1.0]]
     )
-    world_from_camera = slope @ yaw_rotation(yaw_rad) @ slope_rotation(pitch) @ roll_rotation
-    return CameraPose(position_m, world_from_camera.T, yaw_rad)
+    car_from_camera = AHEAD.vehicle_from_camera.T @ mounting.vehicle_from_camera
+    on_springs = slope_rotation(pitch) @ roll_rotation
+    world_from_camera = world_from_car @ on_springs @ car_from_camera
+    return CameraPose(on_road_m + world_from_car @ camera_m, world_from_camera.T, yaw_rad)
 
 
 def slope_rotation(climb_rad: FloatArray | float) -> FloatArray:

@@ -26,6 +26,7 @@ from track_range.simulation.world.motion import (
     speed_at_mps,
     travelled_m,
 )
+from track_range.stereo.geometry.mounting import Mounting
 
 AWAY_RAD = -np.pi / 2  # heading along z: seen from behind
 TOWARDS_RAD = np.pi / 2  # heading against z: oncoming
@@ -110,6 +111,8 @@ class Scene:
     ego_speed_changes: SpeedChanges = ()
     camera_height_m: float = 1.65  # height of the left camera above the road
     camera_pitch_rad: float = 0.0  # pitch of the left camera relative to the ego car, positive = up
+    # of the left camera in the ego car, whose reference point is above the ego lane's centre
+    mounting: Mounting = road_shape.AHEAD
     road: road_shape.RoadShape = road_shape.STRAIGHT
     wobble: road_shape.Wobble = road_shape.STEADY
     surroundings: str = "town"  # a key of `surroundings.SURROUNDINGS`
@@ -145,7 +148,11 @@ class Scene:
         pitch_roll_rad = (pitch_rad + self.camera_pitch_rad, roll_rad)
         z_m = self.ego_z_m(time_s)
         return road_shape.pose_on_road(
-            self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad
+            self.road,
+            z_m,
+            height_m=self.camera_height_m,
+            pitch_roll_rad=pitch_roll_rad,
+            mounting=self.mounting,
         )
 
     def location_m(self, time_s: float) -> FloatArray:
@@ -160,8 +167,10 @@ class Scene:
     def rotation_y_rad(self, time_s: float = 0.0) -> FloatArray:
         """(N,) headings as rotations about y in the left camera's frame, without pitch and roll."""
         _, z = self._on_road_m(time_s)
-        ego_yaw_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s)))
-        return np.asarray(self._headings_rad(time_s) + self.road.yaw_rad(z) - ego_yaw_rad)
+        camera_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s))) - np.radians(
+            self.mounting.yaw_deg
+        )
+        return np.asarray(self._headings_rad(time_s) + self.road.yaw_rad(z) - camera_rad)
 
     def rotations(self, time_s: float) -> FloatArray:
         """(N, 3, 3) rotations from the frames of road users to the left camera's, with slope and

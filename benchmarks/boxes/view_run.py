@@ -1,0 +1,160 @@
+"""Runs of the complete pipeline on the boxes of a real drive, with an empty image.
+
+The tracker returns the true identities, and the yaw rate is that of the drive with the noise of
+image motion; nothing else is measured from images, so that neither lane lines nor the horizon of
+the road take part. All other stages are those of a run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.boxes.box_run import YAW_SIGMA_RAD_S, NoClock
+from benchmarks.boxes.road_view import RoadView
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.pipeline.detecting import Detected
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.frame_result import FrameResult
+from track_range.recording.cameras.calibration import calibration_of
+from track_range.run.box_source import BoxSource
+from track_range.run.build import open_pipeline
+from track_range.run.options.settings import PipelineOptions
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.tracking.tracks import Tracks
+
+SCORE = 0.9  # confidence of all boxes
+EDGE_SIGMA_PX = 0.7  # standard deviation of each edge of the boxes, independent in each frame
+
+
+@dataclass(frozen=True, slots=True)
+class ViewResult:
+    """The results of a run for the rows of its view, (N,) each; NaN = unknown."""
+
+    ranges: dict[str, tuple[FloatArray, FloatArray]]  # distance and sigma by method
+    speed_mps: FloatArray  # over ground
+    speed_sigma_mps: FloatArray
+    state: FloatArray  # index into `MOTION_STATES`
+    ego_mps: FloatArray  # (T,) speed of the camera along its axis
+    path_m: FloatArray  # (T, 2) position of the camera in the frame `map`
+    path_sigma_m: FloatArray  # (T,) standard deviation of the position
+    doubt: float  # factor of the largest doubt of a scale, 1 = none
+    notes: tuple[str, ...]
+    alarms: int  # frames and tracks with an alarm
+
+
+class _TrueTracks:
+    """A tracker that returns the boxes of the current frame with their identities."""
+
+    def __init__(self) -> None:
+        self.current = Tracks.empty()
+
+    def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
+        return self.current
+
+
+class _YawRate(ImageMotionEstimator):
+    """The yaw rate of a drive, with noise."""
+
+    def __init__(self, view: RoadView, seed: int) -> None:
+        super().__init__(view.camera)
+        noise = np.random.default_rng([seed, 33]).normal(0, YAW_SIGMA_RAD_S, len(view.times_s))
+        self._times_s, self._rates_rad_s = view.times_s, view.yaw_rate_rad_s + noise
+
+    def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
+        """The motion at a time of the drive."""
+        rate_rad_s = float(np.interp(time_s, self._times_s, self._rates_rad_s))
+        return ImageMotion(time_s=time_s, yaw_rad_s=rate_rad_s, yaw_sigma_rad_s=YAW_SIGMA_RAD_S)
+
+
+def run_view(
+    view: RoadView, *, seed: int = 0, has_speed: bool = True, **options: Any
+) -> ViewResult:
+    """The results of a view; `options` are those of `PipelineOptions`."""
+    calibration = calibration_of(view.camera, ((view.camera.width_px, view.camera.height_px),))
+    source = BoxSource(
+        detect=lambda frame: Detections.empty(),
+        candidates=lambda frame: Detections.empty(),
+        description={},
+        notes=tuple,
+    )
+    settings = PipelineOptions(lanes="off", **options)
+    tracker = _TrueTracks()
+    stages = open_pipeline(
+        settings,
+        calibration,
+        source,
+        region=settings.region or "unknown",
+        tracker=tracker,
+        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None,
+    )
+    stages.clock = NoClock()
+    stages.ego.road_motion, stages.ego.image_motion = None, _YawRate(view, seed)
+    results = list(_results(stages, tracker, view, seed))
+    stages.close()
+    return _joined(view, results, (*stages.notes(), *stages.doubting.notes()))
+
+
+def _results(stages: FramePipeline, tracker: _TrueTracks, view: RoadView, seed: int) -> Any:
+    rng = np.random.default_rng([seed, 34])
+    image = np.zeros((view.camera.height_px, view.camera.width_px, 3), np.uint8)
+    edge = np.array([view.camera.width_px - 1, view.camera.height_px - 1] * 2, np.float64)
+    for index, time_s in enumerate(view.times_s.tolist()):
+        rows = np.flatnonzero(view.rows.frame == index)
+        exact_px = view.rows.xyxy_px[rows]
+        noisy_px = np.clip(exact_px + rng.normal(0, EDGE_SIGMA_PX, exact_px.shape), 0, edge)
+        is_at_border = (exact_px <= 0) | (exact_px >= edge)
+        boxes = np.where(is_at_border, exact_px, noisy_px)
+        class_id = _class_ids(view, rows)
+        score, n = np.full(len(rows), SCORE), len(rows)
+        tracker.current = Tracks(
+            view.rows.track_id[rows], boxes, class_id, score, np.ones(n, np.bool_)
+        )
+        detections = Detections(boxes, score, class_id, np.zeros((n, 0), np.float32))
+        yield stages.step(Detected(Frame(index, time_s, image, None), None, detections))
+
+
+def _class_ids(view: RoadView, rows: IntArray) -> IntArray:
+    names = view.rows.class_name[rows].tolist()
+    return np.array([ROAD_CLASSES.index(name) for name in names], np.int64)
+
+
+def _joined(view: RoadView, results: list[FrameResult], notes: tuple[str, ...]) -> ViewResult:
+    n = len(view.rows.frame)
+    names = sorted({name for result in results for name in result.ranges})
+    ranges = {name: (np.full(n, np.nan), np.full(n, np.nan)) for name in names}
+    speed, sigma, state = np.full((3, n), np.nan)
+    for index, result in enumerate(results):
+        at = {int(view.rows.track_id[k]): k for k in np.flatnonzero(view.rows.frame == index)}
+        pairs = [(k, at[i]) for k, i in enumerate(result.tracks.track_id.tolist()) if i in at]
+        if not pairs:
+            continue
+        found, rows = np.array(pairs).T
+        for name, part in result.ranges.items():
+            ranges[name][0][rows], ranges[name][1][rows] = (
+                part.distance_m[found],
+                part.sigma_m[found],
+            )
+        motion = result.motion
+        speed[rows], sigma[rows] = motion.speed_mps[found], motion.speed_sigma_mps[found]
+        state[rows] = motion.state[found]
+    poses = [result.ego_pose for result in results]
+    factors = [result.scale_doubt.factor for result in results if result.scale_doubt is not None]
+    return ViewResult(
+        ranges,
+        speed,
+        sigma,
+        state,
+        np.array([result.ego_mps for result in results]),
+        np.array([(pose.x_m, pose.y_m) for pose in poses]),
+        np.array([np.hypot(*pose.sigmas[:2]) for pose in poses]),
+        max(factors, key=lambda factor: abs(np.log(factor)), default=1.0),
+        notes,
+        sum(int(np.nansum(result.warnings.active)) for result in results),
+    )
