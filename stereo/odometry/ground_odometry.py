@@ -17,8 +17,8 @@ strips under boxes of road users or without texture do not count. The speed is u
 maximum is low or not unique. A horizon in a wrong row makes distant parts of the road shift more,
 or less, than near parts: if the horizon is taken to be d rad too low, a point at distance Z seems
 to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h). So the slope
-of the shifts over the distances measures the horizon, whatever the height. An error of the roll of
-r rad, positive = the road too low on the right, makes it s (1 + (2 Z d + X r) / h).
+of the shifts over the distances measures the horizon, whatever the height. If the roll is taken to be
+r rad too large, so that the road seems too high on the right, it becomes s (1 + (2 Z d - X r) / h).
 
 An error of the camera height is an equal relative error of the speed. The road is taken to be plane
 up to 15 m.
