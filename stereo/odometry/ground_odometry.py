@@ -163,6 +163,13 @@ class GroundOdometry:
         return ego
 
     @property
+    def travel(self) -> FloatArray:
+        """(3,) unit vector of the direction of travel in the camera's axes in the last frame."""
+        side = float(np.nan_to_num(self._side))
+        travel = np.array([side, self._horizon.view.horizon, 1.0]) @ self._travel_from_camera
+        return np.asarray(travel / np.linalg.norm(travel))
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         return self._direction.notes
@@ -171,21 +178,25 @@ class GroundOdometry:
         """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at
         rest.
         """
-        motion, now = self.motion, self._flow.now
+        motion, now, axes, travel = (
+            self.motion,
+            self._flow.now,
+            self._travel_from_camera,
+            self.travel,
+        )
         is_known = motion.is_known and not motion.is_still and math.isfinite(ego.speed_mps)
-        if not is_known or now is None or math.isnan(self._side) or ego.speed_mps <= 0:
+        speed_mps = float(travel @ [ego.right_mps, 0.0, ego.speed_mps])
+        if not is_known or now is None or math.isnan(self._side) or speed_mps <= 0:
             return None
-        has_sigma = math.isfinite(ego.speed_sigma_mps)
-        axes = self._travel_from_camera
-        travel = np.array([self._side, self._horizon.view.horizon, 1.0]) @ axes
+        sigma_mps = math.hypot(ego.speed_sigma_mps, ego.right_sigma_mps)
         return CameraStep(
             time_s=motion.time_s,
             dt_s=motion.dt_s,
             rotation=axes.T @ motion.rotation @ axes,
             rotation_sigma_rad=motion.yaw_sigma_rad_s * motion.dt_s,
-            travel=travel / np.linalg.norm(travel),
-            travelled_m=ego.speed_mps * motion.dt_s,
-            travelled_sigma=ego.speed_sigma_mps / ego.speed_mps if has_sigma else _UNKNOWN_SIGMA,
+            travel=travel,
+            travelled_m=speed_mps * motion.dt_s,
+            travelled_sigma=sigma_mps / speed_mps if sigma_mps >= 0 else _UNKNOWN_SIGMA,
             now=now,
         )
 

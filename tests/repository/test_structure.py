@@ -39,8 +39,8 @@ MOST_STATEMENTS = {
     # moved (15), and noise of speeds (1)
     # a movement for the summary (+15)
     # where a camera is in its vehicle (75)
-    # speed, yaw rate and horizon of a camera that looks in any direction (70)
-    "stereo": 9_310,
+    # speed, yaw rate and horizon of a camera that looks in any direction (73)
+    "stereo": 9_313,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -81,8 +81,8 @@ MOST_STATEMENTS = {
     # the right camera is followed also where the speed of the pair is not used (3)
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
     # slopes in speeds by the road, and the notes of the road (5)
-    # the motion of the vehicle as that of a camera (12)
-    "pipeline": 871,
+    # the motion of the vehicle as that of a camera (12), also by the road (8)
+    "pipeline": 879,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
@@ -103,8 +103,8 @@ MOST_STATEMENTS = {
     # a movement in the summary (+4)
     # the boxes of the pre-pass are used again (13)
     # known distances for pairs (+7)
-    # the mounting of a camera as an option (26)
-    "run": 2_369,
+    # the mounting of a camera as an option (27)
+    "run": 2_370,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     "simulation": 3_244,

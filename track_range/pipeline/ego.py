@@ -89,7 +89,7 @@ class EgoStage:
         scale = scale or DriveScale()
         motion = None if by_pair is None else scale.rig.corrected_motion(by_pair)
         if motion is None and self.has_road_scale:
-            motion = by_road
+            motion = self._of_travel(by_road)
         if motion is None:
             motion = EgoMotion(yaw_rad_s=self._yaw_rad_s(frame, xyxy_px))
         self._last = frame.time_s, motion
@@ -167,22 +167,18 @@ class EgoStage:
         return Ego(motion=motion, given=given, trusts_given=trusts_given)
 
     def _of_camera(self, vehicle: EgoMotion, yaw_rad_s: float) -> EgoMotion:
-        """The motion of the camera, of that of its vehicle along x, which turns with a yaw rate.
-
-        An error of the angles moves the camera across its motion.
-        """
+        """The motion of the camera, of that of its vehicle along x, which turns with a yaw rate."""
         if self.mounting is None:
             return vehicle
-        right_mps, _, forward_mps = self.mounting.velocity_mps(vehicle.speed_mps, yaw_rad_s)
-        right, _, forward = self.mounting.velocity_mps(vehicle.speed_sigma_mps)
-        angle = math.radians(self.mounting.sigma_deg)
-        return replace(
-            vehicle,
-            speed_mps=float(forward_mps),
-            speed_sigma_mps=math.hypot(forward, angle * right_mps),
-            right_mps=float(right_mps),
-            right_sigma_mps=math.hypot(right, angle * forward_mps),
-        )
+        velocity_mps = self.mounting.velocity_mps(vehicle.speed_mps, yaw_rad_s)
+        return _in_camera(vehicle, velocity_mps, self.mounting.travel_from_camera[2], self.mounting)
+
+    def _of_travel(self, by_road: EgoMotion | None) -> EgoMotion | None:
+        """The motion of the camera, of that by the road along the direction of travel."""
+        if by_road is None or self.road_motion is None or self.mounting is None:
+            return by_road
+        travel = self.road_motion.travel
+        return _in_camera(by_road, travel * by_road.speed_mps, travel, self.mounting)
 
     def _given(self, time_s: float, known: EgoMotion | None) -> EgoMotion | None:
         if known is not None or self.speed is None:
@@ -196,6 +192,24 @@ class EgoStage:
         if self.image_motion is not None:
             return self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
         return math.nan
+
+
+def _in_camera(
+    along: EgoMotion, velocity_mps: FloatArray, travel: FloatArray, mounting: Mounting
+) -> EgoMotion:
+    """A motion along the drive as one of the camera with a velocity (3,) along its axes; `travel`
+    (3,) is the direction of the drive. An error of the angles moves the camera across its motion.
+    """
+    right_mps, _, forward_mps = velocity_mps.tolist()
+    right, _, forward = (along.speed_sigma_mps * travel).tolist()
+    angle = math.radians(mounting.sigma_deg)
+    return replace(
+        along,
+        speed_mps=forward_mps,
+        speed_sigma_mps=math.hypot(forward, angle * right_mps),
+        right_mps=right_mps,
+        right_sigma_mps=math.hypot(right, angle * forward_mps),
+    )
 
 
 def _of_real_road(by_road: EgoMotion) -> EgoMotion:

@@ -40,9 +40,8 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import ObjectTracker, create_tracker
 
 _NOT_AHEAD = (
-    "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no horizon "
-    "from image motion, no times to collision and no collision warnings; distances are along its "
-    "axis."
+    "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no times to "
+    "collision and no collision warnings; distances are along its axis."
 )
 
 
@@ -160,26 +159,21 @@ def _ego_stage(
     measures_speed: bool,
     mounting: Mounting | None,
 ) -> EgoStage:
-    """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height.
-
-    In a view that does not look along the drive, no motion is measured from the images.
-    """
+    """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height."""
     # also follows the right camera, and checks a given speed
     pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
-    if mounting is not None and not mounting.is_ahead:
-        return EgoStage(
-            speed=ego_speed,
-            mounting=mounting,
-            pair_odometry=pair_odometry,
-            uses_pair_speed=False,
-        )
+    axes, is_ahead = None, True
+    if mounting is not None:
+        axes, is_ahead = mounting.travel_from_camera, mounting.is_ahead
     is_height_known = context.camera_height_m is not None
     road_height_m = _road_height_m(context)
     return EgoStage(
         speed=ego_speed,
         pair_odometry=pair_odometry,
-        uses_pair_speed=measures_speed or ego_speed is not None,
-        road_motion=GroundOdometry(context.camera, road_height_m, flow=flow),
+        uses_pair_speed=is_ahead and (measures_speed or ego_speed is not None),
+        road_motion=GroundOdometry(
+            context.camera, road_height_m, flow=flow, travel_from_camera=axes
+        ),
         has_road_scale=measures_speed and ego_speed is None and is_height_known,
         speed_ratio_sigma=speed_ratio_sigma(priors),
         mounting=mounting,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.stereo import streets
 from tests.support.results.frame_results import frame_result
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.clock import StageClock
@@ -32,6 +33,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.right_camera.correction import RightCamera
 from track_range.tracking.tracks import Tracks
 
@@ -376,3 +378,27 @@ def test_camera_away_from_the_reference_point_moves_in_turns():
     motion = stage.update(frame(), NO_BOXES).motion
     # 0.1 rad/s to the right, 2 m in front and 1 m to the left of the reference point
     assert (motion.speed_mps, motion.right_mps) == pytest.approx((9.1, 0.2))
+
+
+def test_motion_of_the_road_aside_is_turned_to_the_axes_of_the_camera():
+    """8 m/s along the street; the camera looks 58 degrees to its right."""
+    mounting = Mounting(yaw_deg=-58.0, pitch_deg=5.0)
+    stage = EgoStage(
+        road_motion=GroundOdometry(
+            streets.CAMERA, streets.HEIGHT_M, travel_from_camera=mounting.travel_from_camera
+        ),
+        has_road_scale=True,
+        mounting=mounting,
+    )
+    ego = Ego(motion=EgoMotion())
+    for k in range(8):
+        image = streets.street(mounting, 0.8 * k)
+        ego = stage.update(Frame(k, 0.1 * k, image, None), NO_BOXES)
+    true = 8 * np.array([-0.848, 0.528])
+    assert (ego.motion.right_mps, ego.motion.speed_mps) == pytest.approx(true, abs=0.35)
+    assert ego.step is not None
+    assert ego.step.travelled_m == pytest.approx(0.8, rel=0.03)
+    assert ego.step.travel @ mounting.travel_from_camera[2] > 0.999
+    assert ego.motion.right_sigma_mps > ego.motion.speed_sigma_mps > 0.1
+    assert ego.road is not None
+    assert ego.road.horizon == pytest.approx(-math.tan(math.radians(5.0)), abs=0.01)
