@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.lanes.ego_lane import EgoLane
-from track_range.detection.lanes.lines import LaneLines
+from track_range.detection.lanes.lines import NO_BOXES, LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.lanes.model import HORIZON
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
@@ -44,9 +44,9 @@ class EdgeLaneFinder:
         self.notes: tuple[str, ...] = ()
         self._lane = EgoLane()
 
-    def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another
-        shape.
+    def find(self, image: Image, time_s: float, boxes_px: FloatArray = NO_BOXES) -> LaneLines:
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, outside of the boxes
+        (M, 4) of objects; ValueError for another shape.
         """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
@@ -64,7 +64,8 @@ class EdgeLaneFinder:
             )
         xy_px = paint_points(searched, (horizon_px - top + 0.5) / shrink - 0.5)
         xy_px = (xy_px + 0.5) * shrink - 0.5 + np.array([0.0, top])
-        return self._lane.update(Markings.unnumbered(xy_px, _SIGMA_PX * shrink), time_s, image_hw)
+        markings = Markings.unnumbered(xy_px, _SIGMA_PX * shrink).outside(boxes_px)
+        return self._lane.update(markings, time_s, image_hw)
 
 
 def paint_points(image: Image, horizon_px: float) -> FloatArray:

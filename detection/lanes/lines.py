@@ -15,6 +15,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image, check_shape
 
 _Real = TypeVar("_Real", float, FloatArray)
+NO_BOXES: FloatArray = np.zeros((0, 4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +84,9 @@ class LaneFinder(Protocol):
 
     notes: tuple[str, ...]  # notes for the user
 
-    def find(self, image: Image, time_s: float) -> LaneLines:
+    def find(self, image: Image, time_s: float, boxes_px: FloatArray = NO_BOXES) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call
-        to call.
+        to call; `boxes_px` (M, 4) are objects (x1, y1, x2, y2), on which there are no lines.
         """
 
 

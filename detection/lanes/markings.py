@@ -40,6 +40,13 @@ class Markings:
         """Pixels (N, 2) without line numbers."""
         return cls(xy_px, np.full(len(xy_px), -1, np.int64), sigma_px)
 
+    def outside(self, xyxy_px: FloatArray) -> Markings:
+        """The pixels outside of the boxes (M, 4): what is on an object is not on the road."""
+        x, y = self.xy_px.T[:, None]
+        x1, y1, x2, y2 = xyxy_px.T[:, :, None]
+        is_hidden = ((x >= x1) & (x <= x2) & (y >= y1) & (y <= y2)).any(axis=0)
+        return Markings(self.xy_px[~is_hidden], self.line[~is_hidden], self.sigma_px)
+
 
 @dataclass(frozen=True, slots=True)
 class Proposals:

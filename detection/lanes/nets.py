@@ -28,7 +28,7 @@ from scipy.special import softmax
 
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.ego_lane import EgoLane
-from track_range.detection.lanes.lines import LaneFinder, LaneLines
+from track_range.detection.lanes.lines import NO_BOXES, LaneFinder, LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray, check_shape
@@ -165,9 +165,9 @@ class NetLaneFinder:
         self._input_hw: tuple[int, int] = self._network.blob.shape[2:]
         self._lane = EgoLane()
 
-    def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another
-        shape.
+    def find(self, image: Image, time_s: float, boxes_px: FloatArray = NO_BOXES) -> LaneLines:
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, outside of the boxes
+        (M, 4) of objects; ValueError for another shape.
         """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
@@ -175,7 +175,8 @@ class NetLaneFinder:
         view = self._view(image_hw)
         lines = LaneLines()
         for _ in range(_MAX_VIEWS):
-            lines = self._lane.update(self._markings(image, view), time_s, image_hw)
+            markings = self._markings(image, view).outside(boxes_px)
+            lines = self._lane.update(markings, time_s, image_hw)
             previous, view = view, self._view(image_hw)
             is_aimed = abs(view[0].start - previous[0].start) < self._family.aim * image_hw[0]
             if not is_new or is_aimed or self._lane.state is None:

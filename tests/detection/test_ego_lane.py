@@ -264,6 +264,15 @@ def test_lane_state_by_hand():
     ).all()
 
 
+def test_markings_in_a_box_are_not_on_the_road():
+    xy = np.array([[10.0, 20], [14, 20], [15, 20], [12, 31], [9, 20], [40, 50]])
+    boxes = np.array([[10.0, 15, 14, 30], [38, 48, 60, 70]])
+    on_road = Markings(xy, np.arange(6), 1.5).outside(boxes)
+    assert on_road.line.tolist() == [2, 3, 4]
+    assert on_road.xy_px.tolist() == xy[2:5].tolist()
+    assert on_road.sigma_px == 1.5
+
+
 def test_runs():
     marked = np.zeros((3, 8), bool)
     marked[0, 1:4] = marked[2, 0] = marked[2, 6:] = True

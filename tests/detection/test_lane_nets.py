@@ -31,6 +31,8 @@ def test_segmentation_network(tmp_path):
     lines = NetLaneFinder(model).find(IMAGE, 0.0)
     assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=1.5)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=1.5)
+    beside = NetLaneFinder(model).find(IMAGE, 0.0, np.array([[330.0, 160, 639, 359]]))
+    assert beside.right is None
 
 
 def test_line_mask_of_two_is_mapped_back(tmp_path):
@@ -167,6 +169,16 @@ TINY = [
 def test_edges_of_empty_image(image):
     lines = EdgeLaneFinder().find(image, 0.0)
     assert lines.left is None
+    assert lines.right is None
+
+
+def test_edges_of_a_parked_car_are_not_a_line():
+    """A line at the left and the body of a parked car at the right, which is as bright as paint."""
+    image, car_px = picture(-1.75, 2.2), np.array([[330.0, 160, 639, 359]])
+    lines = EdgeLaneFinder().find(image, 0.0)
+    width = lines.right.x_px(ROWS) - lines.left.x_px(ROWS)
+    assert width == pytest.approx(width_px(ROWS, 3.95), rel=0.03)
+    lines = EdgeLaneFinder().find(image, 0.0, car_px)
     assert lines.right is None
 
 

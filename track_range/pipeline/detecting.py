@@ -1,4 +1,4 @@
-"""DetectionStage: boxes and lane lines of a frame, in two steps that threads may overlap."""
+"""DetectionStage: boxes and lane lines of a frame, in three steps that threads may overlap."""
 
 import math
 import time
@@ -17,10 +17,9 @@ _LANE_INTERVAL_S = 0.09
 
 
 class Prepared(NamedTuple):
-    """A frame with its lane lines, and the function that detects its boxes."""
+    """A frame, and the function that detects its boxes."""
 
     frame: Frame
-    lanes: LaneLines | None
     detect: Callable[[], Detections]
 
 
@@ -56,24 +55,26 @@ class DetectionStage:
         return {}
 
     def prepared(self, frame: Frame, clock: StageClock) -> Prepared:
-        """The frame in the network's input, with its lane lines."""
-        if self.lane_finder is not None and frame.time_s >= self._lanes_due_s:
-            with clock.stage("lanes"):
-                self._lanes = self.lane_finder.find(frame.left, frame.time_s)
-            self._lanes_due_s = frame.time_s + _LANE_INTERVAL_S
+        """The frame in the network's input."""
         start_s = time.thread_time()
         detect = partial(self.detect, frame) if self.prepare is None else self.prepare(frame)
         clock.add("detect", time.thread_time() - start_s)
-        return Prepared(frame, self._lanes, detect)
+        return Prepared(frame, detect)
 
     def detected(self, prepared: Prepared, clock: StageClock) -> Detected:
-        """The frame with its boxes."""
-        frame, lanes, detect = prepared
+        """The frame with its boxes, without lane lines."""
+        frame, detect = prepared
         with clock.stage("detect"):
             detections = detect()
-            return Detected(
-                frame,
-                lanes,
-                detections,
-                None if self.candidates is None else self.candidates(frame),
-            )
+            candidates = None if self.candidates is None else self.candidates(frame)
+        return Detected(frame, None, detections, candidates)
+
+    def with_lanes(self, detected: Detected, clock: StageClock) -> Detected:
+        """The frame with the lines of the ego lane on the road between the boxes."""
+        frame = detected.frame
+        if self.lane_finder is not None and frame.time_s >= self._lanes_due_s:
+            with clock.stage("lanes"):
+                boxes_px = detected.detections.xyxy_px
+                self._lanes = self.lane_finder.find(frame.left, frame.time_s, boxes_px)
+            self._lanes_due_s = frame.time_s + _LANE_INTERVAL_S
+        return detected._replace(lanes=self._lanes)

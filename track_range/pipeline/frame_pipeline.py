@@ -64,7 +64,8 @@ class FramePipeline:
         """The frame with its boxes and lane lines, in the calling thread."""
         prepared = self.detection.prepared(frame, self.clock)
         self.ranging.start(frame)
-        return self.detection.detected(prepared, self.clock)
+        detected = self.detection.detected(prepared, self.clock)
+        return self.detection.with_lanes(detected, self.clock)
 
     def step(self, detected: Detected, known_ego: EgoMotion | None = None) -> FrameResult:
         """Result of one frame; frames must be passed in order.

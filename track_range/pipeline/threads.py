@@ -1,8 +1,8 @@
 r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping threads.
 
-reading thread -> lanes thread --> detection thread -> caller's thread -------------------> FrameResult
-decode            lane lines,      network, boxes      FramePipeline.step
-network's input  \---> background work of rangers ---/
+reading thread --> detection thread -> lanes thread -> caller's thread ----> FrameResult
+decode,            network, boxes      lane lines      FramePipeline.step
+network's input \---> background work of rangers ------/
 """
 
 from collections.abc import Generator, Iterable, Iterator
@@ -25,15 +25,15 @@ _UNLIMITED = 1000  # number of frames that are never in progress
 class QueueDepths:
     """Number of frames by which each thread may run ahead of the next thread."""
 
-    read: int = 4  # decoded frames that wait for the lane detector
-    lanes: int = 2  # frames with lane lines, in the network's input, that wait for the network
-    detected: int = 2  # frames with boxes that wait for the caller
+    read: int = 4  # frames in the network's input that wait for the network
+    detected: int = 2  # frames with boxes that wait for the lane detector, or the caller
+    lanes: int = 2  # frames with lane lines that wait for the caller
     in_progress: int = _UNLIMITED  # frames between reading and their result
 
 
 # For cameras, to reduce latency: one frame is with the network, and one with the caller or on its
 # way to the network.
-LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1, in_progress=2)
+LIVE_DEPTHS = QueueDepths(read=1, detected=1, lanes=1, in_progress=2)
 
 
 def run_in_threads(
@@ -54,13 +54,13 @@ def run_in_threads(
             thread = prefetch(items, depth=depth, low_priority=low_priority, name=name)
             return stack.enter_context(closing(thread))
 
-        depth = depths.read
-        if pipeline.detection.lane_finder is not None:
-            frames, depth = in_thread(frames, depth, "read", low_priority=True), depths.lanes
-        prepared = in_thread(_prepared(pipeline, frames), depth, "prepare", low_priority=True)
+        prepared = in_thread(_prepared(pipeline, frames), depths.read, "read", low_priority=True)
         results = in_thread(
             _detected(pipeline, prepared), depths.detected, "detect", low_priority=False
         )
+        if pipeline.detection.lane_finder is not None:
+            lines = _with_lanes(pipeline, results)
+            results = in_thread(lines, depths.lanes, "lanes", low_priority=False)
         # first at the end, so that no thread waits for a slot
         stack.callback(slots.release, _UNLIMITED)
         for detected in results:
@@ -89,3 +89,8 @@ def _detected(pipeline: FramePipeline, frames: Iterable[Prepared]) -> Iterator[D
     for prepared in frames:
         pipeline.ranging.start(prepared.frame)
         yield pipeline.detection.detected(prepared, pipeline.clock)
+
+
+def _with_lanes(pipeline: FramePipeline, frames: Iterable[Detected]) -> Iterator[Detected]:
+    for detected in frames:
+        yield pipeline.detection.with_lanes(detected, pipeline.clock)

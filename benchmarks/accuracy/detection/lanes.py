@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.boxes.true_boxes import true_boxes
 from benchmarks.harness import Figures, median_or_none, option, quantile_or_none, workload
 from benchmarks.inputs.drives import REAL_DATA, SimulatedDrive
 from track_range.detection.lanes.lines import LaneLines
@@ -87,14 +88,17 @@ class _Sample:
 
 
 def _samples(
-    finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray
+    finder_name: str, drive: SimulatedDrive, images: Sequence[Image], true_px: FloatArray
 ) -> list[_Sample]:
-    """Lines detected in images; `true_px` (F, 2, K) are the true ones."""
+    """Lines detected in the images of a drive between its true boxes; `true_px` (F, 2, K) are the
+    true lines.
+    """
+    boxes = true_boxes(drive.renderer.scene, drive.times_s, drive.renderer.rig.left)
     finder = open_lane_finder(finder_name, Runtime(n_threads=1, device="cpu"))
     samples = []
-    for number, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
+    for number, (image, time_s) in enumerate(zip(images, drive.times_s.tolist(), strict=True)):
         start_s = time.process_time()
-        lines = finder.find(image, time_s)
+        lines = finder.find(image, time_s, boxes.xyxy_px[boxes.frame == number])
         ms = 1e3 * (time.process_time() - start_s)
         samples.append(_Sample(_columns_px(lines, len(image)), true_px[number], ms))
     return samples
@@ -118,7 +122,7 @@ def _simulated(
             drive.lane_px(ROWS * drive.renderer.rig.left.height_px),
         )
         for finder in finders:
-            samples[finder] += _samples(finder, images, drive.times_s.tolist(), true_px)
+            samples[finder] += _samples(finder, drive, images, true_px)
     return samples
 
 

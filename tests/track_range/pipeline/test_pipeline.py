@@ -119,10 +119,11 @@ class LinesTo:
 
     def __init__(self, y_px):
         self.y_px = y_px
-        self.looked_s = []
+        self.looked_s, self.boxes_px = [], []
 
-    def find(self, image, time_s):
+    def find(self, image, time_s, boxes_px):
         self.looked_s.append(time_s)
+        self.boxes_px.append(boxes_px.tolist())
         left, right = (
             LaneLine(
                 np.array([49.5 - slope * self.y_px, slope, 0.0]),
@@ -180,6 +181,7 @@ def test_lanes_are_detected_ten_times_per_second():
     assert loop.detection.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
     assert [r.lanes is results[0].lanes for r in results] == [True] * 3 + [False] * 4
     assert [id(lines) for lines in ranger.lanes] == [id(results[i].lanes) for i in (0, 3, 6)]
+    assert loop.detection.lane_finder.boxes_px == [[[49.5, 59.5, 69.5, 79.5]]] * 3
 
 
 @pytest.mark.parametrize("y_px", [35.0, 44.0])

@@ -102,7 +102,8 @@ class RoadEvidence:
                 by_road = road.update(frame, detections.xyxy_px)
                 self.heights.update(base_s + frame.time_s, known, by_road)
             if self.has_horizon:
-                if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
+                lines = lanes.find(frame.left, frame.time_s, detections.xyxy_px)
+                if (row := lines.horizon_px()) is not None:
                     self.lane_rows.append(row[0])
                 motion = travel.update(frame.left, frame.time_s, detections.xyxy_px)
                 if np.isfinite(motion.travel[1]):
