@@ -149,9 +149,13 @@ _MAX_CLUTTER = 1.2
 _MIN_SUPPORT = 0.3  # of a line, relative to the one with the largest support in the image
 _MAX_SIGMAS = 3.0  # deviation of a pair in each of the quantities of a typical lane
 _OFFSET_SIGMA = 0.25  # of the camera's lateral offset from the lane centre, in lane widths
+# largest such offset: 0.5 above a line, and 0.1 each for the place and the yaw of the camera
+_MAX_OFFSET = 0.7
 _CENTRE_SIGMA = 0.15  # of the vanishing point's x from the image centre, in image widths
 _COST = 0.2  # of a deviation of one sigma, in units of support
 _MIN_SCORE = 0.3  # of a pair: two lines of full support (2) may deviate by a total of 3 sigmas
+# of a line inside a pair, from its middle and between two rows, in widths of the pair
+_INSIDE, _MAX_SKEW = 0.25, 0.1
 _TRACKED_SIGMA = 0.12  # of a line's x from the tracked lane, in lane widths
 # from the tracked lane, in sigmas squared, large enough to recover from a wrong lane
 _MAX_DEPARTURE = 1.5
@@ -231,11 +235,16 @@ class EgoLane:
 
 
 def _is_lane(fit: LaneFit) -> bool:
-    """Whether the lane has a plausible width and little clutter, and its lines do not cross where
-    they are seen.
+    """Whether the lane has a plausible width and little clutter, the camera is in it, and its lines
+    do not cross where they are seen.
     """
-    opening = fit.state.mean[3] / fit.state.image_hw[0]
-    if not _WIDTH_SLOPE_LIMITS[0] < opening < _WIDTH_SLOPE_LIMITS[1]:
+    height, width = fit.state.image_hw
+    opening = fit.state.mean[3] / height
+    bottom_px: FloatArray = np.array([float(height)])
+    left_px, right_px = (float(fit.state.x_px(bottom_px, side)[0]) for side in SIDES)
+    offset_px = abs(width - left_px - right_px) / 2
+    is_own = offset_px < _MAX_OFFSET * (right_px - left_px)
+    if not is_own or not _WIDTH_SLOPE_LIMITS[0] < opening < _WIDTH_SLOPE_LIMITS[1]:
         return False
     horizon_px, (left, right) = fit.state.horizon_px, fit.seen_px
     is_below_horizon = (left is None or horizon_px < left[0]) and (
@@ -272,11 +281,27 @@ def own_pair(
     is_possible = (sigmas < _MAX_SIGMAS).all(axis=0) & is_strong[:, None] & is_strong
     score = proposed.support[:, None] + proposed.support[None, :] - _COST * (sigmas**2).sum(axis=0)
     is_possible &= score >= _MIN_SCORE
+    score -= _between(proposed, image_hw, is_possible)
     if tracked is not None:
         score = score - _COST * _departure(proposed, tracked)
     score = np.where(is_possible, score, -np.inf)
     left, right = np.unravel_index(int(score.argmax()), score.shape)
     return (int(left), int(right)) if np.isfinite(score[left, right]) else None
+
+
+def _between(proposed: Proposals, image_hw: tuple[int, int], is_possible: BoolArray) -> FloatArray:
+    """(K, K) support of the strongest line inside each possible pair, parallel to it on the road:
+    the pair is then of two lanes.
+    """
+    y_px = image_hw[0] * np.array([0.95, 0.75])
+    x_px = proposed.constant[:, None] + proposed.slope[:, None] * y_px
+    left, right = np.nonzero(is_possible)
+    first, width_px = x_px[left, None], x_px[right, None] - x_px[left, None]
+    near, far = np.moveaxis((x_px - first) / np.where(width_px > 0, width_px, np.nan), 2, 0)
+    is_inside = (np.abs(near - 0.5) < _INSIDE) & (np.abs(near - far) < _MAX_SKEW)
+    support = np.zeros(is_possible.shape)
+    support[left, right] = (is_inside * proposed.support).max(axis=1, initial=0.0)
+    return support
 
 
 def _deviations(
