@@ -208,6 +208,26 @@ def test_line_of_the_neighbour_does_not_replace_a_hidden_one():
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
+def test_lane_has_no_other_line_inside():
+    """Two lanes between solid lines, of which the dashed line between them shows little."""
+    solid, dash = markings(-1.35, 4.15), markings(1.4, top_px=224.0, bottom_px=250.0)
+    seen = Markings.unnumbered(np.concatenate([solid.xy_px, dash.xy_px]), 1.0)
+    lines = EgoLane().update(seen, 0.0, HW)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.4, ROWS), abs=3.0)
+    # without a line inside, the road is as wide as two lanes
+    lines = EgoLane().update(solid, 0.0, HW)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(4.15, ROWS), abs=3.0)
+
+
+@pytest.mark.parametrize(("turned_px", "is_lane"), [(0.0, True), (-60.0, False)])
+def test_camera_is_in_its_lane(turned_px, is_lane):
+    """A lane of 3.6 m whose middle is 2.4 m to the left, 0.67 widths; the width in the lowest row
+    is 3.6 / 1.5 x 190 = 456 px, so that a turn by 60 px makes it 0.67 + 0.13."""
+    beside = markings(-4.2, -0.6, top_px=180.0)
+    seen = Markings.unnumbered(beside.xy_px + np.array([turned_px, 0.0]), 1.0)
+    assert (EgoLane().update(seen, 0.0, HW).right is not None) == is_lane
+
+
 def test_dashes_preferred_to_distant_kerb():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
