@@ -23,7 +23,7 @@ _OFFSET_STEP_PX, _MAX_OFFSET_PX = 0.5, 12.0
 # (O,) grid of the offset, and the standard deviation of the prior that bounds it, which is wider
 # than what is known of any pair
 _OFFSETS_PX = np.arange(-_MAX_OFFSET_PX, _MAX_OFFSET_PX + 1e-9, _OFFSET_STEP_PX)
-_GRID_SIGMA_PX = 6.0
+OFFSET_SIGMA_PX = 6.0
 _MAX_OBJECTS = 60  # with the least variance, for two errors; more do not change the estimate
 _MIN_RATIO = 0.05  # smallest ratio of the true and the measured disparity
 
@@ -64,7 +64,7 @@ def common_errors(
     best = np.argsort(variance)[:_MAX_OBJECTS]
     value, variance, inverse_px = value[best], variance[best], inverse_px[best]
     moved = np.log(np.maximum(1.0 + _OFFSETS_PX * inverse_px[:, None], _MIN_RATIO))  # (K, O)
-    log_p = -0.5 * np.tile((_OFFSETS_PX / _GRID_SIGMA_PX) ** 2, (len(_LOG), 1))  # (G, O)
+    log_p = -0.5 * np.tile((_OFFSETS_PX / OFFSET_SIGMA_PX) ** 2, (len(_LOG), 1))  # (G, O)
     for of_object, at_offset, own in zip(value, moved, variance, strict=True):
         log_p += _log_likelihood(of_object - at_offset - _LOG[:, None], own)
     weight = _normalised(log_p)

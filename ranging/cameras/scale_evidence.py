@@ -6,9 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.cameras.common_errors import common_errors, common_scale
+from track_range.ranging.cameras.common_errors import (
+    OFFSET_SIGMA_PX,
+    common_errors,
+    common_scale,
+)
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
@@ -46,6 +50,13 @@ _N_STEADY, _STEADY = 8, 1.3
 _MAX_RESIDUAL_PX = 0.3  # common error of disparities up to which it is not estimated here
 # of distances by size and of heights that are evidence, relative
 _MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2
+# of the horizon from image motion: what lasts beside its sigma, and what is new in every frame; of
+# the lower edge of a box
+_ROAD_RAD, _PITCH_RAD, _EDGE_PX = 0.0035, 0.004, 1.5
+_MAX_OF_HORIZON = 0.3  # largest relative error of a height by the horizon
+# of heights, of all contact points of a drive, relative: the crown of streets with slopes of 2 %,
+# lower edges of a detector's boxes
+_CONTACT_SIGMA = 0.04
 _MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
 _MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
 # lights and signs vary too much
@@ -70,8 +81,8 @@ class SizeEvidence:
         self._camera, self._rig = camera, rig
         self._log_height = math.log(height_m)
         # number of frames, mean of g - a, its mean variance, mean inverse disparity; number of
-        # frames, mean of h + a, its mean variance; class
-        self._objects = TrackState(np.zeros(8))
+        # frames, mean of h + a, its mean variance, mean effect of the horizon's error; class
+        self._objects = TrackState(np.zeros(9))
         self.residual_px = 0.0  # common error of the disparities, by the alignment
 
     @property
@@ -104,7 +115,7 @@ class SizeEvidence:
                 tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA)
             )
             size_variance = size_sigma**2 - shared_variance(size_sigma**2)
-            r, r_variance, inverse_px, q, q_variance = np.full((5, len(tracks)), np.nan)
+            r, r_variance, inverse_px, q, q_variance, q_common = np.full((6, len(tracks)), np.nan)
             if stereo is not None:
                 r = np.log(stereo.distance_m / by_size.distance_m)
                 inverse_px = self._inverse_px(stereo)
@@ -117,19 +128,21 @@ class SizeEvidence:
                 below = (tracks.xyxy_px[:, 3] - self._camera.cy_px) / self._camera.fy_px - horizon
                 offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=True)
                 q = np.log(below * (by_size.distance_m - offset_m))
-                angle_variance = road.horizon_variance + 0.004**2 + (1.5 / self._camera.fy_px) ** 2
-                q_variance = angle_variance / below**2 + size_variance
+                q_common = math.hypot(math.sqrt(road.horizon_variance), _ROAD_RAD) / below
+                own = math.hypot(_PITCH_RAD, _EDGE_PX / self._camera.fy_px) / below
+                q_variance = own**2 + size_variance
         has_rig = is_used & np.isfinite(r) & np.isfinite(inverse_px)
-        has_height = is_used & np.isfinite(q) & (q_variance < _MAX_HEIGHT_SIGMA**2)
-        new = np.array([has_rig, r, r_variance, inverse_px, has_height, q, q_variance])
+        is_near = (q_variance < _MAX_HEIGHT_SIGMA**2) & (q_common < _MAX_OF_HORIZON)
+        has_height = is_used & np.isfinite(q) & is_near
+        new = np.array([has_rig, r, r_variance, inverse_px, has_height, q, q_variance, q_common])
         state = self._objects.get(tracks.track_id)
-        for rows in (slice(0, 4), slice(4, 7)):
+        for rows in (slice(0, 4), slice(4, 8)):
             n, *values = new[rows]
             state[rows][0] += n
             gain = n / np.maximum(state[rows][0], 1.0)
             for mean, value in zip(state[rows][1:], values, strict=True):
                 mean += gain * (np.where(n > 0, value, 0.0) - mean)
-        state[7] = tracks.class_id
+        state[8] = tracks.class_id
         stays = np.arange(self._objects.known.shape[1]) < _MAX_OBJECTS
         self._objects.put(tracks.track_id, state, keep_known=stays)
 
@@ -142,7 +155,7 @@ class SizeEvidence:
     @property
     def evidence(self) -> list[Evidence]:
         """The evidence of all frames so far."""
-        n, r, r_variance, inverse_px, n_q, q, q_variance, class_id = self._objects.known
+        n, r, r_variance, inverse_px, n_q, q, q_variance, q_common, class_id = self._objects.known
         evidence = []
         shown = np.flatnonzero(n >= self._min_frames)
         if len(shown) >= _MIN_OBJECTS:
@@ -156,9 +169,8 @@ class SizeEvidence:
                 evidence += _by_class(name, of, values[0], variance, values[3])
         shown = np.flatnonzero(n_q >= self._min_frames)
         if len(shown) >= _MIN_OBJECTS:
-            of = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
-            heights = q[shown] - self._log_height, q_variance[shown], class_id[shown]
-            evidence += _by_class("where road users touch the road", of, *heights)
+            heights = q[shown] - self._log_height, q_variance[shown], q_common[shown]
+            evidence.append(_of_contacts(*heights, class_id[shown]))
         return evidence
 
 
@@ -175,6 +187,21 @@ def _by_class(
         mean, sigma = common_scale(value[class_id == k], variance[class_id == k])
         evidence.append(Evidence(name, of, mean, math.hypot(sigma, CLASS_SIGMA)))
     return evidence
+
+
+def _of_contacts(
+    value: FloatArray, variance: FloatArray, of_horizon: FloatArray, class_id: IntArray
+) -> Evidence:
+    """The evidence of heights over the contact points of objects (K,), which the lasting error of
+    the horizon changes by `of_horizon` (K,), relative standard deviations.
+    """
+    shared_variance = CLASS_SIGMA**2 / len(np.unique(class_id)) + _CONTACT_SIGMA**2
+    # an offset with the standard deviation that `common_errors` takes, in units of it
+    inverse = of_horizon / OFFSET_SIGMA_PX
+    errors = common_errors(value, variance, inverse, shared_variance=shared_variance)
+    sigma = math.sqrt(np.linalg.inv(errors.information)[0, 0])
+    of = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
+    return Evidence("where road users touch the road", of, float(errors.mean[0]), sigma)
 
 
 def _with_offset(

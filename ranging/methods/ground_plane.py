@@ -70,6 +70,8 @@ _HUBER_SIGMA = 2.0
 _MAX_HEIGHT_SIGMA = 0.05
 # relative, of all distances from image motion: camera height, and the horizon's mean error
 _REFERENCE_SIGMA = 0.04
+# largest fraction of the standard deviation of a reference that the horizon causes
+_MAX_OF_HORIZON = 0.95
 # time constant with which tracks that left are forgotten: the angle of the mounting changes with
 # load
 _DRIVE_S = 60.0
@@ -77,8 +79,8 @@ _DRIVE_S = 60.0
 _PAST_WEIGHT = 0.25
 # error of the row in which lane lines meet as a measurement of the horizon: hills, curves
 _LINES_RAD = 0.006
-# deviation of that row from the horizon of image motion beyond which they are not lane lines
-_MAX_LINES_SIGMA = 3.0
+# deviation of that row from the horizon by all else beyond which they are not lane lines
+_MAX_LINES_SIGMA = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,17 +244,19 @@ class GroundPlane:
         """Add the row at which lane lines meet as a measurement of the horizon; it decays like
         measurements of tracks.
 
-        It is ignored where it contradicts image motion: the detected lines are then not lines of a
-        lane.
+        It is ignored where it contradicts image motion and the objects on the road: the detected
+        lines are then not lines of a lane.
         """
         self._drop_forgotten(is_present=False)
         self._lane_terms = np.zeros((_N, _N + 1))
         below_px = y_px - float(self._expected_px(np.array(self._camera.cx_px)))
-        variance = sigma_px**2 + self._pitch_px2
+        lasting_px2 = self._pitch_px2
         if self._road is not None:
-            variance = sigma_px**2 + (_LINES_RAD * self._camera.fy_px) ** 2
-            if below_px**2 > _MAX_LINES_SIGMA**2 * (variance + _solved(self._prior).P[0, 0]):
-                return
+            lasting_px2 = (_LINES_RAD * self._camera.fy_px) ** 2
+        variance = sigma_px**2 + lasting_px2
+        plane = _solved(self._information)
+        if abs(below_px - plane.x[0]) > _MAX_LINES_SIGMA * math.sqrt(variance + plane.P[0, 0]):
+            return
         self._lane_terms[0, 0], self._lane_terms[0, -1] = 1.0 / variance, below_px / variance
 
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
@@ -293,7 +297,18 @@ class GroundPlane:
         any size.
         """
         contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
-        return self._ranges(tracks.track_id, contacts, _solved(self._prior + self._lane_terms))
+        return self._ranges(tracks.track_id, contacts, self._plane_alone)
+
+    def horizon_sigma(self, alone: Ranges) -> FloatArray:
+        """(N,) relative standard deviations of distances from image motion by the horizon."""
+        sigma_rad = math.sqrt(self._plane_alone.P[0, 0]) / self._camera.fy_px
+        of_horizon = sigma_rad / self._settings.height_m * alone.distance_m
+        return np.minimum(of_horizon, _MAX_OF_HORIZON * alone.sigma_m / alone.distance_m)
+
+    @property
+    def _plane_alone(self) -> _Plane:
+        """The road without the objects on it."""
+        return _solved(self._prior + self._lane_terms)
 
     @property
     def _prior(self) -> FloatArray:
@@ -520,7 +535,8 @@ class GroundRanger(Ranger):
         evidence = None
         if is_independent and self._road is not None and "mono" in others:
             alone = self.plane.measure_alone(tracks, frame)
-            evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA)
+            common = self.plane.horizon_sigma(alone)
+            evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA, common)
         ranges = self.plane.measure(tracks, by_size, frame)
         return Measured(replace(ranges, is_fallback=not is_independent), evidence)
 

@@ -1,13 +1,15 @@
 r"""DriveScale: error of the distances by size that all objects of a drive share, and its
 uncertainty.
 
-    log d_i - log s_i = a + c_k + e_i + n_it        d_i: reference distance of object i, s_i: its distance by size
+    log d_i - log s_i = a + c_k + e_i + w_i u + n_it
+                                d_i: reference distance of object i, s_i: its distance by size
 
 a is common to all classes (focal length, detector), c_k to the objects of class k (cars differ
 between streets and countries), e_i belongs to the object, n_it to the frame. a and c_k have normal
 priors; e_i has the systematic sigma of the distance by size without the part that a drive shares.
 Each track is one measurement: the average of its frames by information, in which errors are
-correlated over `_CORRELATED_S`. The estimate is the posterior mean over all tracks (ridge
+correlated over `_CORRELATED_S`. u is a lasting error of the references, as of the horizon, which
+near and far objects separate from the scale. The estimate is the posterior mean over all tracks (ridge
 regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
 
 Distances by size are multiplied by exp(a + c_k). Their sigma contains the variance of the bias
@@ -68,6 +70,9 @@ class ScaleEvidence:
     reference: Ranges | None = None
     # relative standard deviation of an error that all references share
     reference_sigma: float = 0.0
+    # (N,) relative standard deviations of what one lasting error, as of a horizon, makes of each
+    # reference; a part of their sigmas; None = there is none
+    common_sigma: FloatArray | None = None
     corrects_tracks: bool = False  # whether the tracks are corrected by their own references, too
 
     def of_rig(self, rig: RigScale) -> ScaleEvidence:
@@ -89,6 +94,7 @@ class _Tracks(NamedTuple):
     weighted_ratio: FloatArray
     own_variance: FloatArray
     time_s: FloatArray
+    weighted_common: FloatArray  # effects of the error that references of all tracks share
 
 
 class _Corrections(NamedTuple):
@@ -127,7 +133,7 @@ class DriveScale:
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))
     # (K,) its variance
     variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), DRIVE_VARIANCE))
-    _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
+    _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((5, 0))))
     _corrections: _Corrections = field(
         default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0)))
     )
@@ -208,16 +214,16 @@ class DriveScale:
                 (by_size.sigma_m / by_size.distance_m) ** 2,
                 _systematic_variance(by_size),
             )
+            common = np.zeros(len(ratio)) if item.common_sigma is None else item.common_sigma
             reference_variance = (reference.sigma_m / reference.distance_m) ** 2
-            noise = reference_variance + size_variance - systematic
+            noise = reference_variance - common**2 + size_variance - systematic
         rows = np.flatnonzero(np.abs(ratio) < _MAX_LOG_RATIO)  # False for NaN
         if step_s == 0.0 or not len(rows):
             return replace(self, _last_s=last_s)
         ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
         own = systematic[rows] - shared_variance(systematic[rows])
-        frame = _Tracks(
-            ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s)
-        )
+        of_frame = added, added * ratio[rows], own, np.full(len(rows), time_s), added * common[rows]
+        frame = _Tracks(ids, item.class_id[rows], *of_frame)
         scale = replace(self, _tracks=_averaged(self._tracks, frame), _last_s=last_s)._solved(
             time_s, item.reference_sigma
         )
@@ -243,20 +249,22 @@ class DriveScale:
         m = tracks.weighted_ratio / tracks.information
         variance = tracks.own_variance + 1.0 / tracks.information
         fresh = np.exp((tracks.time_s - time_s) / _MEMORY_S)
-        A = np.zeros((len(m), 1 + n_classes))
-        A[:, 0] = 1.0
+        A = np.zeros((len(m), 1 + n_classes + 1))
+        A[:, 0], A[:, -1] = 1.0, tracks.weighted_common / tracks.information
         A[np.arange(len(m)), 1 + tracks.class_id] = 1.0
-        prior = np.diag([KNOWN_REGION_SIGMA**-2, *[CLASS_SIGMA**-2] * n_classes])
+        prior = np.diag([KNOWN_REGION_SIGMA**-2, *[CLASS_SIGMA**-2] * n_classes, 1.0])
+        of_horizon = 0.0
         log_factor = self.log_factor
         for _ in range(_N_ROUNDS):
-            residual2 = (m - log_factor[tracks.class_id]) ** 2 / (
+            residual2 = (m - log_factor[tracks.class_id] - A[:, -1] * of_horizon) ** 2 / (
                 variance + self.variance[tracks.class_id]
             )
             weight = fresh / variance / (1.0 + residual2 / _CAUCHY_SIGMA**2)
             covariance = np.linalg.inv(prior + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
-            log_factor = beta[0] + beta[1:]
-        class_variance = covariance[0, 0] + 2 * covariance[0, 1:] + np.diag(covariance)[1:]
+            log_factor, of_horizon = beta[0] + beta[1:-1], beta[-1]
+        with_classes = covariance[:-1, :-1]
+        class_variance = with_classes[0, 0] + 2 * with_classes[0, 1:] + np.diag(with_classes)[1:]
         return replace(
             self,
             log_factor=log_factor,
@@ -279,15 +287,15 @@ class DriveScale:
 
 def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
     is_new = ~_rows(frame.track_id, known.track_id)[1]
-    added = frame._replace(
-        information=0.0 * frame.information, weighted_ratio=0.0 * frame.weighted_ratio
-    )
+    nothing = np.zeros(len(frame.track_id))
+    added = frame._replace(information=nothing, weighted_ratio=nothing, weighted_common=nothing)
     tracks = _Tracks._make(
         np.concatenate([a, b[is_new]]) for a, b in zip(known, added, strict=True)
     )
     row, _ = _rows(frame.track_id, tracks.track_id)
     tracks.information[row] += frame.information
     tracks.weighted_ratio[row] += frame.weighted_ratio
+    tracks.weighted_common[row] += frame.weighted_common
     for column in ("class_id", "own_variance", "time_s"):
         getattr(tracks, column)[row] = getattr(frame, column)
     return _Tracks._make(column[-_MAX_TRACKS:] for column in tracks)

@@ -85,12 +85,16 @@ _MAX_FRAMES = 50.0  # largest amplification of an error of the rotation, by slow
 # horizon: 0.002 to 0.005 rad on simulated drives, seeds 0-2, correlated over a second, and the
 # camera moves up and down on the springs.
 _EPIPOLE_SIGMA_RAD = 0.012
+# speed below which errors of the direction of travel grow as 1 / speed: the camera moves up and
+# down on the springs as much when a car pulls away or brakes
+_FULL_MPS = 10.0
 _SURE_RAD = 0.004  # standard deviation of the horizon below which the epipole is expected there
 # deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
 _TRAVEL_SIGMA_RAD = 0.004
 _TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
+_SLOWEST_MPS = 0.1  # of a camera that is not at rest
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
-_TYPICAL_MPS = 10.0  # speed for the curvature of the road until the first speed is known
+_TYPICAL_DEPTH_M = 30.0  # over which the expansion is a speed, where the road shows none
 
 
 class GroundOdometry:
@@ -123,7 +127,7 @@ class GroundOdometry:
         self._filter = SpeedFilter()
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
-        self._speed_mps = _TYPICAL_MPS
+        self._speed_mps = _FULL_MPS
         self._before: Image | None = None
         self._boxes_before: FloatArray = np.zeros((0, 4))
         self._last = math.nan, EgoMotion()
@@ -218,8 +222,10 @@ class GroundOdometry:
         speed = self._filter.update(
             motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps
         )
-        if math.isfinite(speed[0]):
-            self._speed_mps = speed[0]
+        rough_mps = motion.expansion_hz * _TYPICAL_DEPTH_M
+        known_mps = speed[0] if math.isfinite(speed[0]) else rough_mps
+        if math.isfinite(known_mps):
+            self._speed_mps = known_mps
         pitch_rad, roll_rad = motion.pitch_rad_s * dt_s, motion.roll_rad_s * dt_s
         self._horizon.predict(
             dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s
@@ -241,13 +247,14 @@ class GroundOdometry:
         """Correct the horizon by the direction of travel down, if it is known; a sure horizon is
         then the expected direction.
         """
+        slow = slow_factor(self._speed_mps)
         if math.isfinite(row):
-            self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
+            self._horizon.measure(row, (slow * _EPIPOLE_SIGMA_RAD) ** 2)
             self.has_horizon = True
         view = self._horizon.view
         if view.horizon_variance < _SURE_RAD**2:
             self._image_motion.expect_travel(
-                view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2
+                view.horizon, view.horizon_variance + (slow * _TRAVEL_SIGMA_RAD) ** 2
             )
 
     def _shift_m(
@@ -357,6 +364,13 @@ def _road(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
     return np.stack(
         [np.tile(X, len(Z)), np.full(len(X) * len(Z), height_m), np.repeat(Z, len(X))], axis=1
     )
+
+
+def slow_factor(speed_mps: float) -> float:
+    """Factor of the errors of the direction of travel as a measurement of the horizon, 1 or more:
+    the camera moves up and down by a few cm/s, which turn the path of a slow car more.
+    """
+    return max(_FULL_MPS / max(abs(speed_mps), _SLOWEST_MPS), 1.0)
 
 
 def _strip_correlations(

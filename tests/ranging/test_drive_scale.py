@@ -192,6 +192,28 @@ def test_expected_distances_without_evidence_are_those_by_size():
     assert DriveScale().expected(by_size, np.array([CAR])).distance_m == pytest.approx([16.0])
 
 
+def test_a_horizon_that_is_wrong_is_no_scale():
+    """References of the ground whose horizon is wrong by one sigma: 1 % too far at 5 m, 8 % at
+    40 m, while all sizes are 5 % too small. As independent errors, they would be another scale."""
+    distance_m = np.array([5.0, 8.0, 12.0, 18.0, 25.0, 32.0, 40.0])
+    ids, class_id = np.arange(len(distance_m)), np.full(len(distance_m), CAR)
+    of_horizon = 0.002 * distance_m
+    reference_m = distance_m * (1 + of_horizon)
+    reference = Ranges(ids, reference_m, np.hypot(0.01, of_horizon) * reference_m)
+    by_size = sizes(0.95 * distance_m, ids, sigma=0.03, systematic=0.025)
+    learnt_scales = []
+    for common_sigma in (None, of_horizon):
+        scale = DriveScale()
+        for k in range(1, 20):
+            of_ground = ScaleEvidence(class_id, None, reference, 0.01, common_sigma)
+            scale = scale.after([ScaleEvidence(class_id, by_size), of_ground], 0.1 * k)
+        learnt_scales.append(scale.bias_of("car"))
+    independent, common = learnt_scales
+    assert common.log_factor == pytest.approx(-np.log(0.95), abs=0.015)
+    assert independent.log_factor > common.log_factor + 0.005
+    assert common.sigma > independent.sigma
+
+
 def test_a_scale_is_a_value():
     """Evidence makes a new scale; the one before gives what it gave before."""
     before = drive(10, 1.1)

@@ -306,6 +306,18 @@ def test_lane_lines_are_ignored_where_image_motion_shows_the_road():
     assert plane.horizon.y_px == pytest.approx(190.0)
 
 
+def test_lane_lines_are_ignored_where_the_cars_show_the_horizon():
+    """Lines of kerbs and shadows meet 60 px above it; lines that meet near it are used."""
+    tracks, by_size = cars_at([10.0, 15.0, 20.0, 30.0, 40.0, 50.0], horizon_px=190.0)
+    plane = GroundPlane(CAMERA, SMOOTH)
+    plane.measure(tracks, by_size, at(0.0))
+    without = plane.horizon
+    plane.add_horizon(130.0, 1.0)
+    assert plane.horizon == without
+    plane.add_horizon(192.0, 1.0)
+    assert plane.horizon.sigma_px < 0.95 * without.sigma_px
+
+
 def test_measured_camera_height():
     """With a height of image motion and a known speed, distances are independent of sizes, which
     are 20 % wrong."""

@@ -12,7 +12,7 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.evidence import SeenFrame
 from track_range.ranging.cameras.scale_check import ScaleCheck
-from track_range.ranging.cameras.scale_evidence import speed_ratio_sigma
+from track_range.ranging.cameras.scale_evidence import SizeEvidence, speed_ratio_sigma
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED
@@ -229,6 +229,43 @@ def test_without_evidence_the_baseline_cannot_be_checked():
     wrong = check_of(1.25, n=4, sizes=1.0, true_mps=12.0)
     assert wrong.doubt is None
     assert "times what the drive shows" in wrong.agreement.sentence
+
+
+def contacts_of(horizon_error, horizon_sigma, *, seed, n=10, true_height_m=1.5):
+    """The evidence of where cars touch the road, with the height taken to be 1.5 m, and a horizon
+    that is wrong."""
+    rng = np.random.default_rng(seed)
+    ids, true_m = np.arange(n), rng.uniform(8, 40, n)
+    by_size = true_m * np.exp(rng.normal(0, 0.08, n))
+    bottom = 360 + 1000 * true_height_m / (true_m + 0.6)  # a tyre is 0.6 m behind the bumper
+    middle = rng.uniform(300, 1000, n)
+    half = 600 / true_m
+    boxes = np.stack([middle - half, bottom - 1500 / true_m, middle + half, bottom], axis=1)
+    tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
+    road = RoadView(horizon=horizon_error, horizon_variance=horizon_sigma**2)
+    sizes = SizeEvidence(CAMERA, 1.5)
+    for k in range(4):
+        ego = Ego(motion=EgoMotion(), road=road)
+        sizes.add(SeenFrame(tracks, Ranges(ids, by_size, 0.1 * by_size), None, ego, 0.1 * k))
+    (item,) = sizes.evidence
+    assert item.of == {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
+    return item
+
+
+def test_contact_points_share_the_error_of_the_horizon():
+    """Ten cars do not average it out, and the evidence of the height has its sigma."""
+    deviations, sigmas = [], []
+    for seed, horizon_error in enumerate(np.linspace(-0.025, 0.025, 12)):
+        item = contacts_of(horizon_error, 0.015, seed=seed)
+        deviations.append(item.value / item.sigma)
+        sigmas.append(item.sigma)
+    assert 0.5 < np.sqrt(np.mean(np.square(deviations))) < 1.3
+    well_known = contacts_of(0.0, 0.001, seed=0)
+    # sizes of cars, crowns of streets, ten cars, and the horizon
+    assert math.hypot(0.065, 0.04) < well_known.sigma < 0.11
+    assert np.median(sigmas) > 1.2 * well_known.sigma
+    higher = contacts_of(0.0, 0.001, seed=0, true_height_m=1.8)
+    assert higher.value - well_known.value == pytest.approx(math.log(1.2), abs=0.03)
 
 
 def test_lane_lines_measure_the_height_of_the_camera():

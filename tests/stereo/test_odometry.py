@@ -10,7 +10,11 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.odometry.ground_odometry import GroundOdometry, plane_error
+from track_range.stereo.odometry.ground_odometry import (
+    GroundOdometry,
+    plane_error,
+    slow_factor,
+)
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
 from track_range.stereo.odometry.motion_fit import RigidMotion, fit_motion
 from track_range.stereo.odometry.speed_filter import SpeedFilter
@@ -125,6 +129,14 @@ def test_yaw_and_direction_of_a_camera_that_looks_aside(yaw_deg, turn_rad):
     assert abs(-fit.rotation[1] - turn_rad) < 4 * sigma
     assert -fit.direction @ travel > math.cos(0.02)
     assert fit.is_static.mean() > 0.9
+
+
+def test_springs_turn_the_path_of_a_slow_car():
+    """0.04 m/s up is 0.004 rad at 10 m/s, and ten times as much at 1 m/s."""
+    assert 0.004 * slow_factor(10.0) == pytest.approx(0.04 / 10.0)
+    assert 0.004 * slow_factor(-1.0) == pytest.approx(0.04 / 1.0)
+    assert slow_factor(30.0) == 1.0
+    assert np.isfinite(slow_factor(0.0))
 
 
 @pytest.mark.parametrize("offset_rad", [-0.008, 0.0, 0.008])
