@@ -266,7 +266,8 @@ class FilterBank(NamedTuple):
         V = step.ego.speed_mps
         size_sigma = np.sqrt(np.fmax(self.history.systematic, 0.0))
         static_mps = models.start_sigma_mps(step.class_id, 0.0, size_sigma * V)
-        is_moving = np.abs(self.motion.v + V) > self.settings.outlier_sigma * static_mps
+        known_mps = np.hypot(static_mps, step.ego.sigma_mps)
+        is_moving = np.abs(self.motion.v + V) > self.settings.outlier_sigma * known_mps
         possible = step.prior * ~(models.is_static & is_moving)
         weight = models.interact(self.weight, possible, step.dt)
         joins = np.isnan(self.ego_mps)

@@ -16,6 +16,16 @@ parked car ends at its far corner:
 
 A box that is truncated at the left or right image border is not a measurement: the bearing of its
 visible part stays constant while the object passes, as on a collision course.
+
+A camera that does not look along the drive sees the sides of vehicles, whose length is taken to be
+parallel to the drive. Each edge b of the box belongs to one corner of a rectangle of the length and
+width of the class, at (dx, dz) from its centre:
+
+    x = max over the corners of (b (z + dz) - dx), left edge        x = min over the corners, right edge
+
+at the depth z of the centre, in front of which the ray through the middle of the box enters the
+rectangle at the distance d. x is the mean of both edges, or that of the edge that the border of the
+image does not cut.
 """
 
 import math
@@ -29,6 +39,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.tracking.tracks import Tracks
 
 # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
@@ -57,6 +68,9 @@ _SIZES_M = {  # typical length and smallest width of each class, m
     "traffic sign": (0.1, 0.4),
 }
 LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
+_TYPICAL_WIDTH = 1.2  # typical width over the smallest one
+# relative standard deviation of the half size of a vehicle, from the edge that is not cut to its middle
+_HALF_SIGMA = 0.15
 
 
 def sides_cut(tracks: Tracks, camera: PinholeCamera) -> BoolArray:
@@ -102,9 +116,15 @@ class LateralFilters:
         []
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        """Start without tracks; boxes are in the pixels of `camera` (undistorted)."""
+    def __init__(self, camera: PinholeCamera, mounting: Mounting | None = None) -> None:
+        """Start without tracks; boxes are in the pixels of `camera` (undistorted), which has a
+        `mounting`; None = it looks along the drive.
+        """
         self._camera = camera
+        self._drive: tuple[float, float] | None = None  # its direction along x and z
+        if mounting is not None and not mounting.is_ahead:
+            right, _, forward = mounting.velocity_mps(1.0).tolist()
+            self._drive = right, forward
         self._tracks = TrackState(np.full(len(_LateralState._fields), np.nan))
 
     def last(self, track_id: IntArray) -> ConstantVelocity:
@@ -178,6 +198,40 @@ class LateralFilters:
             * d
             / self._camera.fx_px
         )
-        is_whole = ~sides_cut(tracks, self._camera).any(axis=0)
+        is_cut = sides_cut(tracks, self._camera)
+        if self._drive is not None:
+            x_m, half_m = _beside(left, right, d, tracks.class_id, is_cut, self._drive)
+            sigma_m = np.hypot(sigma_m, np.where(is_cut.any(axis=0), _HALF_SIGMA * half_m, 0.0))
+            return x_m, sigma_m, half_m, ~is_cut.all(axis=0)
+        is_whole = ~is_cut.any(axis=0)
         is_whole &= (right - left) * d > _LEAST_WIDTH_FRACTION * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole
+
+
+def _beside(
+    left: FloatArray,
+    right: FloatArray,
+    d: FloatArray,
+    class_id: IntArray,
+    is_cut: BoolArray,
+    drive: tuple[float, float],
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) lateral positions of the centres, and half the widths in the image, of vehicles parallel
+    to the `drive`, by the bearings of their left and right edges, of which some `is_cut` (2, N).
+    """
+    along_x, along_z = drive
+    half_length, half_width = LENGTH_M[class_id] / 2, _TYPICAL_WIDTH * _MIN_WIDTH_M[class_id] / 2
+    middle = (left + right) / 2
+    with np.errstate(divide="ignore"):
+        into_end = half_length / np.abs(middle * along_x + along_z)
+        into_side = half_width / np.abs(middle * along_z - along_x)
+    z = d + np.minimum(into_end, into_side)
+    ends, sides = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]])[..., None]
+    dx = ends * half_length * along_x + sides * half_width * along_z
+    dz = ends * half_length * along_z - sides * half_width * along_x
+    from_left = (left * (z + dz) - dx).max(axis=0)
+    from_right = (right * (z + dz) - dx).min(axis=0)
+    x = np.where(
+        is_cut[0], from_right, np.where(is_cut[1], from_left, (from_left + from_right) / 2)
+    )
+    return x, dx.max(axis=0)

@@ -11,6 +11,7 @@ import pytest
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.lateral_motion import LateralFilters
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
@@ -205,3 +206,41 @@ def test_object_at_rest_beside_a_camera_that_moves_across_its_axis() -> None:
         relative = still.update(seen, distance_m, time_s, right_mps=np.nan)
     assert np.abs(over_ground).max() < 0.5  # the inner edge may be at the far end of a car
     assert relative.state.v[0] == pytest.approx(-8.0, abs=1.5)
+
+
+def parked_car(mounting: Mounting, centre_m: FloatArray) -> tuple[list[float], float]:
+    """Box of a car of 4.2 x 1.8 m, parallel to the drive, with its centre at (x, z), in the image;
+    and the depth at which the ray through its middle enters the car.
+    """
+    half_m = np.array([2.1, 0.9, 1.0])
+    corners = half_m * [[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]
+    x_m, _, z_m = (corners @ mounting.vehicle_from_camera).T
+    x_px = 620.0 + 700.0 * (x_m + centre_m[0]) / (z_m + centre_m[1])
+    left_px, right_px = np.clip([x_px.min(), x_px.max()], 0.0, 1240.0).tolist()
+    depth_m = np.linspace(0.5, 30.0, 30_000)
+    ray = np.array([((left_px + right_px) / 2 - 620.0) / 700.0, 0.0, 1.0])
+    points = ray * depth_m[:, None] - [centre_m[0], 0.0, centre_m[1]]
+    is_inside = (np.abs(points @ mounting.vehicle_from_camera.T) < half_m).all(axis=1)
+    return [left_px, 187.0, right_px, 187.0 + 700.0 / centre_m[1]], float(depth_m[is_inside][0])
+
+
+@pytest.mark.parametrize("yaw_deg", [-58.0, 90.0, 120.0])
+def test_parked_car_beside_a_camera_that_looks_aside(yaw_deg: float) -> None:
+    """A vehicle passes a parked car at 8 m/s: the car rests over ground, also where the border of
+    the image cuts it.
+    """
+    mounting, n_cut = Mounting(yaw_deg=yaw_deg), 0
+    velocity_mps = mounting.velocity_mps(8.0)
+    filters = LateralFilters(CAMERA, mounting)
+    for number in range(-9, 10):
+        centre_m = np.array([1.0, 9.0]) - velocity_mps[[0, 2]] * number * STEP_S
+        if centre_m[1] < 5.0 or abs(centre_m[0]) > 0.8 * centre_m[1]:
+            continue
+        seen, depth_m = parked_car(mounting, centre_m)
+        motion = filters.update(
+            tracks([seen]), np.array([depth_m]), number * STEP_S, right_mps=velocity_mps[0]
+        )
+        n_cut += seen[0] == 0.0 or seen[2] == 1240.0
+        assert abs(motion.state.v[0]) < 0.7
+        assert abs(motion.state.x[0] - centre_m[0]) < 0.3
+    assert n_cut >= 2

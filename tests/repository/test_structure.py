@@ -56,7 +56,8 @@ MOST_STATEMENTS = {
     # known distances as evidence of the scale of a pair (+39)
     # a camera that moves across its axis (10)
     # the error of the horizon is common to all contact points (29)
-    "ranging": 6_924,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # vehicles beside a camera that looks aside, also where the image cuts them (28)
+    "ranging": 6_952,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -85,9 +86,9 @@ MOST_STATEMENTS = {
     # the right camera is followed also where the speed of the pair is not used (3)
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
     # slopes in speeds by the road, and the notes of the road (5)
-    # the motion of the vehicle as that of a camera (12), also by the road (8)
     # lane lines between the boxes, in a thread of their own (8)
-    "pipeline": 887,
+    # the motion of the vehicle as that of a camera (14), also by the road (8)
+    "pipeline": 889,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -19,6 +19,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
@@ -90,16 +91,21 @@ class Approach:
 class FilterStage:
     """Filters the distances of all tracks of a drive.
 
-    `has_visible_boxes`: see `MethodContext`. `is_ahead`: whether the camera looks along the road;
-    else there is no time to collision.
+    `has_visible_boxes`: see `MethodContext`. With a `mounting` that does not look along the drive,
+    there is no time to collision.
     """
 
     def __init__(
-        self, camera: PinholeCamera, *, has_visible_boxes: bool = False, is_ahead: bool = True
+        self,
+        camera: PinholeCamera,
+        *,
+        has_visible_boxes: bool = False,
+        mounting: Mounting | None = None,
     ) -> None:
-        self._camera = camera
-        self._has_visible_boxes, self._is_ahead = has_visible_boxes, is_ahead
-        self._distances, self._lateral = DistanceFilters(noise_shares()), LateralFilters(camera)
+        self._camera, self._has_visible_boxes = camera, has_visible_boxes
+        self._is_ahead = mounting is None or mounting.is_ahead
+        self._distances = DistanceFilters(noise_shares())
+        self._lateral = LateralFilters(camera, mounting)
 
     def update(
         self, tracks: Tracks, measured: FrameRanges, fused: Fused, ego: EgoMotion, time_s: float

@@ -108,7 +108,7 @@ def open_pipeline(
         ranging=RangingStage(create_rangers(context)),
         doubting=DoubtStage(priors, check, _focal_before(calibration)),
         filtering=FilterStage(
-            camera, has_visible_boxes=context.has_visible_boxes, is_ahead=is_ahead
+            camera, has_visible_boxes=context.has_visible_boxes, mounting=mounting
         ),
         world=WorldStage(
             camera,

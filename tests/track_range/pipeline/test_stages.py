@@ -193,8 +193,8 @@ def test_speeds_have_the_errors_of_their_scale():
 # -- Filters, world, alarms
 
 
-def filtered(camera_is_ahead: bool = True) -> tuple[FrameRanges, Filtered, Doubt]:
-    stage, fusion = FilterStage(CAMERA, is_ahead=camera_is_ahead), Fusion()
+def filtered(mounting: Mounting | None = None) -> tuple[FrameRanges, Filtered, Doubt]:
+    stage, fusion = FilterStage(CAMERA, mounting=mounting), Fusion()
     for k in range(15):
         frame_ranges = measured(mono=ranges(20.0 - k, 30.0))
         fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
@@ -263,7 +263,7 @@ def test_a_new_focal_length_does_not_change_closing_speeds():
 
 def test_view_to_the_side_has_closing_speeds_but_no_times_to_collision():
     _, _, ahead = filtered()
-    _, _, aside = filtered(camera_is_ahead=False)
+    _, _, aside = filtered(Mounting(yaw_deg=-58.0))
     np.testing.assert_array_equal(aside.fused.rate_mps, ahead.fused.rate_mps)
     assert np.isfinite(Approach.of(ahead.fused, 0.0).ttc_s[0])
     assert np.isnan(Approach.of(aside.fused, 0.0).ttc_s).all()
