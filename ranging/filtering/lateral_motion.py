@@ -201,8 +201,8 @@ class LateralFilters:
         is_cut = sides_cut(tracks, self._camera)
         if self._drive is not None:
             x_m, half_m = _beside(left, right, d, tracks.class_id, is_cut, self._drive)
-            sigma_m = np.hypot(sigma_m, np.where(is_cut.any(axis=0), _HALF_SIGMA * half_m, 0.0))
-            return x_m, sigma_m, half_m, ~is_cut.all(axis=0)
+            sigma_m = np.hypot(sigma_m, _HALF_SIGMA * half_m * is_cut.any(axis=0))
+            return x_m, sigma_m, half_m, np.asarray(~is_cut.all(axis=0))
         is_whole = ~is_cut.any(axis=0)
         is_whole &= (right - left) * d > _LEAST_WIDTH_FRACTION * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole
