@@ -1,8 +1,8 @@
 """Runs of the complete pipeline on the boxes of a real drive, with an empty image.
 
-The tracker returns the true identities, and the yaw rate is that of the drive with the noise of
-image motion; nothing else is measured from images, so that neither lane lines nor the horizon of
-the road take part. All other stages are those of a run.
+The tracker returns the true identities. The yaw rate, and where a run measures them from images the
+horizon of the road and the speed in units of the camera height, are those of the drive with usual
+errors; lane lines are not seen. All other stages are those of a run.
 """
 
 from __future__ import annotations
@@ -25,12 +25,20 @@ from track_range.run.box_source import BoxSource
 from track_range.run.build import open_pipeline
 from track_range.run.options.settings import PipelineOptions
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.stereo.odometry.road_horizon import RoadView as RoadGeometry
 from track_range.tracking.tracks import Tracks
 
 SCORE = 0.9  # confidence of all boxes
 EDGE_SIGMA_PX = 0.7  # standard deviation of each edge of the boxes, independent in each frame
+# Errors of the horizon: springs and measurement with a time constant, and a constant one
+_HORIZON_RAD, _HORIZON_S, _HORIZON_BIAS_RAD = 0.003, 1.0, 0.0015
+_CURVATURE_PER_M = 0.0003  # standard deviation of the curvature of the road, which is not measured
+STILL_MPS = 0.05  # speed below which the camera is at rest
+_SPEED_ERROR = 0.03  # relative standard deviation of the speed by the motion of the road, constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +81,50 @@ class _YawRate(ImageMotionEstimator):
         return ImageMotion(time_s=time_s, yaw_rad_s=rate_rad_s, yaw_sigma_rad_s=YAW_SIGMA_RAD_S)
 
 
+class _RoadOfDrive(GroundOdometry):
+    """The horizon of the plane under the wheels, and the speed in units of the camera height, with
+    errors; both as if measured from images.
+    """
+
+    def __init__(self, view: RoadView, height_m: float, image_motion: _YawRate, seed: int) -> None:
+        super().__init__(view.camera, height_m)
+        rng = np.random.default_rng([seed, 35])
+        times_s, n = view.times_s, len(view.times_s)
+        stays = float(np.exp(-np.diff(times_s).mean() / _HORIZON_S))
+        error = np.zeros(n)
+        for k, noise in enumerate(rng.normal(0, _HORIZON_RAD, n)):
+            error[k] = stays * error[k - 1] + np.sqrt(1 - stays**2) * noise
+        self._errors_rad = error + rng.normal(0, _HORIZON_BIAS_RAD)
+        in_heights = height_m / (view.mounting.z_m or height_m)
+        self._speeds_mps = view.speed_mps * in_heights * (1 + rng.normal(0, _SPEED_ERROR))
+        self._up = view.mounting.vehicle_from_camera.T @ np.array([0.0, 0.0, 1.0])
+        self._times_s, self._motion_of = times_s, image_motion
+
+    @property
+    def view(self) -> RoadGeometry:
+        """The road in the last frame."""
+        across, down, along = self._up
+        error_rad = float(np.interp(self.motion.time_s, self._times_s, self._errors_rad))
+        return RoadGeometry(
+            horizon=-along / down + error_rad,
+            horizon_variance=_HORIZON_RAD**2 + _HORIZON_BIAS_RAD**2,
+            slope=-across / down,
+            curvature_variance=_CURVATURE_PER_M**2,
+        )
+
+    def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
+        """Motion since the previous frame."""
+        self.motion = self._motion_of.update(frame.left, frame.time_s)
+        self.has_horizon = True
+        speed_mps = float(np.interp(frame.time_s, self._times_s, self._speeds_mps))
+        sigma_mps = max(_SPEED_ERROR * abs(speed_mps), 0.05)
+        is_still = abs(speed_mps) < STILL_MPS
+        return EgoMotion(speed_mps, sigma_mps, self.motion.yaw_rad_s, is_still)
+
+    def step(self, ego: EgoMotion) -> None:
+        """Unknown: it needs the flow of points."""
+
+
 def run_view(
     view: RoadView, *, seed: int = 0, has_speed: bool = True, **options: Any
 ) -> ViewResult:
@@ -95,7 +147,11 @@ def run_view(
         ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None,
     )
     stages.clock = NoClock()
-    stages.ego.road_motion, stages.ego.image_motion = None, _YawRate(view, seed)
+    yaw_rate = _YawRate(view, seed)
+    stages.ego.image_motion = yaw_rate
+    if stages.ego.road_motion is not None:
+        height_m = stages.ego.road_motion.height_m
+        stages.ego.road_motion = _RoadOfDrive(view, height_m, yaw_rate, seed)
     results = list(_results(stages, tracker, view, seed))
     stages.close()
     return _joined(view, results, (*stages.notes(), *stages.doubting.notes()))
