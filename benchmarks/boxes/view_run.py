@@ -7,13 +7,14 @@ errors; lane lines are not seen. All other stages are those of a run.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from benchmarks.boxes.box_run import YAW_SIGMA_RAD_S, NoClock
 from benchmarks.boxes.road_view import RoadView
+from benchmarks.boxes.view_scores import RunScores, ScoredRows
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
@@ -39,22 +40,6 @@ _HORIZON_RAD, _HORIZON_S, _HORIZON_BIAS_RAD = 0.003, 1.0, 0.0015
 _CURVATURE_PER_M = 0.0003  # standard deviation of the curvature of the road, which is not measured
 STILL_MPS = 0.05  # speed below which the camera is at rest
 _SPEED_ERROR = 0.03  # relative standard deviation of the speed by the motion of the road, constant
-
-
-@dataclass(frozen=True, slots=True)
-class ViewResult:
-    """The results of a run for the rows of its view, (N,) each; NaN = unknown."""
-
-    ranges: dict[str, tuple[FloatArray, FloatArray]]  # distance and sigma by method
-    speed_mps: FloatArray  # over ground
-    speed_sigma_mps: FloatArray
-    state: FloatArray  # index into `MOTION_STATES`
-    ego_mps: FloatArray  # (T,) speed of the camera along its axis
-    path_m: FloatArray  # (T, 2) position of the camera in the frame `map`
-    path_sigma_m: FloatArray  # (T,) standard deviation of the position
-    doubt: float  # factor of the largest doubt of a scale, 1 = none
-    notes: tuple[str, ...]
-    alarms: int  # frames and tracks with an alarm
 
 
 class _TrueTracks:
@@ -125,10 +110,10 @@ class _RoadOfDrive(GroundOdometry):
         """Unknown: it needs the flow of points."""
 
 
-def run_view(
-    view: RoadView, *, seed: int = 0, has_speed: bool = True, **options: Any
-) -> ViewResult:
-    """The results of a view; `options` are those of `PipelineOptions`."""
+def run_view(view: RoadView, *, min_share: float = 0.5, seed: int = 0, **options: Any) -> RunScores:
+    """The scores of a view, of objects of which `min_share` is visible; `options` are those of
+    `PipelineOptions`.
+    """
     calibration = calibration_of(view.camera, ((view.camera.width_px, view.camera.height_px),))
     source = BoxSource(
         detect=lambda frame: Detections.empty(),
@@ -144,7 +129,7 @@ def run_view(
         source,
         region=settings.region or "unknown",
         tracker=tracker,
-        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None,
+        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle"),
     )
     stages.clock = NoClock()
     yaw_rate = _YawRate(view, seed)
@@ -154,10 +139,12 @@ def run_view(
         stages.ego.road_motion = _RoadOfDrive(view, height_m, yaw_rate, seed)
     results = list(_results(stages, tracker, view, seed))
     stages.close()
-    return _joined(view, results, (*stages.notes(), *stages.doubting.notes()))
+    return RunScores.of_run(_scored(view, results, min_share), results, view.path_m)
 
 
-def _results(stages: FramePipeline, tracker: _TrueTracks, view: RoadView, seed: int) -> Any:
+def _results(
+    stages: FramePipeline, tracker: _TrueTracks, view: RoadView, seed: int
+) -> Iterator[FrameResult]:
     rng = np.random.default_rng([seed, 34])
     image = np.zeros((view.camera.height_px, view.camera.width_px, 3), np.uint8)
     edge = np.array([view.camera.width_px - 1, view.camera.height_px - 1] * 2, np.float64)
@@ -181,36 +168,29 @@ def _class_ids(view: RoadView, rows: IntArray) -> IntArray:
     return np.array([ROAD_CLASSES.index(name) for name in names], np.int64)
 
 
-def _joined(view: RoadView, results: list[FrameResult], notes: tuple[str, ...]) -> ViewResult:
-    n = len(view.rows.frame)
-    names = sorted({name for result in results for name in result.ranges})
+def _scored(view: RoadView, results: Sequence[FrameResult], min_share: float) -> ScoredRows:
+    rows, n = view.rows, len(view.rows.frame)
+    names = {name for result in results for name in result.ranges}
     ranges = {name: (np.full(n, np.nan), np.full(n, np.nan)) for name in names}
-    speed, sigma, state = np.full((3, n), np.nan)
+    speed_mps, sigma_mps, state = np.full((3, n), np.nan)
     for index, result in enumerate(results):
-        at = {int(view.rows.track_id[k]): k for k in np.flatnonzero(view.rows.frame == index)}
-        pairs = [(k, at[i]) for k, i in enumerate(result.tracks.track_id.tolist()) if i in at]
-        if not pairs:
-            continue
-        found, rows = np.array(pairs).T
+        at = np.flatnonzero(rows.frame == index)
+        if not np.array_equal(rows.track_id[at], result.tracks.track_id):
+            raise ValueError(f"frame {index}: expected the boxes of the view as tracks")
         for name, part in result.ranges.items():
-            ranges[name][0][rows], ranges[name][1][rows] = (
-                part.distance_m[found],
-                part.sigma_m[found],
-            )
+            ranges[name][0][at], ranges[name][1][at] = part.distance_m, part.sigma_m
         motion = result.motion
-        speed[rows], sigma[rows] = motion.speed_mps[found], motion.speed_sigma_mps[found]
-        state[rows] = motion.state[found]
-    poses = [result.ego_pose for result in results]
-    factors = [result.scale_doubt.factor for result in results if result.scale_doubt is not None]
-    return ViewResult(
-        ranges,
-        speed,
-        sigma,
-        state,
-        np.array([result.ego_mps for result in results]),
-        np.array([(pose.x_m, pose.y_m) for pose in poses]),
-        np.array([np.hypot(*pose.sigmas[:2]) for pose in poses]),
-        max(factors, key=lambda factor: abs(np.log(factor)), default=1.0),
-        notes,
-        sum(int(np.nansum(result.warnings.active)) for result in results),
+        speed_mps[at], sigma_mps[at] = motion.speed_mps, motion.speed_sigma_mps
+        state[at] = motion.state
+    is_visible = rows.visible_share >= min_share
+    return ScoredRows(
+        track_id=rows.track_id,
+        class_name=rows.class_name,
+        true_m=np.where(is_visible & ~rows.is_cut, rows.true_m, np.nan),
+        has_motion=is_visible,
+        velocity_mps=rows.velocity_mps,
+        ranges=ranges,
+        speed_mps=speed_mps,
+        speed_sigma_mps=sigma_mps,
+        state=state,
     )

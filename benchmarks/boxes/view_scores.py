@@ -4,20 +4,23 @@ ground.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from benchmarks.harness import Figures
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.world.object_motion import MOTION_STATES
 
 SPAN_M = (5.0, 100.0)
 MIN_TRACKS = 10  # below which a class is reported with its number of tracks only
 METHODS = ("mono", "ground", "lane", "fused", "fused_kf")
+_RUN_IDS = 1_000_000  # difference between identities of two runs
 _GROSS = 0.25  # relative error above which a distance is wrong rather than inaccurate
 # speeds up to which an object rests, and from which it moves; between them no state is wrong
 _RESTING_MPS, _MOVING_MPS = 0.3, 1.0
@@ -40,6 +43,24 @@ class ScoredRows:
     speed_mps: FloatArray  # (N,) over ground
     speed_sigma_mps: FloatArray
     state: FloatArray  # (N,) index into `MOTION_STATES`
+
+    @classmethod
+    def joined(cls, parts: Sequence[ScoredRows]) -> ScoredRows:
+        """The rows of several runs, whose objects are different ones."""
+        names = [field.name for field in fields(cls) if field.name not in ("track_id", "ranges")]
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        track_id = [part.track_id + _RUN_IDS * number for number, part in enumerate(parts)]
+        methods = {name for part in parts for name in part.ranges}
+        unknown = [(np.full(len(part.track_id), np.nan),) * 2 for part in parts]
+        ranges = {
+            name: np.concatenate(
+                [part.ranges.get(name, nan) for part, nan in zip(parts, unknown, strict=True)],
+                axis=1,
+            )
+            for name in methods
+        }
+        pairs = {name: (distance_m, sigma_m) for name, (distance_m, sigma_m) in ranges.items()}
+        return cls(track_id=np.concatenate(track_id), ranges=pairs, **columns)
 
     def figures(self) -> Figures:
         """Per cent and fractions; states and speeds of vehicles and of people apart."""
@@ -104,6 +125,65 @@ class ScoredRows:
             rows = (true_mps >= _MOVING_MPS) & (angle_deg >= low) & (angle_deg <= high)
             truth[rows] = MOTION_STATES.index(name)
         return truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunScores:
+    """What is scored of one or more runs."""
+
+    rows: ScoredRows
+    # (R, 3) error of the last position of the camera, its stated standard deviation, and the length
+    # of the true path, of each run
+    path_m: FloatArray
+    doubts: tuple[ScaleDoubt | None, ...]  # of each run, at its end
+    n_alarms: int  # rows with a collision warning
+
+    @classmethod
+    def of_run(cls, rows: ScoredRows, results: Sequence[FrameResult], path_m: FloatArray) -> Self:
+        """The scores of the results of a run; `path_m` (T, 2) are the true positions of the camera
+        in the frame `map`.
+        """
+        poses = [result.ego_pose for result in results]
+        known = [k for k, pose in enumerate(poses) if np.isfinite(pose.x_m)]
+        error_m = sigma_m = np.nan
+        if known:
+            start, last = path_m[known[0]], poses[known[-1]]
+            moved_m = path_m[known[-1]] - start
+            error_m = float(np.hypot(last.x_m - moved_m[0], last.y_m - moved_m[1]))
+            sigma_m = float(np.hypot(*last.sigmas[:2]))
+        length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
+        return cls(
+            rows=rows,
+            path_m=np.array([[error_m, sigma_m, length_m]]),
+            doubts=(results[-1].scale_doubt,),
+            n_alarms=sum(int(np.nansum(result.warnings.active)) for result in results),
+        )
+
+    @classmethod
+    def joined(cls, runs: Sequence[RunScores]) -> RunScores:
+        """The scores of several runs."""
+        return cls(
+            rows=ScoredRows.joined([run.rows for run in runs]),
+            path_m=np.concatenate([run.path_m for run in runs]),
+            doubts=tuple(doubt for run in runs for doubt in run.doubts),
+            n_alarms=sum(run.n_alarms for run in runs),
+        )
+
+    def figures(self) -> Figures:
+        """Figures of the rows, and of the runs as wholes."""
+        error_m, sigma_m, length_m = self.path_m.T
+        known = np.isfinite(error_m)
+        doubts = [doubt for doubt in self.doubts if doubt is not None]
+        return {
+            **self.rows.figures(),
+            "runs": len(self.doubts),
+            "runs_in_doubt": len(doubts),
+            "doubts": [f"{doubt.cause_names[0]} {doubt.factor:.2f}" for doubt in doubts],
+            "alarms": self.n_alarms,
+            "path_error_m": mean(error_m[known]),
+            "path_error_pct": 100 * mean((error_m / np.maximum(length_m, 1.0))[known]),
+            "path_in_sigmas": mean((error_m / sigma_m)[known]),
+        }
 
 
 def mean(values: npt.NDArray[Any]) -> float:

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.boxes.cuboid_drive import CuboidDrive, Cuboids, slopes
 from benchmarks.boxes.road_view import RoadView, road_view
 from benchmarks.boxes.view_run import run_view
-from benchmarks.boxes.view_scores import ScoredRows
+from benchmarks.boxes.view_scores import RunScores, ScoredRows
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
@@ -108,11 +108,24 @@ def test_slopes_are_of_straight_lines_near_each_time() -> None:
 
 def test_a_run_measures_the_cars_of_a_view() -> None:
     view = view_of(drive((25.0, 0.0, -0.3), (30.0, 6.0, -0.3)), Mounting())
-    result = run_view(view, region="north-america")
-    error = result.ranges["fused"][0] / view.rows.true_m - 1
+    scores = run_view(view, region="north-america")
+    error = scores.rows.ranges["fused"][0] / view.rows.true_m - 1
     assert np.isfinite(error).mean() > 0.9
     assert 0.0 < np.nanmax(np.abs(error)) < 0.25
-    assert result.doubt == 1.0
+    assert scores.doubts == (None,)
+    error_m, sigma_m, length_m = scores.path_m[0]
+    assert length_m == pytest.approx(SPEED_MPS * view.times_s[-1])
+    assert 0.0 <= error_m < 2 * sigma_m < 2.0
+
+
+def test_runs_are_scored_together_as_different_objects() -> None:
+    view = view_of(drive((25.0, 0.0, -0.3), (30.0, 6.0, -0.3)), Mounting())
+    run = run_view(view, region="north-america")
+    both = RunScores.joined([run, run]).figures()
+    alone = run.figures()
+    assert (both["runs"], both["tracks"]) == (2, {"car": 4})
+    assert both["car, fused"]["n"] == 2 * alone["car, fused"]["n"]
+    assert both["car, fused"]["mean_pct"] == pytest.approx(alone["car, fused"]["mean_pct"])
 
 
 def test_scores_compare_states_that_are_sure() -> None:

@@ -1,40 +1,49 @@
-"""Cameras that look ahead, aside and back on real roads, with a camera height that is right, wrong
-or not given.
+"""Cameras that look ahead, aside and back, with a camera height that is right, wrong or not given.
 
 Boxes: the roads of Argoverse 2 as cameras at any place of a vehicle would see them
-(`benchmarks/boxes/road_view.py`), through the complete pipeline, with the speed of the vehicle.
-Images: both cameras of PandaSet, as `track-range run` processes them. The mounting is given, but
-not the height, unless the height is. Scored are objects at 5 to 100 m of which at least half is
-visible and that the border of the image does not cut.
+(`benchmarks/boxes/road_view.py`), through the complete pipeline. Images: both cameras of PandaSet,
+as `track-range run` processes them. Simulated: rendered drives, also whole runs. The calibration,
+the speed of the vehicle and the mounting are given, but the height only where a case says so.
+Scored are objects at 5 to 100 m that the border of the image does not cut, and of which at least
+half is visible (images: whose box is found).
 """
 
 from __future__ import annotations
 
-import csv
 from argparse import Namespace
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.ranging.horizon import finished
 from benchmarks.boxes.cuboid_drive import CuboidDrive
-from benchmarks.boxes.road_view import RoadView, road_view
-from benchmarks.boxes.view_run import ViewResult, run_view
-from benchmarks.boxes.view_scores import METHODS, ScoredRows
+from benchmarks.boxes.road_view import road_view
+from benchmarks.boxes.view_run import run_view
+from benchmarks.boxes.view_scores import METHODS, RunScores, ScoredRows
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.foundation.arrays import FloatArray
+from track_range.ranging.truth.truth import Truth
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.rows.rows import Rows
 from track_range.results.summary import matched_truth
-from track_range.run.options.settings import PipelineOptions, RunSettings
+from track_range.run.options.settings import RunSettings
+from track_range.run.run import Run
+from track_range.simulation.drive import write_drive
+from track_range.simulation.settings import DriveOptions
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.rig_formats.rig_yaml import save_camera
 
 LOGS = ("adcf7d18", "3b3570b4", "3bffdcff")
 MIN_SHARE = 0.5  # visible share from which an object is scored, as in the truth of a run
@@ -49,12 +58,32 @@ CAMERAS = {
     "rear left": (_WIDE, Mounting(yaw_deg=120.0, pitch_deg=2.0, x_m=0.8, y_m=0.6)),
     "rear": (_WIDE, Mounting(yaw_deg=180.0, pitch_deg=2.0, x_m=0.6)),
 }
-# mountings and heights of PandaSet's cameras; their places in the vehicle are not published
+# of PandaSet's cameras, whose places in the vehicle are not published
 VIDEOS = {
     "front": Mounting(z_m=2.18),
     "front_right": Mounting(yaw_deg=-58.0, pitch_deg=2.4, z_m=2.03),
 }
-PARTS = ("boxes", "images")
+# scenario, seed and mounting of rendered drives; no test and no choice uses the seeds
+DRIVES = {
+    "front": ("city", 723, Mounting(pitch_deg=1.0, x_m=2.1, z_m=2.1)),
+    "30 degrees right": ("city", 722, Mounting(yaw_deg=-30.0, pitch_deg=1.0, x_m=2.1, z_m=2.1)),
+    "front right": (
+        *("winding", 720),
+        Mounting(yaw_deg=-58.0, pitch_deg=2.0, roll_deg=0.5, x_m=2.1, y_m=-0.4, z_m=2.05),
+    ),
+    "left": ("city", 721, Mounting(yaw_deg=90.0, pitch_deg=1.0, x_m=1.5, y_m=0.8, z_m=1.85)),
+    "rear left": (
+        "winding",
+        721,
+        Mounting(yaw_deg=120.0, pitch_deg=2.0, x_m=1.0, y_m=0.8, z_m=2.0),
+    ),
+    "rear": ("winding", 720, Mounting(yaw_deg=180.0, pitch_deg=2.0, z_m=2.0)),
+}
+SECONDS, FPS = 15.0, 10.0
+SIMULATED_FOCAL_PX = 1000.0
+STEP_S = 1e-3  # of a numerical derivative
+_STATES = {state: float(number) for number, state in enumerate(MOTION_STATES)}
+PARTS = ("boxes", "images", "simulated")
 
 
 @workload(
@@ -62,21 +91,28 @@ PARTS = ("boxes", "images")
     option("--parts", default=PARTS, choices=PARTS, help="what is measured"),
     option("--logs", default=LOGS, choices=LOGS, help="drives of the boxes"),
     option("--cameras", default=tuple(CAMERAS), choices=CAMERAS, help="cameras of the boxes"),
-    option("--videos", default=tuple(VIDEOS), choices=VIDEOS, help="videos with images"),
+    option("--videos", default=tuple(VIDEOS), choices=VIDEOS, help="cameras of the images"),
+    option("--drives", default=tuple(DRIVES), choices=DRIVES, help="cameras of simulated drives"),
     option("--heights", default=tuple(HEIGHTS), choices=HEIGHTS, help="given camera heights"),
-    option("--region", default="north-america", help="region that is given, or unknown"),
+    option("--region", default="north-america", help="region of real roads, or unknown"),
 )
 def mountings(options: Namespace) -> Figures:
     figures: Figures = {}
     if "boxes" in options.parts:
         figures["boxes"] = _boxes(options)
-    if "images" in options.parts:
-        figures["images"] = _images(options)
+    with TemporaryDirectory() as folder:
+        if "images" in options.parts:
+            drives = {name: _video(options, name, Path(folder)) for name in options.videos}
+            figures["images"] = _whole_runs(drives, options.heights)
+        if "simulated" in options.parts:
+            drives = {name: _simulated(name, Path(folder) / name) for name in options.drives}
+            figures["simulated"] = _whole_runs(drives, options.heights)
     return figures
 
 
 def _boxes(options: Namespace) -> Figures:
-    figures: Figures = {}
+    """Figures of each drive, and of each camera over all drives."""
+    runs: dict[str, dict[str, RunScores]] = {}
     for log in options.logs:
         drive = CuboidDrive.read(options.data / "av2" / "annotations", log)
         for name in options.cameras:
@@ -84,10 +120,13 @@ def _boxes(options: Namespace) -> Figures:
             view = road_view(drive, camera, mounting, z_m=Z_M)
             for height in options.heights:
                 known = _known(view.mounting, height, options.region)
-                figures[f"{log}, {name}, height {height}"] = _view_figures(
-                    view, run_view(view, **known)
-                )
-    return figures
+                scores = run_view(view, **known)
+                runs.setdefault(f"{name}, height {height}", {})[log] = scores
+    return {
+        case: {"all": RunScores.joined(list(of_case.values())).figures()}
+        | {log: scores.figures() for log, scores in of_case.items()}
+        for case, of_case in runs.items()
+    }
 
 
 def _known(mounting: Mounting, height: str, region: str) -> dict[str, Any]:
@@ -96,105 +135,152 @@ def _known(mounting: Mounting, height: str, region: str) -> dict[str, Any]:
     factor = HEIGHTS[height]
     if factor is not None and mounting.z_m is not None:
         known["camera_height_m"] = round(factor * mounting.z_m, 3)
-    if "mount" in PipelineOptions.model_fields and mounting.yaw_deg != 0:
-        known["mount"] = replace(mounting, z_m=None).parts
+    if mounting.yaw_deg != 0:
+        known["mount"] = replace(mounting, z_m=None)
     return known
 
 
-def _view_figures(view: RoadView, result: ViewResult) -> Figures:
-    rows = view.rows
-    is_scored = (rows.visible_share >= MIN_SHARE) & ~rows.is_cut
-    scored = ScoredRows(
-        track_id=rows.track_id,
-        class_name=rows.class_name,
-        true_m=np.where(is_scored, rows.true_m, np.nan),
-        has_motion=rows.visible_share >= MIN_SHARE,
-        velocity_mps=rows.velocity_mps,
-        ranges=result.ranges,
-        speed_mps=result.speed_mps,
-        speed_sigma_mps=result.speed_sigma_mps,
-        state=result.state,
-    )
-    last = int(np.flatnonzero(np.isfinite(result.path_m[:, 0])).max(initial=0))
-    return {
-        **scored.figures(),
-        "doubt": result.doubt,
-        "notes": list(result.notes),
-        "alarms": result.alarms,
-        "path_error_m": float(np.hypot(*(result.path_m - view.path_m)[last])),
-        "path_sigma_m": float(result.path_sigma_m[last]),
-        "path_length_m": float(np.hypot(*np.diff(view.path_m, axis=0).T).sum()),
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Recorded:
+    """A drive with images, and what is true of its T frames."""
+
+    settings: dict[str, Any]  # of a run, without the mounting and the height
+    mounting: Mounting
+    region: str
+    # velocity over ground along the vehicle's axis and to the left of it, by frame and identity
+    velocity_mps: Mapping[tuple[int, int], Any]
+    path_m: FloatArray  # (T, 2) of the camera in the frame `map`
 
 
-def _images(options: Namespace) -> Figures:
+def _whole_runs(drives: Mapping[str, _Recorded], heights: Sequence[str]) -> Figures:
     figures: Figures = {}
-    folder = options.data / "pandaset"
-    with TemporaryDirectory() as written:
-        for name in options.videos:
-            speeds = Path(written) / f"{name}.csv"
-            _write_speeds(folder / "ego" / f"{name}.csv", speeds)
-            for height in options.heights:
-                known = _known(VIDEOS[name], height, options.region)
-                run, rows = finished(
-                    RunSettings(
-                        mono=folder / f"{name}.mp4",
-                        rig=folder / "calib" / f"{name}.txt",
-                        truth=folder / "truth" / f"{name}.csv",
-                        ego_speed=str(speeds),
-                        overlay=False,
-                        **known,
-                    )
-                )
-                doubt = run.summary.get("scale_doubt") or {}
-                figures[f"{name}, height {height}"] = {
-                    **_scored(rows, run.session.opened.truth, folder, name).figures(),
-                    "doubt": doubt.get("factor", 1.0),
-                    "notes": list(run.notes),
-                }
+    for name, drive in drives.items():
+        for height in heights:
+            known = _known(drive.mounting, height, drive.region)
+            run = Run(RunSettings(**drive.settings, **known, overlay=False))
+            results = list(run)
+            truth = run.session.opened.truth
+            if truth is None:
+                raise ValueError(f"{name}: expected a truth")
+            rows = run.session.rows.table.to_rows(is_rounded=False)
+            scored = _scored(rows, truth, drive)
+            scores = RunScores.of_run(scored, results, drive.path_m)
+            figures[f"{name}, height {height}"] = scores.figures()
     return figures
 
 
-def _write_speeds(ego: Path, path: Path) -> None:
-    """The speed of the vehicle, whatever the direction of the camera."""
-    with ego.open(encoding="utf-8", newline="") as file:
-        rows = [(row["time_s"], row["speed_over_ground_mps"]) for row in csv.DictReader(file)]
-    lines = ["time_s,speed_mps", *(",".join(row) for row in rows)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _scored(rows: Rows, truth: Any, folder: Path, name: str) -> ScoredRows:
-    """The rows of a run, with the velocities of their objects."""
+def _scored(rows: Rows, truth: Truth, drive: _Recorded) -> ScoredRows:
+    """The rows of a run that match a label."""
     matched = matched_truth(rows, truth)
-    table = pq.read_table(folder / "objects" / f"{name}.parquet").to_pylist()
-    velocity = {
-        (row["frame"], row["id"]): (row["velocity_x_mps"], row["velocity_y_mps"]) for row in table
-    }
-    track_id = matched.of_labels(truth.track_id, -1)
-    keys = zip(rows["frame"].tolist(), track_id.tolist(), strict=True)
-    world_mps = np.array([velocity.get(key, (np.nan, np.nan)) for key in keys]).reshape(-1, 2)
-    heading_rad = _headings_rad(folder / "ego" / f"{name}.csv", VIDEOS[name])[rows["frame"]]
-    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
-    x_mps, y_mps = world_mps.T
-    states = {state: float(number) for number, state in enumerate(MOTION_STATES)}
+    track_id = np.asarray(matched.of_labels(truth.track_id, -1))
     return ScoredRows(
         track_id=track_id,
         class_name=rows["class"],
         true_m=matched.of_scored(matched.distance_m),
         has_motion=track_id >= 0,
-        velocity_mps=np.stack([cos * x_mps + sin * y_mps, cos * y_mps - sin * x_mps], axis=1),
+        velocity_mps=np.array(
+            [
+                drive.velocity_mps.get(key, (np.nan, np.nan))
+                for key in zip(rows["frame"].tolist(), track_id.tolist(), strict=True)
+            ]
+        ).reshape(-1, 2),
         ranges={method: rows.distance(method) for method in METHODS if f"{method}_m" in rows},
         speed_mps=rows["speed_mps"],
         speed_sigma_mps=rows["speed_sigma_mps"],
-        state=np.array([states.get(state, np.nan) for state in rows["state"].tolist()]),
+        state=np.array([_STATES.get(state, np.nan) for state in rows["state"].tolist()]),
     )
 
 
-def _headings_rad(ego: Path, mounting: Mounting) -> FloatArray:
-    """(T,) headings of the vehicle in the world, from the attitudes of its camera."""
-    with ego.open(encoding="utf-8", newline="") as file:
-        quaternions = [
-            [float(row[key]) for key in ("qx", "qy", "qz", "qw")] for row in csv.DictReader(file)
-        ]
-    axis = Rotation.from_quat(quaternions).as_matrix()[:, :, 2]
-    return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]) - np.radians(mounting.yaw_deg))
+def _video(options: Namespace, name: str, folder: Path) -> _Recorded:
+    """A camera of PandaSet; all labels count whose boxes are found."""
+    data, mounting = options.data / "pandaset", VIDEOS[name]
+    ego = _columns(data / "ego" / f"{name}.csv")
+    truth = pa_csv.read_csv(data / "truth" / f"{name}.csv")
+    column = truth.schema.get_field_index("visible_share")
+    whole = truth.set_column(column, "visible_share", pa.array(np.ones(len(truth))))
+    pa_csv.write_csv(whole, folder / f"{name}_truth.csv")
+    speeds = {"time_s": ego["time_s"], "speed_mps": ego["speed_over_ground_mps"]}
+    pa_csv.write_csv(pa.table(speeds), folder / f"{name}_speed.csv")
+    attitude = Rotation.from_quat(np.stack([ego[key] for key in ("qx", "qy", "qz", "qw")], axis=1))
+    axis_x, axis_y, _ = attitude.as_matrix()[:, :, 2].T
+    axis_rad = np.arctan2(axis_y, axis_x)
+    position_m = np.stack([ego["x_m"], ego["y_m"]], axis=1)
+    heading_rad = axis_rad - np.radians(mounting.yaw_deg)
+    objects = pq.read_table(data / "objects" / f"{name}.parquet").to_pylist()
+    velocity = {
+        (row["frame"], row["id"]): _turned(
+            np.array([row["velocity_x_mps"], row["velocity_y_mps"]]), heading_rad[row["frame"]]
+        )
+        for row in objects
+    }
+    return _Recorded(
+        settings={
+            "mono": data / f"{name}.mp4",
+            "rig": data / "calib" / f"{name}.txt",
+            "truth": folder / f"{name}_truth.csv",
+            "ego_speed": str(folder / f"{name}_speed.csv"),
+        },
+        mounting=mounting,
+        region=options.region,
+        velocity_mps=velocity,
+        path_m=_turned(position_m - position_m[0], axis_rad[0]),
+    )
+
+
+def _simulated(name: str, folder: Path) -> _Recorded:
+    """A rendered drive."""
+    scenario, seed, mounting = DRIVES[name]
+    camera = PinholeCamera.of_focal_length(SIMULATED_FOCAL_PX, (1280, 720))
+    drive = write_drive(
+        folder,
+        scenario=scenario,
+        seed=seed,
+        seconds=SECONDS,
+        fps=FPS,
+        rig=StereoRig.rectified(camera, 0.5),
+        options=DriveOptions(mount=mounting.parts),
+    )
+    save_camera(camera, folder / "camera.yaml")  # without the mounting, which a run may not know
+    scene = make_scenario(scenario, seed=seed, seconds=SECONDS)
+    scene = replace(scene, mounting=mounting, camera_height_m=mounting.z_m or 0.0)
+    times_s = (np.arange(round(SECONDS * FPS)) / FPS).tolist()
+    poses = [scene.pose(time_s) for time_s in times_s]
+    # x to the right and z forward, as x forward and y to the left
+    camera_m = np.array([(pose.position_m[2], -pose.position_m[0]) for pose in poses])
+    axis = poses[0].camera_from_world[2]
+    velocity = {}
+    for frame, (time_s, pose) in enumerate(zip(times_s, poses, strict=True)):
+        before, after = (_on_ground_m(scene, time_s + step_s) for step_s in (-STEP_S, STEP_S))
+        turned = _turned((after - before) / (2 * STEP_S), -pose.yaw_rad)
+        for user, of_user in zip(scene.road_users, turned.tolist(), strict=True):
+            velocity[frame, user.track_id] = tuple(of_user)
+    return _Recorded(
+        settings={
+            "mono": drive.left,
+            "rig": folder / "camera.yaml",
+            "truth": drive.table,
+            "ego_speed": str(drive.ego_speed),
+        },
+        mounting=mounting,
+        region="europe",
+        velocity_mps=velocity,
+        path_m=_turned(camera_m - camera_m[0], np.arctan2(-axis[0], axis[2])),
+    )
+
+
+def _on_ground_m(scene: Scene, time_s: float) -> FloatArray:
+    """(N, 2) positions of the road users, forward and to the left in the axes of the world."""
+    across_m, z_m = np.array([user.on_road_m(time_s) for user in scene.road_users]).T
+    return np.stack([z_m, -scene.road.x_m(z_m, across_m)], axis=1)
+
+
+def _turned(vectors: FloatArray, heading_rad: float) -> FloatArray:
+    """(..., 2) vectors along a heading and to the left of it, of vectors along x and y."""
+    x, y = np.moveaxis(vectors, -1, 0)
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+
+
+def _columns(path: Path) -> dict[str, FloatArray]:
+    table = pa_csv.read_csv(path)
+    return {name: table[name].to_numpy().astype(np.float64) for name in table.schema.names}
