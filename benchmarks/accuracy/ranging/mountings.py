@@ -4,8 +4,8 @@ Boxes: the roads of Argoverse 2 as cameras at any place of a vehicle would see t
 (`benchmarks/boxes/road_view.py`), through the complete pipeline. Images: both cameras of PandaSet,
 as `track-range run` processes them. Simulated: rendered drives, also whole runs. The calibration,
 the speed of the vehicle and the mounting are given, but the height only where a case says so.
-Scored are objects at 5 to 100 m that the border of the image does not cut, and of which at least
-half is visible (images: whose box is found).
+Distances are scored of objects at 5 to 100 m that the border of the image does not cut, and of which
+at least half is visible; states and speeds also of cut ones.
 """
 
 from __future__ import annotations
@@ -192,13 +192,9 @@ def _scored(rows: Rows, truth: Truth, drive: _Recorded) -> ScoredRows:
 
 
 def _video(options: Namespace, name: str, folder: Path) -> _Recorded:
-    """A camera of PandaSet; all labels count whose boxes are found."""
+    """A camera of PandaSet."""
     data, mounting = options.data / "pandaset", VIDEOS[name]
     ego = _columns(data / "ego" / f"{name}.csv")
-    truth = pa_csv.read_csv(data / "truth" / f"{name}.csv")
-    column = truth.schema.get_field_index("visible_share")
-    whole = truth.set_column(column, "visible_share", pa.array(np.ones(len(truth))))
-    pa_csv.write_csv(whole, folder / f"{name}_truth.csv")
     speeds = {"time_s": ego["time_s"], "speed_mps": ego["speed_over_ground_mps"]}
     pa_csv.write_csv(pa.table(speeds), folder / f"{name}_speed.csv")
     attitude = Rotation.from_quat(np.stack([ego[key] for key in ("qx", "qy", "qz", "qw")], axis=1))
@@ -217,7 +213,7 @@ def _video(options: Namespace, name: str, folder: Path) -> _Recorded:
         settings={
             "mono": data / f"{name}.mp4",
             "rig": data / "calib" / f"{name}.txt",
-            "truth": folder / f"{name}_truth.csv",
+            "truth": data / "truth" / f"{name}.csv",
             "ego_speed": str(folder / f"{name}_speed.csv"),
         },
         mounting=mounting,
