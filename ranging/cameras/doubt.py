@@ -11,14 +11,16 @@ from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.posterior import CameraPosterior
 from track_range.ranging.cameras.unknowns import OF_FOCAL, OF_PAIR, CameraPriors, Sum, Unknown
-from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
-from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
+from track_range.ranging.measurement.focal_scale import FocalScale
+from track_range.ranging.measurement.rig_scale import RigScale
 from track_range.ranging.registry import methods
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 
 _OF_SPEED: Sum = {Unknown.SPEED: 1.0}
 _OF_ROAD: Sum = {Unknown.HEIGHT: -1.0, Unknown.FOCAL: 1.0}
 _OF_TIMES: Sum = {Unknown.FRAME_RATE: 1.0}
+_AS_GIVEN = DriveScale()
 
 Errors = Mapping[str, tuple[Sum, ...]]
 """By the name of a distance, the sums of unknowns of which one is what it is too large by."""
@@ -52,12 +54,12 @@ class Doubt:
         cameras: CameraPosterior,
         errors: Errors,
         scale: ScaleDoubt | None = None,
-        rig: RigScale = CALIBRATED,
-        focal: FocalScale = EXACT,
+        corrected: DriveScale = _AS_GIVEN,
     ) -> Self:
-        """The doubt by what the drive shows of the cameras, for lengths that are corrected by the
-        scale of a pair, and by that of the focal length.
+        """The doubt by what the drive shows of the cameras, for lengths that are `corrected` by the
+        scales of a pair, of the road and of the focal length.
         """
+        rig, focal = corrected.rig, corrected.focal
         unused = set[Unknown]()
         if scale is not None and scale.cause_names == [Unknown.SPEED]:
             unused = {Unknown.SPEED}
@@ -68,14 +70,17 @@ class Doubt:
             corrected = of.get(Unknown.FOCAL, 0.0) * focal.log_factor
             return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
 
-        of_odometry = OF_PAIR if Unknown.BASELINE in cameras.unknowns else _OF_ROAD
+        of_odometry, by_odometry = _OF_ROAD, corrected.road
+        if Unknown.BASELINE in cameras.unknowns:
+            of_odometry, by_odometry = OF_PAIR, rig
+        # what is corrected has the error of its correction
+        odometry_sigma = 0.0 if by_odometry.sigma else sigma_of(of_odometry)
         # speeds by images have the error of the times, too
         times_sigma = cameras.sigma_of(_OF_TIMES)
         return cls(
             scale,
             {name: max(map(sigma_of, sums)) for name, sums in errors.items()},
-            # what is corrected has the error of its correction
-            math.hypot(sigma_of(of_odometry) if not rig.sigma else 0.0, times_sigma),
+            math.hypot(odometry_sigma, times_sigma),
             cameras.sigma_of(_OF_SPEED),
             math.hypot(max(map(sigma_of, errors.get("fused", ())), default=0.0), times_sigma),
         )

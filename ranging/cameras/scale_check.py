@@ -85,7 +85,7 @@ class ScaleCheck:
         is_unknown = priors[Unknown.FOCAL].kind == "unknown"
         self._focal = LearntFocal(priors) if learns_focal and is_unknown else None
         height_m = priors[Unknown.HEIGHT].value
-        self._rig = rig
+        self._rig, self._road_height_m = rig, road_height_m
         self._sizes = SizeEvidence(camera, height_m, rig=rig)
         self._speeds = SpeedEvidence(height_m, road_height_m)
         sources: list[EvidenceSource] = [self._sizes, self._speeds]
@@ -167,23 +167,32 @@ class ScaleCheck:
         )
 
     @property
+    def road_scale(self) -> RigScale:
+        """The scale of lengths by the motion of the road, with which they have the scale of all
+        others; a given height needs no correction.
+        """
+        assumed = self.priors[Unknown.HEIGHT]
+        if assumed.kind == "given":
+            return CALIBRATED
+        has_rig, rig = Unknown.BASELINE in self.priors, self.rig_scale
+        if not rig.is_known:
+            return UNKNOWN_SCALE
+        of = _RIG_HEIGHT if has_rig else _ROAD_HEIGHT
+        mean = self.cameras.correction(of)
+        of_others = rig.log_factor if has_rig else -self.focal_scale.log_factor
+        log_height = math.log(assumed.value / self._road_height_m) + mean - of_others
+        return RigScale(-log_height, self.cameras.sigma_of(of, mean))
+
+    @property
     def height_m(self) -> tuple[float, float] | None:
         """Height of the camera above the road and its standard deviation, with which distances by
         the road have the scale of all others; None = it is given, or not known well.
         """
-        assumed = self.priors[Unknown.HEIGHT]
-        if assumed.kind == "given":
+        road = self.road_scale
+        if road == CALIBRATED or road.sigma > _MAX_HEIGHT_SIGMA:
             return None
-        has_rig = Unknown.BASELINE in self.priors
-        of = _RIG_HEIGHT if has_rig else _ROAD_HEIGHT
-        mean = self.cameras.correction(of)
-        sigma = self.cameras.sigma_of(of, mean)
-        rig = self.rig_scale
-        if sigma > _MAX_HEIGHT_SIGMA or not rig.is_known:
-            return None
-        of_others = rig.log_factor if has_rig else -self.focal_scale.log_factor
-        height_m = assumed.value * math.exp(mean - of_others)
-        return height_m, sigma * height_m
+        height_m = self._road_height_m * road.factor
+        return height_m, road.sigma * height_m
 
     def update(self, seen: SeenFrame) -> bool:
         """Add a frame; True = the posterior and the doubt are new."""

@@ -167,9 +167,10 @@ class DistanceFilters:
         if class_id is None:
             class_id = np.full(n, _CAR)
         static_mps = _static_mps(ego, observation.cut, bank.motion.x, measured.distance_m)
-        # Another focal length stretches a given speed, and moves no object: only what is static
-        # for the filters follows it.
-        stretched, self._stretch = ego.stretch / self._stretch, ego.stretch
+        # Another focal length stretches a given speed, and another scale a measured one: neither
+        # moves an object, and only what is static for the filters follows it.
+        stretch = ego.scale if math.isnan(ego.stretch) else ego.stretch
+        stretched, self._stretch = stretch / self._stretch, stretch
         other_mps = bank.ego_mps * (stretched if math.isfinite(stretched) else 1.0)
         last_mps = np.where(self._models.is_static, bank.ego_mps, other_mps)
         ego_step = EgoStep.of(ego, static_mps, last_mps, dt)

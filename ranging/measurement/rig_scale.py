@@ -1,4 +1,6 @@
-"""RigScale: what a drive shows of the scale and the disparities of a pair, to correct lengths."""
+"""RigScale: what a drive shows of the scale of a pair, or of the road with an assumed height of the
+camera, and of the disparities of a pair, to correct lengths.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -39,7 +41,7 @@ class DisparityOffset:
 class RigScale:
     """The factor by which all lengths that a pair measures are too large, the error of the product
     of focal length and baseline, and the offset of its disparities; `RigScale()` is that of a
-    calibration.
+    calibration. The same of lengths by the motion of the road, with the error of the height.
     """
 
     log_factor: float = 0.0
@@ -77,14 +79,20 @@ class RigScale:
         return replace(ranges, distance_m=distance_m, sigma_m=sigma * distance_m)
 
     def corrected_motion(self, motion: EgoMotion) -> EgoMotion:
-        """A motion that the pair measured with the true scale, with its error; without a speed if
+        """A motion that the pair, or the road, measured with the true scale, with its error; without a speed if
         the scale is not known.
         """
         if self.factor == 1.0 and not self.sigma:
             return motion
-        true = motion.scaled(self.factor)
-        sigma_mps = float(np.hypot(true.speed_sigma_mps, self.sigma * true.speed_mps))
-        return replace(true, speed_sigma_mps=sigma_mps)
+        true, right_mps = motion.scaled(self.factor), motion.right_mps * self.factor
+        right_sigma_mps = motion.right_sigma_mps * self.factor
+        return replace(
+            true,
+            speed_sigma_mps=math.hypot(true.speed_sigma_mps, self.sigma * true.speed_mps),
+            right_mps=right_mps,
+            right_sigma_mps=math.hypot(right_sigma_mps, self.sigma * right_mps),
+            scale=self.factor,
+        )
 
 
 CALIBRATED = RigScale()

@@ -127,6 +127,7 @@ class DriveScale:
     """
 
     rig: RigScale = CALIBRATED  # of all that the pair measures
+    road: RigScale = CALIBRATED  # of speeds by the motion of the road
     focal: FocalScale = EXACT  # of all depths, which results are corrected by
 
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`

@@ -134,10 +134,10 @@ class _EgoTrend:
         self._speed: ConstantVelocity | None = None
         self.yaw = _state(0.0, 0.0, 0.0)  # yaw rate w and its change w', rad/s and rad/s^2
         self._lateral_mps2 = _INITIAL_LATERAL_MPS2
-        self._time_s = -math.inf
+        self._time_s, self._scale = -math.inf, 1.0
 
-    def update(self, time_s: float, speed_mps: float, yaw_rad_s: float) -> None:
-        """Update with the values of a frame; NaN = unknown."""
+    def update(self, time_s: float, speed_mps: float, yaw_rad_s: float, scale: float) -> None:
+        """Update with the values of a frame; NaN = unknown. Another `scale` is no acceleration."""
         dt = time_s - self._time_s
         self._time_s = time_s
 
@@ -149,8 +149,9 @@ class _EgoTrend:
         elif self._speed is None or not was_known or dt > _MAX_GAP_S:
             self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
         else:
-            predicted = self._speed.predict(dt, q=_JERK_NOISE**2)
+            predicted = self._speed.scaled(scale / self._scale).predict(dt, q=_JERK_NOISE**2)
             self._speed = predicted.update(speed_mps - predicted.x, R)
+        self._scale = scale
         self.acceleration_mps2 = 0.0 if self._speed is None else float(self._speed.v)
         self.speed_mps = speed_mps if self.has_speed else 0.0
         self.path_mps = V = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
@@ -253,6 +254,7 @@ class CollisionWarning:
         time_s: float,
         *,
         ego_mps: float = math.nan,
+        ego_scale: float = 1.0,
         yaw_rad_s: float = math.nan,
         ranges: Ranges | None = None,
     ) -> Warnings:
@@ -264,12 +266,13 @@ class CollisionWarning:
             lateral: their lateral motion.
             time_s: time of the frame, not earlier than the time of the previous frame.
             ego_mps: speed V of the ego vehicle; NaN = unknown.
+            ego_scale: factor of it by an estimated scale.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = unknown.
             ranges: their distances in this frame, not filtered, which confirm the closing speed;
                 None = unknown.
         """
         settings, ego = self.settings, self._ego
-        ego.update(time_s, ego_mps, yaw_rad_s)
+        ego.update(time_s, ego_mps, yaw_rad_s, ego_scale)
         last = _WarningState._make(self._tracks.get(tracks.track_id))
         is_person = tracks.class_id == _PERSON
         sigma_m = motion.ranges.sigma_m

@@ -32,6 +32,8 @@ class EgoMotion:
     noise_mps: float = 0.0
     # factor of a given speed by the error of the focal length (`FocalScale`); NaN = not given
     stretch: float = math.nan
+    # factor of a measured speed by an estimate of the scale (`RigScale`)
+    scale: float = 1.0
 
     def scaled(self, factor: float) -> "EgoMotion":
         """The motion with the speed along the axis and its standard deviations times a factor."""

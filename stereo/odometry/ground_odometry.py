@@ -25,6 +25,7 @@ up to 15 m.
 """
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import cv2
@@ -52,18 +53,24 @@ _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
 # road, and in the plane under the wheels.
 _BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 3
 _LONGEST_M = 40.0  # largest Z of a picture
+# samples per cell in both directions, of which a cell has the mean: cells near the camera have many
+# pixels, of which a single one would be aliased, so that shifts are drawn to whole cells
+_N_SAMPLES = 4
 _STRIP_M = 2.0  # length of a strip
 _N_STRIP = round(_STRIP_M / _STEP_Z_M)  # cells of it
 # distance of the middle of the picture, at which its plane has the slope of the road
 _PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
+# longest time between the pictures, and the road travelled in it, beyond one frame: a slow camera
+# moves by a fraction of a cell from frame to frame
+_MAX_SPAN_S, _MAX_SPAN_M = 0.3, 0.5
 # smallest standard deviation of a strip in grey levels; below it there is only noise
 _MIN_STRIP_GREY = 1.0
 _MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
 _MIN_CORRELATION = 0.25  # smallest mean correlation of a reliable shift
 _MIN_UNIQUENESS = 0.05  # smallest difference of it from the second best maximum
 _MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
-_SHIFT_SIGMA_M = 0.02  # standard deviation of a shift; assumed, a fifth of a cell
+_SHIFT_SIGMA_M = 0.01  # standard deviation of a shift; assumed, a tenth of a cell
 # Relative error of all speeds, from a road that is not plane and the camera height; the errors on
 # simulated drives, seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
 _SCALE_SIGMA = 0.03
@@ -128,8 +135,8 @@ class GroundOdometry:
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
         self._speed_mps = _FULL_MPS
-        self._before: Image | None = None
-        self._boxes_before: FloatArray = np.zeros((0, 4))
+        self._past: deque[_Past] = deque()  # earlier frames, and at the end the last one
+        self._span_s = 0.0  # of the last measurement
         self._last = math.nan, EgoMotion()
         self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
         self.has_horizon = False  # whether the horizon was measured so far
@@ -157,12 +164,18 @@ class GroundOdometry:
             return self._last[1]
         self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
         now = self._flow.now
-        before, self._before = self._before, small_grey(frame.left, 0) if now is None else now.grey
-        boxes_before, self._boxes_before = self._boxes_before, xyxy_px
-        if math.isnan(motion.dt_s) or before is None:
+        grey = small_grey(frame.left, 0) if now is None else now.grey
+        if math.isnan(motion.dt_s) or not self._past:
             self._side, ego = math.nan, EgoMotion()
         else:
-            ego = self._moved(motion, before, self._before, (boxes_before, xyxy_px))
+            ego = self._moved(motion, grey, xyxy_px)
+        if motion.is_known:
+            self._past = deque(one.turned(motion.rotation) for one in self._past)
+        else:
+            self._past.clear()
+        self._past.append(_Past(frame.time_s, grey, xyxy_px, np.eye(3)))
+        while frame.time_s - self._past[0].time_s + 0.5 * motion.dt_s > _MAX_SPAN_S:
+            self._past.popleft()
         self._last = frame.time_s, ego
         return ego
 
@@ -204,9 +217,7 @@ class GroundOdometry:
             now=now,
         )
 
-    def _moved(
-        self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
-    ) -> EgoMotion:
+    def _moved(self, motion: ImageMotion, now: Image, xyxy_px: FloatArray) -> EgoMotion:
         """The filtered speed; moves the horizon on to this frame."""
         dt_s = motion.dt_s
         is_moving = motion.is_known and not motion.is_still
@@ -215,12 +226,18 @@ class GroundOdometry:
             self._follow_side(side, dt_s)
             self._direction.add(dt_s, side, motion.yaw_rad_s)
         shift_m, by_roll = 0.0 if motion.is_still else math.nan, 0.0
+        before = self._before(motion) if is_moving else self._past[-1]
         if is_moving and math.isfinite(self._side):
-            shift_m, by_roll = self._shift_m(motion, before, now, boxes)
-        independent_mps = _SHIFT_SIGMA_M / dt_s
-        common_mps = math.hypot(_SCALE_SIGMA, by_roll) * abs(shift_m / dt_s)
+            shift_m, by_roll = self._shift_m(motion, before, now, xyxy_px)
+        self._span_s = span_s = motion.time_s - before.time_s
+        # successive measurements share most of a long span
+        independent_mps = _SHIFT_SIGMA_M / math.sqrt(span_s * dt_s)
+        # a horizon that is too low by d makes shifts too large by 2 d Z / H
+        horizon_sigma = math.sqrt(self._horizon.view.horizon_variance)
+        by_horizon = 2 * _PICTURE_M / self.height_m * horizon_sigma
+        common_mps = math.hypot(_SCALE_SIGMA, by_roll, by_horizon) * abs(shift_m / span_s)
         speed = self._filter.update(
-            motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps
+            motion.time_s, span_s, shift_m / span_s, independent_mps, common_mps
         )
         rough_mps = motion.expansion_hz * _TYPICAL_DEPTH_M
         known_mps = speed[0] if math.isfinite(speed[0]) else rough_mps
@@ -232,7 +249,19 @@ class GroundOdometry:
         )
         if is_moving:
             self._measure_horizon(row)
-        return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
+        return EgoMotion(
+            *speed, motion.yaw_rad_s, motion.is_still, noise_mps=self._filter.noise_mps
+        )
+
+    def _before(self, motion: ImageMotion) -> "_Past":
+        """The frame whose picture is compared: the earliest one that is near enough."""
+        # so that the middle of the span moves forward
+        longest_s = self._span_s + 2 * motion.dt_s
+        for past in self._past:
+            span_s = motion.time_s - past.time_s
+            if span_s < longest_s and self._speed_mps * span_s < _MAX_SPAN_M:
+                return past
+        return self._past[-1]
 
     def _follow_side(self, side: float, dt_s: float) -> None:
         """Low-pass filter of the direction of travel to the right, with the time constant
@@ -258,9 +287,10 @@ class GroundOdometry:
             )
 
     def _shift_m(
-        self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]
+        self, motion: ImageMotion, before: "_Past", now: Image, xyxy_px: FloatArray
     ) -> tuple[float, float]:
-        """Distance travelled, NaN = not reliable, and its relative standard deviation by the roll.
+        """Distance travelled since the frame `before`, NaN = not reliable, and its relative
+        standard deviation by the roll.
 
         The shifts of the strips first correct the horizon and the roll.
         """
@@ -268,12 +298,15 @@ class GroundOdometry:
         horizon, roll = view.horizon - view.curvature_per_m * _PICTURE_M / 2, -view.slope
         turned = cv2.Rodrigues(np.array([-horizon, self._side, -roll]))[0]
         level = self._travel_from_camera.T @ turned  # from the level road to the camera
+        level_before = self._travel_from_camera.T @ before.rotation.T @ turned
         level_now = self._travel_from_camera.T @ motion.rotation @ turned
+        images, boxes = (before.grey, now), (before.xyxy_px, xyxy_px)
+        span_s = motion.time_s - before.time_s
         lanes = self._lanes(level)
         longest = max((len(Z) for _, Z in lanes), default=0)
-        n_shifts = min(round(_MAX_SPEED_MPS * motion.dt_s / _STEP_Z_M), longest - _N_STRIP) + 1
+        n_shifts = min(round(_MAX_SPEED_MPS * span_s / _STEP_Z_M), longest - _N_STRIP) + 1
         strips = [
-            self._strips((before, now), (level, level_now), lane, boxes, n_shifts) for lane in lanes
+            self._strips(images, (level_before, level_now), lane, boxes, n_shifts) for lane in lanes
         ]
         if not strips:
             return math.nan, 0.0
@@ -286,11 +319,14 @@ class GroundOdometry:
         if error is None:
             return shift_m, self._sigma_by_roll(float(x_m.mean()))
         ahead_m = error.z_m + shift_m  # the camera follows the curve, too
+        # the horizon belongs to the frame before this one, the shifts to the middle of the span
+        n_frames = span_s / motion.dt_s
+        frames = n_frames * error.z_m / shift_m + n_frames / 2 - 1
         is_consistent = self._horizon.measure(
             horizon + error.by_roll * roll - error.horizon,
             error.variance,
             ahead_m=ahead_m,
-            frames=min(error.z_m / shift_m - 0.5, _MAX_FRAMES),
+            frames=min(frames, _MAX_FRAMES),
             by_roll=error.by_roll,
             max_sigma=_OUTLIER_SIGMA,
         )
@@ -357,6 +393,21 @@ class GroundOdometry:
         masked_fraction = np.maximum(*masked).reshape(hw).mean(axis=1)
         nearer_m, scores = _strip_correlations(before, now, masked_fraction, n_shifts)
         return np.full(len(scores), X.mean()), Z[0] - nearer_m, scores
+
+
+class _Past(NamedTuple):
+    """An earlier frame: its time, full image and boxes (N, 4), and the rotation (3, 3) of the
+    static scene from it to the last frame, in the axes of travel.
+    """
+
+    time_s: float
+    grey: Image
+    xyxy_px: FloatArray
+    rotation: FloatArray
+
+    def turned(self, rotation: FloatArray) -> "_Past":
+        """The frame after a further rotation."""
+        return self._replace(rotation=rotation @ self.rotation)
 
 
 def _road(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
@@ -481,12 +532,15 @@ def _vertex(score: FloatArray, best: int) -> float:
 
 
 def _sampled(image: Image, points_px: FloatArray, hw: tuple[int, int]) -> FloatArray32:
-    """(H, W) grey levels at points (H * W, 2); the edge is repeated outside the image."""
-    maps = points_px.astype(np.float32).reshape(*hw, 2)
-    sampled = cv2.remap(
-        image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(sampled, np.float32)
+    """(H, W) grey levels at points (H * W, 2), without their means along Z, by which lane lines and
+    ruts look alike at any shift; the edge is repeated outside the image.
+    """
+    cells = points_px.astype(np.float32).reshape(*hw, 2)
+    u, v = cv2.split(cv2.resize(cells, None, fx=_N_SAMPLES, fy=_N_SAMPLES))
+    sampled = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    means = cv2.resize(sampled.astype(np.float32), hw[::-1], interpolation=cv2.INTER_AREA)
+    along = cv2.blur(means, (1, _N_STRIP), borderType=cv2.BORDER_REFLECT)
+    return np.asarray(means - along, np.float32)
 
 
 def _inside(points_px: FloatArray, xyxy_px: FloatArray) -> FloatArray:

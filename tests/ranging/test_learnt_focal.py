@@ -12,6 +12,7 @@ from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.focal_scale import FocalScale
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
@@ -77,7 +78,7 @@ def test_sigma_of_distances_is_that_of_what_remains(rig):
         evidence.append(Evidence("sizes", {Unknown.BASELINE: 1.0}, 0.5, 0.05))
     cameras = posterior(priors, evidence)
     focal = FocalScale(cameras.correction(OF_FOCAL))
-    corrected = Doubt.of(cameras, errors_of(priors), focal=focal)
+    corrected = Doubt.of(cameras, errors_of(priors), corrected=DriveScale(focal=focal))
     as_assumed = Doubt.of(cameras, errors_of(priors))
     assert corrected.shared_sigma["mono"] == pytest.approx(0.02, abs=0.002)
     assert as_assumed.shared_sigma["mono"] > 0.05  # it contains the error that was found

@@ -404,6 +404,21 @@ def test_height_of_the_camera_by_speeds(height_m):
     assert check_of(true_height_m=height_m, true_mps=12.0, height_m=height_m).height_m is None
 
 
+def test_scale_of_speeds_by_the_road_of_one_camera():
+    """By the sizes of road users, with their error; a given height is its own scale."""
+    errors = []
+    for height_m in (1.1, 1.5, 2.0):
+        scale = check_of(true_height_m=height_m, rig=None).road_scale
+        errors.append((math.log(height_m / ROAD_HEIGHT_M) + scale.log_factor) / scale.sigma)
+        assert 0.02 < scale.sigma < 0.15
+    assert np.abs(errors).max() < 2.0
+    assert check_of(true_height_m=1.5, rig=None, height_m=1.5).road_scale == CALIBRATED
+    before = check_of(rig=None, n=0).road_scale
+    # a usual height of 1.45 m, seldom another one
+    assert before.factor == pytest.approx(1.45 / ROAD_HEIGHT_M)
+    assert 0.22 < before.sigma < 0.4
+
+
 def test_ratio_of_speeds_before_a_drive_by_hand():
     """Errors of baseline, focal length, times, given speed and odometry, or of the height."""
     pair = [0.005, 0.004, 0.001, 0.015, 0.01]

@@ -43,7 +43,8 @@ MOST_STATEMENTS = {
     # speed, yaw rate and horizon of a camera that looks in any direction (73)
     # speed, yaw rate and horizon of a camera that looks in any direction (70)
     # the path of a slow car shows less of the horizon (7)
-    "stereo": 9_320,
+    # the motion of the road over several frames, of slow cameras (35)
+    "stereo": 9_355,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -57,7 +58,8 @@ MOST_STATEMENTS = {
     # a camera that moves across its axis (10)
     # the error of the horizon is common to all contact points (29)
     # vehicles beside a camera that looks aside, also where the image cuts them (28)
-    "ranging": 6_952,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # the scale of speeds by the road without a given height (13)
+    "ranging": 6_965,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -88,7 +90,8 @@ MOST_STATEMENTS = {
     # slopes in speeds by the road, and the notes of the road (5)
     # lane lines between the boxes, in a thread of their own (8)
     # the motion of the vehicle as that of a camera (14), also by the road (8)
-    "pipeline": 889,
+    # speeds by the road without a given height (6)
+    "pipeline": 895,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

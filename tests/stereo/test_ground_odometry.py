@@ -39,6 +39,27 @@ def test_speed_and_yaw_rate_whatever_the_mounting(yaw_deg):
     assert np.abs([motion.yaw_rad_s for motion in motions[4:]]).max() < 0.02
 
 
+@pytest.mark.parametrize("speed_mps", [0.6, 1.2, 3.0])
+def test_slow_speeds_by_frames_that_are_farther_apart(speed_mps):
+    """From frame to frame, the road moves by 0.6 to three cells."""
+    mounting = Mounting(pitch_deg=5.0)
+    _, motions = driven(mounting, mounting, speed_mps=speed_mps, n=14)
+    speeds_mps = np.array([motion.speed_mps for motion in motions[4:]])
+    sigmas_mps = np.array([motion.speed_sigma_mps for motion in motions[4:]])
+    assert (np.abs(speeds_mps - speed_mps) < 1.5 * sigmas_mps).all()
+    assert (sigmas_mps < 0.35).all()
+
+
+def test_camera_that_stops_is_at_rest():
+    mounting = Mounting(pitch_deg=5.0)
+    odometry, _ = driven(mounting, mounting, speed_mps=0.6)
+    image = street(mounting, 0.6)
+    at_rest = [odometry.update(Frame(k, k * DT_S, image, None), NO_BOXES) for k in range(11, 17)]
+    assert all(motion.is_still for motion in at_rest)
+    assert abs(at_rest[-1].speed_mps) < 0.15
+    assert abs(at_rest[-1].speed_mps) < at_rest[-1].speed_sigma_mps < 0.2
+
+
 def test_pitch_of_a_camera_that_looks_aside_is_measured():
     """Lanes beside the car show that the camera looks down by 2 degrees, which was not given."""
     odometry, motions = driven(Mounting(yaw_deg=90.0, pitch_deg=2.0), Mounting(yaw_deg=90.0), n=16)

@@ -63,6 +63,7 @@ class AlarmStage:
             filtered.lateral,
             time_s,
             ego_mps=ego.speed_mps,
+            ego_scale=ego.scale,
             yaw_rad_s=ego.yaw_rad_s,
             ranges=fused,
         )

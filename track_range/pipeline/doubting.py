@@ -11,8 +11,6 @@ from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.unknowns import CameraPriors
-from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
-from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego
@@ -31,7 +29,7 @@ class DoubtStage:
 
     def __post_init__(self) -> None:
         self._errors = errors_of(self.priors)
-        doubt = Doubt.of(posterior(self.priors, []), self._errors, None, self._rig, self._focal)
+        doubt = Doubt.of(posterior(self.priors, []), self._errors, None, self.initial_scale)
         self._doubt = replace(doubt, focal=self.focal)
 
     @property
@@ -42,15 +40,14 @@ class DoubtStage:
     @property
     def initial_scale(self) -> DriveScale:
         """The scale of the drive before the first frame."""
-        return DriveScale(rig=self._rig, focal=self._focal)
+        return self._with_scales(DriveScale())
 
-    @property
-    def _rig(self) -> RigScale:
-        return CALIBRATED if self.check is None else self.check.rig_scale
-
-    @property
-    def _focal(self) -> FocalScale:
-        return EXACT if self.check is None else self.check.focal_scale
+    def _with_scales(self, scale: DriveScale) -> DriveScale:
+        """With the scales of the pair, of the road and of the focal length, as far as known."""
+        check = self.check
+        if check is None:
+            return scale
+        return replace(scale, rig=check.rig_scale, road=check.road_scale, focal=check.focal_scale)
 
     def update(
         self,
@@ -78,13 +75,13 @@ class DoubtStage:
                 frame.left,
             )
             if check.update(seen):
-                doubt = Doubt.of(check.cameras, self._errors, check.doubt, self._rig, self._focal)
+                doubt = Doubt.of(check.cameras, self._errors, check.doubt, self.initial_scale)
                 focal = check.focal or self.focal
                 self._doubt = replace(doubt, height_m=check.height_m, focal=focal)
         doubt = self._doubt.zoomed(ego.focal_change)
         is_in_doubt = self._doubt.scale is not None
         after = DriveScale() if is_in_doubt else scale.after(measured.evidence, frame.time_s)
-        return doubt, replace(after, rig=self._rig, focal=self._focal)
+        return doubt, self._with_scales(after)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""

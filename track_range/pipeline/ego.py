@@ -21,6 +21,8 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0
+# of the speed of the road with a height that is not given, for notes
+_BY_SIZES = "with an estimated height of the camera"
 _SLOPES = 0.06  # of the speed by the motion of the road, by slopes, which last for some seconds
 
 
@@ -33,8 +35,9 @@ class EgoStage:
     # whether the motion by `pair_odometry` is used; if not, it only follows the right camera
     uses_pair_speed: bool = True
     road_motion: GroundOdometry | None = None  # horizon of the road, and yaw rate and speed
-    # whether the speed of `road_motion` is used: the height of the camera is known
-    has_road_scale: bool = False
+    uses_road_speed: bool = False  # whether the speed of `road_motion` is used
+    # whether its scale is that of a given height; if not, it comes from the sizes of road users
+    has_given_height: bool = False
     # relative standard deviation of a given speed over the measured one, before the drive
     speed_ratio_sigma: float = 1.0
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`
@@ -51,8 +54,9 @@ class EgoStage:
             return None
         if self.pair_odometry is not None and self.uses_pair_speed:
             return self.pair_odometry.source
-        if self.road_motion is not None and self.has_road_scale:
-            return self.road_motion.source
+        if self.road_motion is not None and self.uses_road_speed:
+            source = self.road_motion.source
+            return source if self.has_given_height else f"{source}, {_BY_SIZES}"
         return None
 
     @property
@@ -77,10 +81,10 @@ class EgoStage:
         not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage
-        measures it. A given speed is used if it is trusted. `scale` corrects what the pair
-        measures, and stretches what is given, None = of given cameras; `height_m` is the height of
-        the camera by the drive and its standard deviation, None = as assumed. A given speed is not
-        compared with speeds of an unsure time.
+        measures it. A given speed is used if it is trusted. `scale` corrects what the pair and the
+        road measure, and stretches what is given, None = of given cameras; `height_m` is the height
+        of the camera by the drive and its standard deviation, None = as assumed. A given speed is
+        not compared with speeds of an unsure time.
         """
         by_road = None if self.road_motion is None else self.road_motion.update(frame, xyxy_px)
         by_pair = None if self.pair_odometry is None else self.pair_odometry.update(frame, xyxy_px)
@@ -88,8 +92,10 @@ class EgoStage:
             by_pair = None
         scale = scale or DriveScale()
         motion = None if by_pair is None else scale.rig.corrected_motion(by_pair)
-        if motion is None and self.has_road_scale:
-            motion = self._of_travel(by_road)
+        is_by_sizes, travel = False, self._of_travel(by_road)
+        if motion is None and self.uses_road_speed and travel is not None:
+            motion = scale.road.corrected_motion(travel)
+            is_by_sizes = not self.has_given_height
         if motion is None:
             motion = EgoMotion(yaw_rad_s=self._yaw_rad_s(frame, xyxy_px))
         self._last = frame.time_s, motion
@@ -119,7 +125,10 @@ class EgoStage:
         view = road.view
         if height_m is not None:
             view = replace(view.scaled(height_m[0] / road.height_m), height_m=height_m)
-        return replace(ego, road=view, step=road.step(ego.motion))
+        # static objects that are triangulated with a scale by sizes would repeat the sizes
+        is_given = used is not None and trusts_given
+        step = road.step(EgoMotion() if is_by_sizes and not is_given else ego.motion)
+        return replace(ego, road=view, step=step)
 
     def _weighed(
         self,

@@ -159,13 +159,14 @@ def _ego_stage(
     measures_speed: bool,
     mounting: Mounting | None,
 ) -> EgoStage:
-    """The sources of the ego motion: a scale has a calibrated pair, or a camera at a known height."""
+    """The sources of the ego motion: a scale has a pair, or a camera by its height above the road,
+    which is given, or usual until the drive shows it.
+    """
     # also follows the right camera, and checks a given speed
     pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
     axes, is_ahead = None, True
     if mounting is not None:
         axes, is_ahead = mounting.travel_from_camera, mounting.is_ahead
-    is_height_known = context.camera_height_m is not None
     road_height_m = _road_height_m(context)
     return EgoStage(
         speed=ego_speed,
@@ -174,7 +175,8 @@ def _ego_stage(
         road_motion=GroundOdometry(
             context.camera, road_height_m, flow=flow, travel_from_camera=axes
         ),
-        has_road_scale=measures_speed and ego_speed is None and is_height_known,
+        uses_road_speed=measures_speed and ego_speed is None,
+        has_given_height=context.camera_height_m is not None,
         speed_ratio_sigma=speed_ratio_sigma(priors),
         mounting=mounting,
     )

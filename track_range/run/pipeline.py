@@ -382,7 +382,7 @@ class Pipeline:
                 count from the first frame.
             image: another name of `left` for one camera.
             ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from
-                the images (of one camera only with `camera_height_m`).
+                the images.
 
         Raises:
             FrameError: an image has another size or type than the first image, the time does not

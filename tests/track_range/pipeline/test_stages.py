@@ -348,6 +348,31 @@ def test_given_speed_of_a_repeated_image_is_that_of_its_time():
     assert stage.predicted(1.5, EgoMotion(5.0, 0.1)).motion.speed_mps == 5.0
 
 
+def test_speed_by_the_road_has_the_scale_of_the_drive_and_triangulates_nothing():
+    """8 m/s by a height of 1.8 m, where the drive shows 2.16 m within 10 %."""
+    mounting = Mounting(pitch_deg=5.0)
+    road = GroundOdometry(
+        streets.CAMERA, streets.HEIGHT_M, travel_from_camera=mounting.travel_from_camera
+    )
+    stage = EgoStage(road_motion=road, uses_road_speed=True)
+    scale = DriveScale(road=RigScale(-math.log(1.2), 0.1))
+    ego = Ego(motion=EgoMotion())
+    for k in range(8):
+        image = streets.street(mounting, 0.8 * k)
+        ego = stage.update(Frame(k, 0.1 * k, image, None), NO_BOXES, scale=scale)
+    assert ego.by_road is not None
+    assert ego.by_road.speed_mps == pytest.approx(8.0, rel=0.03)
+    assert ego.motion.speed_mps == pytest.approx(1.2 * ego.by_road.speed_mps)
+    assert ego.motion.scale == pytest.approx(1.2)
+    own_mps = 1.2 * ego.by_road.speed_sigma_mps
+    lasting_mps = 0.1 * ego.motion.speed_mps
+    assert ego.motion.speed_sigma_mps == pytest.approx(math.hypot(own_mps, lasting_mps))
+    assert ego.motion.noise_mps == pytest.approx(1.2 * ego.by_road.noise_mps)
+    assert stage.speed_source is not None
+    assert stage.speed_source.endswith("with an estimated height of the camera")
+    assert ego.step is None
+
+
 class _SteadyOdometry:
     source = "steady odometry"
     right_camera = None
@@ -387,7 +412,8 @@ def test_motion_of_the_road_aside_is_turned_to_the_axes_of_the_camera():
         road_motion=GroundOdometry(
             streets.CAMERA, streets.HEIGHT_M, travel_from_camera=mounting.travel_from_camera
         ),
-        has_road_scale=True,
+        uses_road_speed=True,
+        has_given_height=True,
         mounting=mounting,
     )
     ego = Ego(motion=EgoMotion())
