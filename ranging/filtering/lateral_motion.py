@@ -39,7 +39,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.tracking.tracks import Tracks
 
 # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
@@ -122,7 +122,7 @@ class LateralFilters:
         """
         self._camera = camera
         self._drive: tuple[float, float] | None = None  # its direction along x and z
-        if mounting is not None and not mounting.is_ahead:
+        if mounting is not None and not looks_ahead(mounting):
             right, _, forward = mounting.velocity_mps(1.0).tolist()
             self._drive = right, forward
         self._tracks = TrackState(np.full(len(_LateralState._fields), np.nan))

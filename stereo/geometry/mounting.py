@@ -139,6 +139,11 @@ class Mounting:
         return np.asarray(self.vehicle_from_camera.T @ vehicle_mps)
 
 
+def looks_ahead(mounting: Mounting | None) -> bool:
+    """Whether a camera looks along the drive; one whose mounting is not known is taken to."""
+    return mounting is None or mounting.is_ahead
+
+
 def _key(name: str) -> str:
     """The name of a field without its unit."""
     return name.rpartition("_")[0]

@@ -19,7 +19,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
@@ -103,7 +103,7 @@ class FilterStage:
         mounting: Mounting | None = None,
     ) -> None:
         self._camera, self._has_visible_boxes = camera, has_visible_boxes
-        self._is_ahead = mounting is None or mounting.is_ahead
+        self._is_ahead = looks_ahead(mounting)
         self._distances = DistanceFilters(noise_shares())
         self._lateral = LateralFilters(camera, mounting)
 

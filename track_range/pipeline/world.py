@@ -14,6 +14,7 @@ from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
@@ -38,12 +39,18 @@ class WorldStage:
     """Places the tracks of a drive in the world of its first frame."""
 
     def __init__(
-        self, camera: PinholeCamera, *, centre_sigma_px: float = 0.0, axis_deg: float = 0.0
+        self,
+        camera: PinholeCamera,
+        *,
+        centre_sigma_px: float = 0.0,
+        mounting: Mounting | None = None,
     ) -> None:
-        """`centre_sigma_px` is the standard deviation of the camera's principal point, and
-        `axis_deg` the direction of its axis from that of the drive, positive = to the left.
+        """`centre_sigma_px` is the standard deviation of the camera's principal point; with a
+        `mounting`, states of motion are relative to the drive.
         """
         self._camera, self._centre_sigma_px = camera, centre_sigma_px
+        self._is_ahead = looks_ahead(mounting)
+        axis_deg = 0.0 if mounting is None else mounting.yaw_deg
         self._path, self._motions = EgoPath(), ObjectMotions(math.radians(axis_deg))
 
     def update(
@@ -58,17 +65,25 @@ class WorldStage:
         """The world at `time_s`, by all distances of the frame and the motion of the camera, which
         `focal` has corrected.
         """
-        pose = self._path.update(time_s, ego)
+        pose, lateral = self._path.update(time_s, ego), filtered.lateral
+        if not self._is_ahead:  # the visible side is not at the depth of the centre
+            x_m = self._rays(tracks, focal)[:, 0] * filtered.fused.state.x
+            lateral = replace(lateral, state=replace(lateral.state, x=x_m))
         motion = self._motions.update(
             tracks.track_id,
             tracks.class_id,
             replace(filtered.fused, ranges=ranges["fused_kf"]),
-            filtered.lateral,
+            lateral,
             time_s,
             ego=ego,
             pose=pose,
         )
         return World(*self._points_m(tracks, ranges["fused"], focal), motion, pose)
+
+    def _rays(self, tracks: Tracks, focal: FocalScale) -> FloatArray:
+        """(N, 3) rays through the middles of the boxes."""
+        middle_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
+        return focal.camera(self._camera).rays(middle_px)
 
     def _points_m(
         self, tracks: Tracks, fused: Ranges, focal: FocalScale
@@ -76,10 +91,9 @@ class WorldStage:
         """(N, 3) points where the rays of the boxes meet the objects, and (N, 2) the standard
         deviations of their x and y: by the distance, and by the direction.
         """
-        first_px, last_px = tracks.xyxy_px[:, :2], tracks.xyxy_px[:, 2:]
-        camera = focal.camera(self._camera)
-        rays = camera.rays((first_px + last_px) / 2)
-        edge_sigma_px = BoxNoise().sigma_px(last_px - first_px, tracks.class_id)
+        camera, rays = focal.camera(self._camera), self._rays(tracks, focal)
+        size_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
+        edge_sigma_px = BoxNoise().sigma_px(size_px, tracks.class_id)
         direction_px = np.hypot(edge_sigma_px / math.sqrt(2), self._centre_sigma_px)
         direction = direction_px / np.array([camera.fx_px, camera.fy_px])
         distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]

@@ -31,9 +31,16 @@ from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered
 from track_range.recording.video.video import VideoPart
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
+_MOSTLY = 0.5  # fraction of the speeds that is most of a drive: vehicles reverse for seconds
+_BACKWARDS = (
+    "The given speed is negative in most of the drive, as if the vehicle drove backwards: of a camera "
+    "that looks to the rear or aside, give the mounting, such as --mount yaw=180, and the speed of "
+    "the vehicle."
+)
 _MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run
 # of a CSV with times of the video
 _TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
@@ -76,13 +83,23 @@ class SpeedSource:
         }
 
 
-def open_speed(setting: str, recording: Recording) -> SpeedSource:
+def open_speed(setting: str, recording: Recording, mounting: Mounting | None = None) -> SpeedSource:
     """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or
-    folder.
+    folder; with the `mounting` of the camera that of the vehicle, else along the camera's axis.
 
     The motion of the images is measured in the part of the recording that is read. Raises
     EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
+    source = _opened(setting, recording, mounting)
+    if source.ego is None:
+        return source
+    ego = source.ego if mounting is None else source.ego.of_vehicle()
+    is_backwards = (ego.speed_mps < 0).mean() > _MOSTLY
+    notes = (*source.notes, _BACKWARDS) if is_backwards else source.notes
+    return replace(source, ego=ego, notes=notes)
+
+
+def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> SpeedSource:
     if setting == OFF:
         return SpeedSource()
     reader, options = recording.videos[0], recording.options
@@ -102,6 +119,7 @@ def open_speed(setting: str, recording: Recording) -> SpeedSource:
             start_s=start_s - part_s,
             folder_fps=options.folder_fps,
             span_s=span_s,
+            travel_from_camera=None if mounting is None else mounting.travel_from_camera,
         )
         return replace(series, time_s=series.time_s + part_s)
 

@@ -32,7 +32,7 @@ from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
@@ -78,7 +78,7 @@ def open_pipeline(
     MethodError: ranging methods of other packages depend on each other in a cycle.
     """
     mounting = calibration.view_mounting(settings.mounting)
-    is_ahead = mounting is None or mounting.is_ahead
+    is_ahead = looks_ahead(mounting)
     context = _method_context(settings, calibration, boxes, region)
     flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
@@ -86,8 +86,6 @@ def open_pipeline(
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
-    if ego_speed is not None and mounting is not None:
-        ego_speed = ego_speed.of_vehicle()
     ego = _ego_stage(
         context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
     )
@@ -113,7 +111,7 @@ def open_pipeline(
         world=WorldStage(
             camera,
             centre_sigma_px=calibration.centre_sigma_px,
-            axis_deg=0.0 if mounting is None else mounting.yaw_deg,
+            mounting=mounting,
         ),
         alarming=AlarmStage(camera, warning),
         setup_notes=(*appearance_notes, *(() if is_ahead else (_NOT_AHEAD,))),
@@ -138,7 +136,7 @@ def _method_context(
         region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
-        has_lane_lines=settings.lanes != "off" and (mounting is None or mounting.is_ahead),
+        has_lane_lines=settings.lanes != "off" and looks_ahead(mounting),
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
@@ -164,14 +162,13 @@ def _ego_stage(
     """
     # also follows the right camera, and checks a given speed
     pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
-    axes, is_ahead = None, True
-    if mounting is not None:
-        axes, is_ahead = mounting.travel_from_camera, mounting.is_ahead
+    axes = None if mounting is None else mounting.travel_from_camera
+    uses_pair_speed = measures_speed or ego_speed is not None
     road_height_m = _road_height_m(context)
     return EgoStage(
         speed=ego_speed,
         pair_odometry=pair_odometry,
-        uses_pair_speed=is_ahead and (measures_speed or ego_speed is not None),
+        uses_pair_speed=looks_ahead(mounting) and uses_pair_speed,
         road_motion=GroundOdometry(
             context.camera, road_height_m, flow=flow, travel_from_camera=axes
         ),

@@ -39,7 +39,9 @@ from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
+from track_range.stereo.geometry.mounting import looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker
 
 
@@ -92,10 +94,17 @@ def open_run(
         else:
             boxes = boxes_of(detector)
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
-        speed = open_speed(settings.ego_speed, recording)
+        mounting = recording.opened.view_mounting(settings.mounting)
+        speed = open_speed(settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
             recording, box_source = _with_estimate(
-                recording, settings, box_source, shapes, progress, speed
+                recording,
+                settings,
+                box_source,
+                shapes,
+                progress,
+                # the pre-pass knows cameras that look ahead
+                speed.ego if looks_ahead(mounting) else None,
             )
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
@@ -133,7 +142,7 @@ def _with_estimate(
     boxes: BoxSource,
     shapes: SizeModel,
     progress: StepProgress,
-    speed: SpeedSource,
+    speed: EgoSpeed | None,
 ) -> tuple[Recording, BoxSource]:
     """The recording with its unknown focal length and distortion estimated from its images, unless
     it is live, and the source of its boxes.
@@ -143,7 +152,7 @@ def _with_estimate(
     known = KnownMeasurements(objects=known_metres(settings.known_distance, (), ()))
     detect, remaining = remembered(boxes)
     pre_pass = PrePass(detect=detect, sizes=shapes, known=known, progress=progress)
-    estimate = pre_pass.camera_of([DriveVideo.of_recording(recording, speed.ego)]).estimate
+    estimate = pre_pass.camera_of([DriveVideo.of_recording(recording, speed)]).estimate
     # rectified and undistorted images are others; all candidates belong to the latest detection
     is_same = recording.pair is None and not estimate.distortion and not settings.anonymize
     return recording.with_camera(estimate), remaining if is_same else boxes

@@ -381,8 +381,8 @@ class Pipeline:
             time_s: time of the images in seconds on any clock; must increase. Times in results
                 count from the first frame.
             image: another name of `left` for one camera.
-            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from
-                the images.
+            ego_speed_mps: speed of the camera along its axis, with `mount` that of the vehicle,
+                negative = backwards; None or NaN = measured from the images.
 
         Raises:
             FrameError: an image has another size or type than the first image, the time does not

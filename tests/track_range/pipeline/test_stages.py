@@ -319,6 +319,20 @@ def test_positions_are_on_the_rays_of_the_boxes():
     assert world.ego_pose.x_m == 0.0
 
 
+def test_world_positions_of_a_camera_that_looks_aside_are_on_the_rays():
+    """The side of a vehicle that it sees is nearer than the centre, whose motion is filtered."""
+    mounting = Mounting(yaw_deg=-58.0)
+    frame_ranges, fused, motion = filtered(mounting)
+    distances = reported(frame_ranges, fused, motion, doubt_of({}))
+    stage = WorldStage(CAMERA, mounting=mounting)
+    world = stage.update(CARS, motion, distances, KNOWN, 0.0)
+    distance_m = motion.fused.state.x
+    x_m = (np.array([50.0, 75.0]) - CAMERA.cx_px) / CAMERA.fx_px * distance_m
+    np.testing.assert_allclose(world.motion.world_x_m, distance_m)
+    np.testing.assert_allclose(world.motion.world_y_m, -x_m)  # y of the map is to the left
+    assert abs(motion.lateral.state.x[1] - x_m[1]) > 0.1
+
+
 def test_speed_of_a_repeated_image_is_predicted_for_a_second():
     stage = EgoStage(pair_odometry=_SteadyOdometry())
     stage.update(frame(1.0), NO_BOXES)

@@ -13,7 +13,7 @@ from av.container import InputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
 
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.errors import UserError
 from track_range.recording.sources.names import VideoName
 from track_range.recording.sources.open_video import open_video
@@ -53,12 +53,14 @@ def motion_of(
     folder_fps: float,
     span_s: float = SPAN_S,
     max_images: int | None = None,
+    travel_from_camera: FloatArray | None = None,
 ) -> MotionSeries:
     """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot
     be read.
 
     In a file with frequent key frames, only key frames and the frames 0.1 s later are decoded;
-    otherwise all frames are. `camera` is its approximate camera. Of large images, less than
+    otherwise all frames are. `camera` is its approximate camera, with the axes of travel of
+    `ImageMotionEstimator`. Of large images, less than
     `span_s` is read: `max_images`, by default so many that they have `_MAX_DECODED_PX`.
     """
     rows: list[tuple[float, float, float, float]] = []
@@ -70,7 +72,7 @@ def motion_of(
         else:  # of another size, which the rectification or a crop of the pair changes
             centre_px = (size_px[0] - 1) / 2, (size_px[1] - 1) / 2
             camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, *size_px)
-        estimator = ImageMotionEstimator(camera)
+        estimator = ImageMotionEstimator(camera, travel_from_camera=travel_from_camera)
         with closing(reader), closing(_images(reader, start_s, span_s, max_images)) as images:
             for time_s, image in images:
                 motion = estimator.update(image, time_s)

@@ -132,7 +132,8 @@ class InputOptions(Options):
         float,
         option(
             "With --mono, direction in degrees to the right of the camera's axis to which the "
-            "images of a wide lens are undistorted.",
+            "images of a wide lens are undistorted, beside the direction of the camera in its "
+            "vehicle (--mount, whose yaw is to the left).",
             metavar="DEG",
             ge=-120,
             le=120,
@@ -203,7 +204,8 @@ class InputOptions(Options):
     ego_speed: Annotated[
         str,
         _clip_option(
-            "Speed of the camera, for the absolute speeds of objects: from GPS records in the "
+            "Speed of the camera along its axis, with --mount that of the vehicle, for the absolute "
+            "speeds of objects: from GPS records in the "
             "video or in a file beside it, else from the images (auto), unknown (off), a constant "
             "in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts folder.",
             words=("auto", "off"),

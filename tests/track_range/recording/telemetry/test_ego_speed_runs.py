@@ -23,6 +23,7 @@ from track_range.recording.speed_source import open_speed
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
+from track_range.stereo.geometry.mounting import Mounting
 
 TIMES_S = [0.2 * i for i in range(16)]
 N = len(TIMES_S)
@@ -118,6 +119,20 @@ def test_order_of_preference(video):
     (video.parent / "drive.gpx").write_text("broken")
     assert source().source == "drive.NMEA"
     assert source().at(1.0) == pytest.approx(5.144, abs=1e-3)
+
+
+def test_negative_speed_of_a_drive_is_that_of_a_camera_that_looks_back(video):
+    table = video.parent / "ego_speed.csv"
+    with closing(open_recording(video, focal_px=60)) as recording:
+        table.write_text("time_s,speed_mps,speed_over_ground_mps\n0,-5,5\n2,-5,5\n4,1,1\n")
+        (note,) = open_speed("auto", recording).notes
+        assert "--mount" in note
+        (note,) = open_speed("-18", recording).notes
+        assert "--mount" in note
+        backwards = open_speed("auto", recording, Mounting(yaw_deg=180.0))
+        assert (backwards.notes, backwards.ego.at(1.0)) == ((), 5.0)
+        table.write_text("time_s,speed_mps\n0,-1\n2,5\n4,5\n")  # out of a parking space
+        assert open_speed("auto", recording).notes == ()
 
 
 @pytest.mark.parametrize(
