@@ -14,8 +14,9 @@ error of an object is the same in all of its frames: an object counts once, with
 normal equations over its frames, and only after it has left; while it is in view it counts with its
 present measurement.
 
-The body type of an object (`BodyType`) is the same in all of its frames, too. So are its shape
-errors; therefore the log likelihoods of its views are averaged, not summed.
+The size and the body type of an object (`BodyType`) are the same in all of its frames, too. So are
+its shape errors; therefore the log sizes and the log likelihoods of its views are averaged, not
+summed.
 """
 
 from __future__ import annotations
@@ -43,11 +44,12 @@ _MAX_CHI2 = 9.0  # largest squared residual relative to its variance that counts
 _MIN_WEIGHT = 0.02
 # of two body types from the earlier views of an object, since shapes are not cuboids
 _MAX_LOG_RATIO = 1.0
+_SIZE_MEMORY_S = 3.0  # time constant of the mean size of an object over its views
 _N_MEANS = 7  # per object: five terms of the normal equations, two moments of the residuals
 
-_N_GROUND, _N_VIEWS, _TIME, _BODIES = _N_MEANS, _N_MEANS + 1, _N_MEANS + 2, _N_MEANS + 3
-"""Rows of the state of an object after the means: frames on the ground, frames, time of the last;
-then the mean log likelihoods of the body types."""
+_N_GROUND, _N_VIEWS, _TIME, _WEIGHT, _SIZE, _BODIES = range(_N_MEANS, _N_MEANS + 6)
+"""Rows of the state of an object after the means: frames on the ground, frames, time of the last,
+weight of the mean log size and this mean; then the mean log likelihoods of the body types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +101,19 @@ class DriveState:
             return np.zeros((n_bodies, len(self._track_id)))
         return self._in_view[_BODIES:]
 
-    def add(self, rows: IntArray, ground: GroundTerms | None, log_likelihood: FloatArray) -> None:
+    def add(
+        self,
+        rows: IntArray,
+        ground: GroundTerms | None,
+        log_likelihood: FloatArray,
+        log_size: FloatArray,
+        variance: FloatArray,
+    ) -> FloatArray:
         """Add the measurements of the tracks of the frame with the indices `rows` (N,).
 
         `ground` None = no object is on the ground; `log_likelihood` (B, N) of the body types, 0 =
-        the most likely one.
+        the most likely one; `log_size` (N,) of the heights by this frame alone, with their
+        `variance`. Returns the mean log sizes (N,) over the views of the last seconds.
         """
         if self._tracks is None:
             self._tracks = TrackState(np.zeros(_BODIES + len(log_likelihood)))
@@ -118,6 +128,9 @@ class DriveState:
             excess = np.minimum(ground.residual2, _MAX_CHI2 * expected) - ground.other
             means = np.concatenate([ground.normal, [gain * excess, gain * ground.rough]])
             state[:_N_MEANS] += fraction * (means - state[:_N_MEANS])
+        forgetting = np.exp((state[_TIME] - self._time_s) / _SIZE_MEMORY_S)
+        state[_WEIGHT] = 1.0 / variance + forgetting * state[_WEIGHT]
+        state[_SIZE] += (log_size - state[_SIZE]) / (variance * state[_WEIGHT])
         state[_N_VIEWS] += 1.0
         state[_BODIES:] += (np.maximum(log_likelihood, -_MAX_LOG_RATIO) - state[_BODIES:]) / state[
             _N_VIEWS
@@ -125,6 +138,7 @@ class DriveState:
         state[_TIME] = self._time_s
         age_s = self._time_s - self._tracks.known[_TIME]
         self._tracks.put(track_id, state, keep_known=age_s < -_MEMORY_S * math.log(_MIN_WEIGHT))
+        return np.asarray(state[_SIZE])
 
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")  # road classes, and vans, which differ in size from cars

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.methods.size_regression import incomplete_sigma
+from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.shared_ground import (
     GroundContacts,
@@ -48,7 +49,7 @@ def drive_past(drive, n_objects, *, off_m=0.0, seed=0):
         ground = ground_from_others(
             contacts(inverse_depth, off_m=rng.normal(0, off_m, 3)), GroundPrior(), drive
         )
-        drive.add(np.arange(3), ground.terms, np.zeros((1, 3)))
+        drive.add(np.arange(3), ground.terms, np.zeros((1, 3)), np.zeros(3), np.ones(3))
 
 
 def test_objects_that_left_give_the_ground_of_a_single_object():
@@ -73,7 +74,7 @@ def test_objects_in_view_do_not_count_twice():
     for k in range(50):
         drive.start_frame(np.array([1, 2, 3]), 0.1 * k)
         ground = ground_from_others(contacts(inverse_depth), GroundPrior(), drive)
-        drive.add(np.arange(3), ground.terms, np.zeros((1, 3)))
+        drive.add(np.arange(3), ground.terms, np.zeros((1, 3)), np.zeros(3), np.ones(3))
     np.testing.assert_array_equal(drive.information, 0.0)
     drive.start_frame(np.array([9]), 5.0)
     assert drive.information[0] > 0
@@ -105,7 +106,7 @@ def test_evidence_of_body_types_is_a_limited_mean():
     )
     for log_likelihood in ([0.0, -0.4], [0.0, -9.0], [0.0, -0.4], [-0.2, 0.0]):
         drive.start_frame(np.array([4]), 0.0)
-        drive.add(np.array([0]), terms, np.array(log_likelihood)[:, None])
+        drive.add(np.array([0]), terms, np.array(log_likelihood)[:, None], np.zeros(1), np.ones(1))
     drive.start_frame(np.array([4, 5]), 0.1)
     np.testing.assert_allclose(drive.body_evidence(2), [[-0.05, 0.0], [-0.45, 0.0]])
     np.testing.assert_allclose(drive.information, 0.0)
@@ -129,6 +130,51 @@ def test_views_decide_between_body_types():
             with_state.append(abs(PACKAGED.measure(boxes, drive).distance_m[0] / 40.0 - 1))
             without.append(abs(PACKAGED.measure(boxes).distance_m[0] / 40.0 - 1))
     assert np.mean(with_state) < 0.95 * np.mean(without)
+
+
+def test_sizes_of_views_are_averaged_by_their_variances_and_forgotten():
+    drive = DriveState()
+    for time_s, log_size, variance in ((0.0, 0.0, 0.04), (3.0, 0.2, 0.01)):
+        drive.start_frame(np.array([4]), time_s)
+        mean = drive.add(
+            np.zeros(1, np.int64),
+            None,
+            np.zeros((1, 1)),
+            np.array([log_size]),
+            np.array([variance]),
+        )
+    assert mean[0] == pytest.approx(0.2 * 100 / (100 + 25 * np.exp(-1.0)))
+
+
+def test_a_parked_car_that_is_passed_in_a_turn_keeps_its_size():
+    """Exact boxes of a cuboid of usual size: yaw and bearing change, and the aspect ratio with them."""
+    n, one, car = 40, np.ones(1), np.array([SIZE_CLASSES.index("car")])
+    yaw, bearing = np.radians(np.linspace(0, 40, n)), np.linspace(0.1, 0.7, n)
+    distance_m = np.linspace(20, 10, n)
+    box = box_of_cuboid(
+        np.log([1.5, 1.65, 4.1]),
+        yaw_rad=yaw,
+        bearing=bearing,
+        distance_m=distance_m,
+        camera_height_m=1.65,
+    )
+    size = np.exp(np.stack([box.log_width, box.log_height], axis=1))
+    drive, with_state, without = DriveState(), [], []
+    for k in range(n):
+        boxes = BoxExtents(
+            size[k : k + 1],
+            bearing[k] * one,
+            0 * one,
+            car,
+            one > 0,
+            one < 0,
+            np.full((1, 2), 1e-4),
+            np.zeros((1, 2)),
+        )
+        drive.start_frame(np.array([1]), 0.1 * k)
+        with_state.append(np.log(PACKAGED.measure(boxes, drive).distance_m[0] / distance_m[k]))
+        without.append(np.log(PACKAGED.measure(boxes).distance_m[0] / distance_m[k]))
+    assert 0.25 * np.std(without) < np.std(with_state) < 0.55 * np.std(without)
 
 
 def test_cut_and_covered_boxes_have_a_larger_sigma():
