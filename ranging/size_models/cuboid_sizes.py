@@ -62,8 +62,9 @@ _USUAL_CHI2 = 6.0
 # smallest systematic fraction of the variance: the size of an object is never known exactly
 _MIN_SYSTEMATIC = 1e-4
 # by which the log size of an object differs between its views, whose aspect ratios are explained by
-# other yaws and sizes: that of cars within tracks of KITTI's labels
-_VIEW_SIGMA = 0.02
+# other yaws and sizes: half of that of cars within KITTI's tracks, since errors of a detector's
+# heights last for some frames
+_VIEW_SIGMA = 0.01
 _MIN_SIGMA = 0.01  # smallest relative standard deviation of a distance
 
 
