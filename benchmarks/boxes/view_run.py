@@ -35,8 +35,9 @@ from track_range.tracking.tracks import Tracks
 
 SCORE = 0.9  # confidence of all boxes
 EDGE_SIGMA_PX = 0.7  # standard deviation of each edge of the boxes, independent in each frame
-# Errors of the horizon: springs and measurement with a time constant, and a constant one
-_HORIZON_RAD, _HORIZON_S, _HORIZON_BIAS_RAD = 0.003, 1.0, 0.0015
+# Errors of the pitch and of the roll of the road against the vehicle, as measured on simulated drives:
+# with a time constant, and constant ones; a camera that looks aside sees the roll as its pitch
+_PITCH_RAD, _ROLL_RAD, _HORIZON_S = (0.003, 0.0015), (0.006, 0.0075), 1.0
 _CURVATURE_PER_M = 0.0003  # standard deviation of the curvature of the road, which is not measured
 STILL_MPS = 0.05  # speed below which the camera is at rest
 _SPEED_ERROR = 0.03  # relative standard deviation of the speed by the motion of the road, constant
@@ -76,10 +77,14 @@ class _RoadOfDrive(GroundOdometry):
         rng = np.random.default_rng([seed, 35])
         times_s, n = view.times_s, len(view.times_s)
         stays = float(np.exp(-np.diff(times_s).mean() / _HORIZON_S))
+        yaw_rad = np.radians(view.mounting.yaw_deg)
+        parts = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])[:, None] * (_PITCH_RAD, _ROLL_RAD)
+        changing_rad, constant_rad = np.hypot(*parts)
         error = np.zeros(n)
-        for k, noise in enumerate(rng.normal(0, _HORIZON_RAD, n)):
+        for k, noise in enumerate(rng.normal(0, changing_rad, n)):
             error[k] = stays * error[k - 1] + np.sqrt(1 - stays**2) * noise
-        self._errors_rad = error + rng.normal(0, _HORIZON_BIAS_RAD)
+        self._errors_rad = error + rng.normal(0, constant_rad)
+        self._horizon_variance = float(changing_rad**2 + constant_rad**2)
         in_heights = height_m / (view.mounting.z_m or height_m)
         self._speeds_mps = view.speed_mps * in_heights * (1 + rng.normal(0, _SPEED_ERROR))
         self._up = view.mounting.vehicle_from_camera.T @ np.array([0.0, 0.0, 1.0])
@@ -92,7 +97,7 @@ class _RoadOfDrive(GroundOdometry):
         error_rad = float(np.interp(self.motion.time_s, self._times_s, self._errors_rad))
         return RoadGeometry(
             horizon=-along / down + error_rad,
-            horizon_variance=_HORIZON_RAD**2 + _HORIZON_BIAS_RAD**2,
+            horizon_variance=self._horizon_variance,
             slope=-across / down,
             curvature_variance=_CURVATURE_PER_M**2,
         )
