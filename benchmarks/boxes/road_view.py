@@ -90,6 +90,12 @@ class RoadView:
     path_m: FloatArray
     rows: ViewRows
 
+    @property
+    def axial_mps(self) -> FloatArray:
+        """(T,) speed of the camera along its axis."""
+        motion = zip(self.speed_mps.tolist(), self.yaw_rate_rad_s.tolist(), strict=True)
+        return np.array([self.mounting.velocity_mps(*of_frame)[2] for of_frame in motion])
+
 
 def road_view(
     drive: CuboidDrive, camera: PinholeCamera, mounting: Mounting, *, z_m: float

@@ -115,9 +115,16 @@ class _RoadOfDrive(GroundOdometry):
         """Unknown: it needs the flow of points."""
 
 
-def run_view(view: RoadView, *, min_share: float = 0.5, seed: int = 0, **options: Any) -> RunScores:
+def run_view(
+    view: RoadView,
+    *,
+    has_speed: bool = True,
+    min_share: float = 0.5,
+    seed: int = 0,
+    **options: Any,
+) -> RunScores:
     """The scores of a view, of objects of which `min_share` is visible; `options` are those of
-    `PipelineOptions`.
+    `PipelineOptions`, and `has_speed` says whether the speed of the vehicle is given.
     """
     calibration = calibration_of(view.camera, ((view.camera.width_px, view.camera.height_px),))
     source = BoxSource(
@@ -134,7 +141,7 @@ def run_view(view: RoadView, *, min_share: float = 0.5, seed: int = 0, **options
         source,
         region=settings.region or "unknown",
         tracker=tracker,
-        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle"),
+        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None,
     )
     stages.clock = NoClock()
     yaw_rate = _YawRate(view, seed)
@@ -144,7 +151,8 @@ def run_view(view: RoadView, *, min_share: float = 0.5, seed: int = 0, **options
         stages.ego.road_motion = _RoadOfDrive(view, height_m, yaw_rate, seed)
     results = list(_results(stages, tracker, view, seed))
     stages.close()
-    return RunScores.of_run(_scored(view, results, min_share), results, view.path_m)
+    rows = _scored(view, results, min_share)
+    return RunScores.of_run(rows, results, path_m=view.path_m, ego_mps=view.axial_mps)
 
 
 def _results(

@@ -20,6 +20,7 @@ from track_range.ranging.world.object_motion import MOTION_STATES
 SPAN_M = (5.0, 100.0)
 MIN_TRACKS = 10  # below which a class is reported with its number of tracks only
 METHODS = ("mono", "ground", "lane", "fused", "fused_kf")
+_FAST_MPS = 2.0  # speed of the camera from which its error is relative
 _RUN_IDS = 1_000_000  # difference between identities of two runs
 _GROSS = 0.25  # relative error above which a distance is wrong rather than inaccurate
 # speeds up to which an object rests, and from which it moves; between them no state is wrong
@@ -87,7 +88,7 @@ class ScoredRows:
             "n": int(known.sum()),
             "coverage": mean(known[rows]),
             "mean_pct": 100 * mean(np.abs(error)),
-            "bias_pct": 100 * float(np.median(error)) if len(error) else np.nan,
+            "bias_pct": 100 * _median(error),
             "within_25": mean(np.abs(error) <= _GROSS),
             "within_1": mean(in_sigmas <= 1),
             "within_2": mean(in_sigmas <= 2),
@@ -137,11 +138,21 @@ class RunScores:
     path_m: FloatArray
     doubts: tuple[ScaleDoubt | None, ...]  # of each run, at its end
     n_alarms: int  # rows with a collision warning
+    # (T, 3) true speed of the camera along its axis in each frame, the measured one and its standard
+    # deviation; NaN = unknown
+    ego_mps: FloatArray
 
     @classmethod
-    def of_run(cls, rows: ScoredRows, results: Sequence[FrameResult], path_m: FloatArray) -> Self:
+    def of_run(
+        cls,
+        rows: ScoredRows,
+        results: Sequence[FrameResult],
+        *,
+        path_m: FloatArray,
+        ego_mps: FloatArray,
+    ) -> Self:
         """The scores of the results of a run; `path_m` (T, 2) are the true positions of the camera
-        in the frame `map`.
+        in the frame `map`, and `ego_mps` (T,) its true speeds along its axis.
         """
         poses = [result.ego_pose for result in results]
         known = [k for k, pose in enumerate(poses) if np.isfinite(pose.x_m)]
@@ -157,6 +168,12 @@ class RunScores:
             path_m=np.array([[error_m, sigma_m, length_m]]),
             doubts=(results[-1].scale_doubt,),
             n_alarms=sum(int(np.nansum(result.warnings.active)) for result in results),
+            ego_mps=np.array(
+                [
+                    (true_mps, result.ego_mps, result.ego_sigma_mps)
+                    for true_mps, result in zip(ego_mps.tolist(), results, strict=False)
+                ]
+            ),
         )
 
     @classmethod
@@ -167,6 +184,7 @@ class RunScores:
             path_m=np.concatenate([run.path_m for run in runs]),
             doubts=tuple(doubt for run in runs for doubt in run.doubts),
             n_alarms=sum(run.n_alarms for run in runs),
+            ego_mps=np.concatenate([run.ego_mps for run in runs]),
         )
 
     def figures(self) -> Figures:
@@ -183,7 +201,25 @@ class RunScores:
             "path_error_m": mean(error_m[known]),
             "path_error_pct": 100 * mean((error_m / np.maximum(length_m, 1.0))[known]),
             "path_in_sigmas": mean((error_m / sigma_m)[known]),
+            **self._ego(),
         }
+
+    def _ego(self) -> Figures:
+        """Measured speeds of the camera: median errors of fast ones in per cent, and of slow ones."""
+        true_mps, measured_mps, sigma_mps = self.ego_mps.T
+        known, is_fast = np.isfinite(measured_mps), np.abs(true_mps) > _FAST_MPS
+        error_mps = np.abs(measured_mps - true_mps)
+        relative = error_mps / np.maximum(np.abs(true_mps), _FAST_MPS)
+        return {
+            "ego_known": mean(known),
+            "ego_error_pct": 100 * _median(relative[known & is_fast]),
+            "ego_error_slow_mps": _median(error_mps[known & ~is_fast]),
+            "ego_within_2": mean((error_mps <= 2 * sigma_mps)[known]),
+        }
+
+
+def _median(values: npt.NDArray[Any]) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def mean(values: npt.NDArray[Any]) -> float:

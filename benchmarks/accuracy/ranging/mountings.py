@@ -11,7 +11,7 @@ at least half is visible; states and speeds also of cut ones.
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -83,6 +83,7 @@ SECONDS, FPS = 15.0, 10.0
 SIMULATED_FOCAL_PX = 1000.0
 STEP_S = 1e-3  # of a numerical derivative
 _STATES = {state: float(number) for number, state in enumerate(MOTION_STATES)}
+SPEEDS = ("given", "measured")
 PARTS = ("boxes", "images", "simulated")
 
 
@@ -94,6 +95,7 @@ PARTS = ("boxes", "images", "simulated")
     option("--videos", default=tuple(VIDEOS), choices=VIDEOS, help="cameras of the images"),
     option("--drives", default=tuple(DRIVES), choices=DRIVES, help="cameras of simulated drives"),
     option("--heights", default=tuple(HEIGHTS), choices=HEIGHTS, help="given camera heights"),
+    option("--speeds", default=SPEEDS, choices=SPEEDS, help="whether the speed is given"),
     option("--region", default="north-america", help="region of real roads, or unknown"),
 )
 def mountings(options: Namespace) -> Figures:
@@ -103,10 +105,10 @@ def mountings(options: Namespace) -> Figures:
     with TemporaryDirectory() as folder:
         if "images" in options.parts:
             drives = {name: _video(options, name, Path(folder)) for name in options.videos}
-            figures["images"] = _whole_runs(drives, options.heights)
+            figures["images"] = _whole_runs(drives, options)
         if "simulated" in options.parts:
             drives = {name: _simulated(name, Path(folder) / name) for name in options.drives}
-            figures["simulated"] = _whole_runs(drives, options.heights)
+            figures["simulated"] = _whole_runs(drives, options)
     return figures
 
 
@@ -118,15 +120,24 @@ def _boxes(options: Namespace) -> Figures:
         for name in options.cameras:
             camera, mounting = CAMERAS[name]
             view = road_view(drive, camera, mounting, z_m=Z_M)
-            for height in options.heights:
+            for case, height, has_speed in _cases(options):
                 known = _known(view.mounting, height, options.region)
-                scores = run_view(view, **known)
-                runs.setdefault(f"{name}, height {height}", {})[log] = scores
+                scores = run_view(view, has_speed=has_speed, **known)
+                runs.setdefault(f"{name}, {case}", {})[log] = scores
     return {
         case: {"all": RunScores.joined(list(of_case.values())).figures()}
         | {log: scores.figures() for log, scores in of_case.items()}
         for case, of_case in runs.items()
     }
+
+
+def _cases(options: Namespace) -> Iterator[tuple[str, str, bool]]:
+    """Name, height, and whether the speed is given; without a speed, no height is given either."""
+    for height in options.heights:
+        if "given" in options.speeds:
+            yield f"height {height}", height, True
+    if "measured" in options.speeds:
+        yield "no speed", "none", False
 
 
 def _known(mounting: Mounting, height: str, region: str) -> dict[str, Any]:
@@ -150,22 +161,28 @@ class _Recorded:
     # velocity over ground along the vehicle's axis and to the left of it, by frame and identity
     velocity_mps: Mapping[tuple[int, int], Any]
     path_m: FloatArray  # (T, 2) of the camera in the frame `map`
+    speed_mps: FloatArray  # (T,) of the vehicle
 
 
-def _whole_runs(drives: Mapping[str, _Recorded], heights: Sequence[str]) -> Figures:
+def _whole_runs(drives: Mapping[str, _Recorded], options: Namespace) -> Figures:
     figures: Figures = {}
     for name, drive in drives.items():
-        for height in heights:
+        for case, height, has_speed in _cases(options):
             known = _known(drive.mounting, height, drive.region)
-            run = Run(RunSettings(**drive.settings, **known, overlay=False))
+            if not has_speed:
+                known["ego_speed"] = "auto"  # measured from the images
+            run = Run(RunSettings(**{**drive.settings, **known}, overlay=False))
             results = list(run)
             truth = run.session.opened.truth
             if truth is None:
                 raise ValueError(f"{name}: expected a truth")
             rows = run.session.rows.table.to_rows(is_rounded=False)
             scored = _scored(rows, truth, drive)
-            scores = RunScores.of_run(scored, results, drive.path_m)
-            figures[f"{name}, height {height}"] = scores.figures()
+            ahead = drive.mounting.vehicle_from_camera[0, 2]
+            scores = RunScores.of_run(
+                scored, results, path_m=drive.path_m, ego_mps=ahead * drive.speed_mps
+            )
+            figures[f"{name}, {case}"] = scores.figures()
     return figures
 
 
@@ -220,6 +237,7 @@ def _video(options: Namespace, name: str, folder: Path) -> _Recorded:
         region=options.region,
         velocity_mps=velocity,
         path_m=_turned(position_m - position_m[0], axis_rad[0]),
+        speed_mps=ego["speed_over_ground_mps"],
     )
 
 
@@ -261,6 +279,7 @@ def _simulated(name: str, folder: Path) -> _Recorded:
         region="europe",
         velocity_mps=velocity,
         path_m=_turned(camera_m - camera_m[0], np.arctan2(-axis[0], axis[2])),
+        speed_mps=np.array([scene.speed_mps(time_s) for time_s in times_s]),
     )
 
 
