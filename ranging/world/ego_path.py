@@ -31,6 +31,7 @@ _CORRELATION_S = 1.0  # time over which that error is the same; on KITTI's odome
 # collision warning
 UNKNOWN_LATERAL_MPS2 = 0.4
 _MIN_SPEED_MPS = 2.0  # smallest speed for the yaw rate of that acceleration
+_NOISE_S = 0.3  # time over which the errors of measured speeds that are new in each frame last
 _GAP_MPS2 = 1.5  # growth of the standard deviation of a speed that is no longer measured
 
 
@@ -92,6 +93,8 @@ class EgoPath:
         if motion.is_still:
             V, U, sigma, sigma_U, w, sigma_w = np.zeros(6).tolist()
         self._velocity_mps = V, U
+        noise = min(motion.noise_mps, sigma)
+        sigma = math.sqrt(sigma**2 - noise**2)
         if math.isnan(self._pose.x_m):
             self._pose = EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))
             return self._pose
@@ -106,12 +109,12 @@ class EgoPath:
         bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
         shared = np.stack([along * sigma * dt, right * sigma_U * dt, turn * bias], axis=1)
         self._J = F @ self._J + shared
-        gap_m = _GAP_MPS2 * lost_s * dt
+        new_m = math.hypot(_GAP_MPS2 * lost_s * dt, noise * math.sqrt(_NOISE_S * dt))
         turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
         self._P = (
             F @ self._P @ F.T
             + np.outer(turn, turn) * turn_variance
-            + np.outer(along, along) * gap_m**2
+            + np.outer(along, along) * new_m**2
         )
         self._pose = EgoPose(
             self._pose.x_m + dx,

@@ -38,6 +38,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
+from track_range.stereo.odometry.scene_depth import SceneDepth
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 from track_range.stereo.odometry.travel_direction import TravelDirection
 
@@ -101,7 +102,6 @@ _TRAVEL_SIGMA_RAD = 0.004
 _TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
 _SLOWEST_MPS = 0.1  # of a camera that is not at rest
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
-_TYPICAL_DEPTH_M = 30.0  # over which the expansion is a speed, where the road shows none
 
 
 class GroundOdometry:
@@ -131,7 +131,7 @@ class GroundOdometry:
         self._image_motion = ImageMotionEstimator(
             camera, flow=self._flow, travel_from_camera=travel_from_camera
         )
-        self._filter = SpeedFilter()
+        self._filter, self._depth = SpeedFilter(), SceneDepth()
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
         self._speed_mps = _FULL_MPS
@@ -225,24 +225,21 @@ class GroundOdometry:
         if is_moving and math.isfinite(side):
             self._follow_side(side, dt_s)
             self._direction.add(dt_s, side, motion.yaw_rad_s)
-        shift_m, by_roll = 0.0 if motion.is_still else math.nan, 0.0
+        shift_m, by_plane = 0.0 if motion.is_still else math.nan, 0.0
         before = self._before(motion) if is_moving else self._past[-1]
         if is_moving and math.isfinite(self._side):
-            shift_m, by_roll = self._shift_m(motion, before, now, xyxy_px)
+            shift_m, by_plane = self._shift_m(motion, before, now, xyxy_px)
         self._span_s = span_s = motion.time_s - before.time_s
         # successive measurements share most of a long span
         independent_mps = _SHIFT_SIGMA_M / math.sqrt(span_s * dt_s)
-        # a horizon that is too low by d makes shifts too large by 2 d Z / H
-        horizon_sigma = math.sqrt(self._horizon.view.horizon_variance)
-        by_horizon = 2 * _PICTURE_M / self.height_m * horizon_sigma
-        common_mps = math.hypot(_SCALE_SIGMA, by_roll, by_horizon) * abs(shift_m / span_s)
-        speed = self._filter.update(
-            motion.time_s, span_s, shift_m / span_s, independent_mps, common_mps
-        )
-        rough_mps = motion.expansion_hz * _TYPICAL_DEPTH_M
-        known_mps = speed[0] if math.isfinite(speed[0]) else rough_mps
-        if math.isfinite(known_mps):
-            self._speed_mps = known_mps
+        common_mps = math.hypot(_SCALE_SIGMA, by_plane) * abs(shift_m / span_s)
+        measured = shift_m / span_s, independent_mps, common_mps
+        by_scene = self._depth.speed(motion)
+        if is_moving and not (shift_m > 0 and self._depth.fits(motion, measured[0])):
+            measured = by_scene
+        speed = self._filter.update(motion.time_s, span_s, *measured)
+        if math.isfinite(speed[0]):
+            self._speed_mps = speed[0]
         pitch_rad, roll_rad = motion.pitch_rad_s * dt_s, motion.roll_rad_s * dt_s
         self._horizon.predict(
             dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s
@@ -290,7 +287,7 @@ class GroundOdometry:
         self, motion: ImageMotion, before: "_Past", now: Image, xyxy_px: FloatArray
     ) -> tuple[float, float]:
         """Distance travelled since the frame `before`, NaN = not reliable, and its relative
-        standard deviation by the roll.
+        standard deviation by the plane of the road.
 
         The shifts of the strips first correct the horizon and the roll.
         """
@@ -317,7 +314,7 @@ class GroundOdometry:
         shift_m, shifts_m = _STEP_Z_M * best, _STEP_Z_M * _peaks_near(scores, round(best))
         error = plane_error(shift_m, x_m, z_m - shift_m / 2, shifts_m, self.height_m)
         if error is None:
-            return shift_m, self._sigma_by_roll(float(x_m.mean()))
+            return shift_m, self._sigma_by_plane(float(x_m.mean()), float(z_m.mean()))
         ahead_m = error.z_m + shift_m  # the camera follows the curve, too
         # the horizon belongs to the frame before this one, the shifts to the middle of the span
         n_frames = span_s / motion.dt_s
@@ -337,11 +334,13 @@ class GroundOdometry:
         view = self._horizon.view
         too_low = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
         longer = (2 * error.z_m * too_low - error.x_m * (roll + view.slope)) / self.height_m
-        return shift_m * (1 - longer), self._sigma_by_roll(error.x_m)
+        return shift_m * (1 - longer), self._sigma_by_plane(error.x_m, error.z_m)
 
-    def _sigma_by_roll(self, x_m: float) -> float:
-        """Relative standard deviation of a shift at a distance to the side, by the roll."""
-        return abs(x_m) / self.height_m * math.sqrt(self._horizon.roll_variance)
+    def _sigma_by_plane(self, x_m: float, z_m: float) -> float:
+        """Relative standard deviation of a shift at a place, by the horizon and the roll."""
+        by_horizon = 2 * z_m * math.sqrt(self._horizon.view.horizon_variance)
+        by_roll = x_m * math.sqrt(self._horizon.roll_variance)
+        return math.hypot(by_horizon, by_roll) / self.height_m
 
     def _lanes(self, level: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """X and Z, from far to near, of the cells of the lanes whose road is measured: that of the

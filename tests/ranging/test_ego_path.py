@@ -45,6 +45,14 @@ def test_sigma_grows_with_the_distance():
     assert end.sigmas[2] == pytest.approx(math.hypot(0.005 * math.sqrt(20), 0.0005 * 20), rel=1e-6)
 
 
+def test_errors_of_speeds_that_are_new_in_each_frame_average_out():
+    path = EgoPath()
+    motion = EgoMotion(10.0, 0.5, 0.0, noise_mps=0.3)
+    end = [path.update(STEP_S * i, motion) for i in range(101)][-1]
+    # 0.4 m/s for 10 s, and 0.3 m/s that lasts 0.3 s each
+    assert end.sigmas[0] == pytest.approx(math.hypot(0.4 * 10, 0.3 * math.sqrt(0.3 * 10)), rel=1e-6)
+
+
 def test_sigma_to_the_side_is_that_of_noisy_yaw_rates():
     rng = np.random.default_rng(3)
     ends = [driven(101, rng=rng)[-1] for _ in range(300)]

@@ -43,8 +43,9 @@ MOST_STATEMENTS = {
     # speed, yaw rate and horizon of a camera that looks in any direction (73)
     # speed, yaw rate and horizon of a camera that looks in any direction (70)
     # the path of a slow car shows less of the horizon (7)
-    # the motion of the road over several frames, of slow cameras (35)
-    "stereo": 9_357,
+    # the motion of the road over several frames, of slow cameras (35), and the depth of the scene
+    # where the road is hidden (31)
+    "stereo": 9_388,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -58,9 +59,9 @@ MOST_STATEMENTS = {
     # a camera that moves across its axis (10)
     # the error of the horizon is common to all contact points (29)
     # vehicles beside a camera that looks aside, also where the image cuts them (28)
-    # the scale of speeds by the road without a given height (13)
+    # the scale of speeds by the road without a given height (16)
     # the mean size of an object over its views (11)
-    "ranging": 6_976,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 6_979,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
