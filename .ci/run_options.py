@@ -55,6 +55,8 @@ ALSO = {
     "detector": "ObjectDetector",
     "tracker": "ObjectTracker",
     "min_score": "float",
+    "size": "int",
+    "size_px": "int",
     "ego_speed": "float",
     "names": "Sequence[str]",
     "mount": "Mounting",

@@ -47,6 +47,8 @@ class Detections:
     score: FloatArray  # (N,) float64 confidence in [0, 1]
     class_id: IntArray
     descriptor: Descriptors  # (N, D) float32 appearance embeddings; D = 0 if there are none
+    # whether road users of all sizes were sought: in other frames, no small box is not a miss
+    is_complete: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -187,6 +189,7 @@ class Detections:
             self.score.take(rows),
             self.class_id.take(rows),
             self.descriptor.take(rows, axis=0),
+            self.is_complete,
         )
 
 

@@ -151,7 +151,8 @@ class DeepSortTracker:
         self._last_s = -np.inf
         # time between the last two frames, and between any two
         self._step_s = self._shortest_step_s = np.inf
-        # the last frame with any detection: skipped frames are not misses
+        # the last frame with any detection, in which objects of all sizes were sought: skipped
+        # frames are not misses
         self._last_detected_s = -np.inf
         # the boxes of that frame, and the tracks that they continue; 0 = none
         self._last_xyxy_px, self._last_ids = np.zeros((0, 4)), np.zeros(0, np.int64)
@@ -177,7 +178,8 @@ class DeepSortTracker:
         if not is_valid.all():
             detections = detections.select(is_valid)
         self._predict(detections, time_s, image)
-        self._activation_threshold.update(detections, self._moved())
+        if detections.is_complete:  # else boxes are missing that persist
+            self._activation_threshold.update(detections, self._moved())
         is_high = detections.score >= self.track_activation_threshold(detections.class_id)
         detections, max_cosine_distance = self._with_embeddings(detections, is_high, image)
 
@@ -187,14 +189,14 @@ class DeepSortTracker:
         self._initiate_tracks(detections, is_high.nonzero()[0], time_s)
 
         self._last_s = time_s
-        if len(detections):
+        if len(detections) and detections.is_complete:
             self._last_detected_s = time_s
             self._last_xyxy_px, self._last_ids = (
                 detections.xyxy_px.copy(),
                 np.zeros(len(detections), np.int64),
             )
             self._last_ids[matched] = self._table.track_id[tracks]
-        return self._smoothed(self._output(time_s, image))
+        return self._smoothed(self._output(time_s, image, is_complete=detections.is_complete))
 
     @property
     def tentative(self) -> Tracks:
@@ -285,8 +287,8 @@ class DeepSortTracker:
         return boxes_px
 
     def _is_streak(self, time_s: float) -> BoolArray:
-        """(N,) whether a track was detected in the last frame with any detection, at most
-        `max_skipped_s` ago.
+        """(N,) whether a track was detected since the last complete frame with any detection, at
+        most `max_skipped_s` ago.
 
         At low frame rates, the limit is one and a half times the shortest step between two frames.
         """
@@ -294,7 +296,7 @@ class DeepSortTracker:
             self._settings.max_skipped_s, 1.5 * self._shortest_step_s
         ):
             return np.zeros(len(self._table), np.bool_)
-        return np.asarray(self._table.history.last_s == self._last_detected_s)
+        return np.asarray(self._table.history.last_s >= self._last_detected_s)
 
     def _associate(
         self, detections: Detections, is_high: BoolArray, max_cosine_distance: float
@@ -319,7 +321,7 @@ class DeepSortTracker:
             )
             is_gated_in = gating_distance <= settings.appearance.gating_threshold
             distance = table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
-            is_recent = table.history.last_s == self._last_detected_s
+            is_recent = table.history.last_s >= self._last_detected_s
             # matching cascade: the most recently detected tracks first
             for is_in_level in (is_recent, ~is_recent):
                 assignment.match(
@@ -341,7 +343,7 @@ class DeepSortTracker:
         if assignment.is_complete:
             return assignment
         if self._step_s >= settings.min_distance_step_s:
-            is_last = table.history.last_s == self._last_detected_s
+            is_last = table.history.last_s >= self._last_detected_s
             cost = distance_cost(table.filters, detections.xyxy_px, self._step_s, settings.noise)
             cost[~allowed] = np.inf
             assignment.match(cost, is_last, is_high, max_cost=settings.max_distance)
@@ -392,9 +394,12 @@ class DeepSortTracker:
         if self._last_s == -np.inf or self._settings.n_init <= 1:
             table.is_confirmed[-len(unmatched) :] = True
 
-    def _output(self, time_s: float, image: Image | None) -> Tracks:
+    def _output(self, time_s: float, image: Image | None, *, is_complete: bool) -> Tracks:
         """Stage 5: confirmed tracks by id, with the detected box, or a reliable predicted box."""
         settings, table = self._settings, self._table
+        gates = settings.prediction
+        if not is_complete:  # which explains a missing box as well as an occlusion does
+            gates = replace(gates, min_hit_streak_visible=gates.min_hit_streak)
         is_detected = table.history.last_s == time_s
         detected = (table.is_confirmed & is_detected).nonzero()[0]
         tracks = self._as_tracks(detected, is_detected)
@@ -403,7 +408,7 @@ class DeepSortTracker:
                 self._outermost_px, (tracks.xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px
             )
         missing = (table.is_confirmed & ~is_detected).nonzero()[0]
-        if not len(missing) or settings.prediction.max_missing_s <= 0:
+        if not len(missing) or gates.max_missing_s <= 0:
             return tracks
         border_px = self._outermost_px * _OUTWARDS
         if image is not None:
@@ -411,7 +416,7 @@ class DeepSortTracker:
         predicted, boxes_px = history.predict_missing(
             table.history.select(missing),
             time_s,
-            gates=settings.prediction,
+            gates=gates,
             border_xyxy_px=border_px,
             others_xyxy_px=tracks.xyxy_px,
         )

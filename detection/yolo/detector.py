@@ -65,8 +65,9 @@ class YoloSettings:
     # of suppression among confused classes; end-to-end networks: only equal boxes are removed
     max_iou: float = MAX_IOU
     max_boxes: int = 300  # largest number of boxes per image
-    # longer side of a variable input; None = as in the metadata, else `DEFAULT_SIZE_PX`
-    size_px: int | None = None
+    # longer side of a variable input, or its width and height; None = as in the metadata, else
+    # `DEFAULT_SIZE_PX`
+    size_px: int | tuple[int, int] | None = None
     # a variable input is square, else of the image's aspect ratio, except of DETR-like ones
     is_square: bool = False
     class_id: tuple[int, ...] = ()  # ids of the road classes to detect; empty = all
@@ -117,17 +118,24 @@ class _Input:
             self.model.input_format.fill_padding(blob)
             return blob, np.empty((*self.letterbox.resized_hw, 3), np.uint8)
 
+    def filled(self, image: Image) -> _Buffers:
+        """Buffers with the image."""
+        blob, scaled = self.buffers()
+        self.model.input_format.write(image, self.letterbox, blob, scaled=scaled)
+        return blob, scaled
+
 
 class YoloDetector:
     """Detector of road users with a YOLO network; buffers are reused, so use one instance per
     video, in one thread.
 
-    Only `prepared` may be called in another thread, one at a time. `size`: longer side in pixels of
-    an input of variable size, and the source of this value. `area`: number of pixels of an input of
-    variable size, used instead of `size`; None = `size` is used. `n_invalid`: number of boxes
-    dropped so far because of NaN, infinite numbers or labels without a class name. Raises
-    ModelError: the model cannot be read, its outputs have no known layout, the number of class
-    names differs from the number of classes, or the model has none of the classes to detect.
+    Only `prepared` may be called in another thread, one at a time. `size`: longer side, or width
+    and height, in pixels of an input of variable size, and the source of this value. `area`: number
+    of pixels of an input of variable size, used instead of `size`; None = `size` is used.
+    `n_invalid`: number of boxes dropped so far because of NaN, infinite numbers or labels without a
+    class name. Raises ModelError: the model cannot be read, its outputs have no known layout, the
+    number of class names differs from the number of classes, or the model has none of the classes
+    to detect.
     """
 
     def __init__(
@@ -159,7 +167,7 @@ class YoloDetector:
         self.area: Attribute | None = None if area.value is None else area
         if self._settings.size_px is not None:
             self.size, self.area = Attribute(self._settings.size_px, "as specified"), None
-        self._input = self._prepare(image_hw=(self.size.value, self.size.value))
+        self._input = self._prepare(image_hw=(DEFAULT_SIZE_PX, DEFAULT_SIZE_PX))
         self._filled = self._input, self._input.buffers()
         self._set_thresholds()
 
@@ -188,6 +196,17 @@ class YoloDetector:
     def input_hw(self) -> tuple[int, int]:
         """(height, width) of the network's input for the latest image, filled or prepared."""
         return self._input.letterbox.input_hw
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the input per pixel of the latest image, filled or prepared, along a row."""
+        letterbox = self._input.letterbox
+        return letterbox.resized_hw[1] / letterbox.image_hw[1]
+
+    @property
+    def takes_parts(self) -> bool:
+        """Whether `detect_part` is possible: the input has any size and is not square."""
+        return None in self._session.input_shape[2:] and not self.model.is_square
 
     @property
     def model(self) -> YoloModel:
@@ -279,6 +298,18 @@ class YoloDetector:
         self._last = outputs, prepared
         return self._decoded(outputs, prepared, self._min_score)
 
+    def detect_part(self, part: Image, input_hw: tuple[int, int]) -> Detections:
+        """The road users in a part of the latest image, (H, W, 3) uint8 BGR, in pixels of the part.
+
+        `input_hw` is the (height, width) of the input, multiples of 32. `candidates` remain those
+        of the whole image.
+        """
+        with self._preparing:
+            source = self._prepare(image_hw=(part.shape[0], part.shape[1]), input_hw=input_hw)
+        blob, _ = source.filled(self._as_read(part))
+        # a copy of the thresholds: the first images, which show the layout, are whole ones
+        return self._decoded(source.network.run(blob), source, self._min_score.copy())
+
     def candidates(self, min_score: FloatArray) -> Detections:
         """The boxes in the image of the latest detection, including boxes with lower scores and of
         other classes.
@@ -348,20 +379,25 @@ class YoloDetector:
         with self._preparing:  # `fill` and `prepared` may be in progress at once
             if self._input.letterbox.image_hw != image.shape[:2]:
                 self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
-            if self._session.n_channels == 1:
-                image = np.repeat(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
+            image = self._as_read(image)
             if not self._first_images.chosen and len(self.readings) > 1:
                 self._compare_readings(image)
             source = self._input
-        blob, scaled = source.buffers()
-        source.model.input_format.write(image, source.letterbox, blob, scaled=scaled)
-        return source, (blob, scaled)
+        return source, source.filled(image)
 
-    def _prepare(self, *, image_hw: tuple[int, int]) -> _Input:
-        """Network, decoder and letterbox for images of size `image_hw`; bound networks are
-        cached.
+    def _as_read(self, image: Image) -> Image:
+        """The image with the colours that the network reads, in three channels."""
+        if self._session.n_channels == 3:
+            return image
+        return np.repeat(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
+
+    def _prepare(
+        self, *, image_hw: tuple[int, int], input_hw: tuple[int, int] | None = None
+    ) -> _Input:
+        """Network, decoder and letterbox for images of size `image_hw`, in an input of the usual
+        size if none is given; bound networks are cached.
         """
-        input_hw = self._input_hw(image_hw)
+        input_hw = input_hw or self._input_hw(image_hw)
         if input_hw not in self._bound:
             if len(self._bound) == _MAX_BOUND:
                 del self._bound[next(iter(self._bound))]
@@ -394,8 +430,7 @@ class YoloDetector:
         by_format: dict[object, list[FloatArray32]] = {}
         for source in inputs:
             if source.model.input_format not in by_format:
-                blob, scaled = source.buffers()
-                source.model.input_format.write(image, source.letterbox, blob, scaled=scaled)
+                blob, _ = source.filled(image)
                 by_format[source.model.input_format] = self._session.run(blob)
         outputs = [by_format[source.model.input_format] for source in inputs]
         best = self._first_images.compare(readings, outputs, letterbox.input_hw)
@@ -407,6 +442,8 @@ class YoloDetector:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
+        if isinstance(self.size.value, tuple):
+            return self.size.value[1], self.size.value[0]
         is_square = self._settings.is_square or any(
             readings[0].is_square for _, readings in self._bound.values()
         )

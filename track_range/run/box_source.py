@@ -22,6 +22,7 @@ from track_range.detection.detector import DetectorError, ObjectDetector, checke
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.far_pass import FarPass
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted
@@ -96,13 +97,19 @@ def network_source(
         "device": network.session.device,
         "box_errors": network.model.attributes["box_errors"].source,
     }
+    far_pass = FarPass(network, settings.far_pass_every)
+
+    def prepared(frame: Frame) -> Callable[[], Detections]:
+        detect = network.prepared(frame.left)
+        return lambda: far_pass.completed(detect(), frame.left, frame.time_s)
+
     return BoxSource(
-        detect=lambda frame: network.detect(frame.left),
+        detect=lambda frame: prepared(frame)(),
         candidates=lambda frame: network.candidates(CANDIDATE_SCORE),
         description={"detector": description},
-        notes=lambda: network.notes,
+        notes=lambda: (*network.notes, *far_pass.notes),
         box_errors=network.box_errors,
-        prepare=lambda frame: network.prepared(frame.left),
+        prepare=prepared,
     )
 
 

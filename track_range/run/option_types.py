@@ -29,8 +29,9 @@ class PipelineKeywords(TypedDict, total=False):
     anchors: str | None
     letterbox: str | None
     layout: str | None
-    size: int | None
-    size_px: int | None
+    size: str | int | None
+    size_px: str | int | None
+    far_pass: int | None
     threads: int | None
     device: Literal["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"] | None
     tracker: str | ObjectTracker | None

@@ -170,9 +170,36 @@ class DetectionOptions(Options):
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
     layout: LayoutField = None
-    size_px: SizeField = None
+    size_px: Annotated[
+        str | None,
+        option(
+            "Longer side of the network input in pixels, or its width and height in multiples of "
+            "32, for a network of variable input size; auto = as in the model file, with a far "
+            "pass where it pays (default: as in the model file, else 640).",
+            flag="--size",
+            metavar="auto|PX|WIDTHxHEIGHT",
+            words=("auto",),
+        ),
+    ] = None
+    far_pass: Annotated[
+        int | None,
+        option(
+            "Second pass of the detector in the band around the horizon, for far road users, in "
+            "every n-th frame; 0 = none (default: none; with --size auto, at most ten per second, "
+            "if the band has at least twice the resolution of the network's input).",
+            metavar="N",
+            ge=0,
+            le=1000,
+        ),
+    ] = None
     threads: ThreadsField = 0
     device: DeviceField = "auto"
+
+    @property
+    def far_pass_every(self) -> int | None:
+        """Frames from a far pass to the next one; 0 = none, None = as it pays."""
+        is_auto = self.size_px == "auto"
+        return None if is_auto and self.far_pass is None else self.far_pass or 0
 
     @model_validator(mode="before")
     @classmethod

@@ -18,6 +18,7 @@ from track_range.run.options.detection import DetectionOptions
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.registry import TrackerOptions
 
+_SMALLEST_PX, _LARGEST_PX = 32, 4096  # of the sides of a network's input
 _MAX_NAME = 200  # largest number of characters of a class name
 
 
@@ -30,7 +31,7 @@ class DetectorOptions:
     letterbox: str | None = None
     layout: str | None = None
     min_score: str | None = None
-    size_px: int | None = None
+    size_px: int | str | None = None
     threads: int = 0
     device: Device = "auto"
     classes: tuple[str, ...] = ()
@@ -44,7 +45,7 @@ class DetectorOptions:
             letterbox=settings.letterbox,
             layout=settings.layout,
             min_score=settings.min_score,
-            size_px=settings.size_px,
+            size_px=None if settings.size_px == "auto" else settings.size_px,
             threads=settings.threads,
             device=settings.device,
             classes=settings.classes,
@@ -65,7 +66,7 @@ def open_detector(
         min_score=min_score if lowest_score is None else lowest_score,
         class_min_score=by_class if lowest_score is None else (),
         class_id=tuple(int(i) for i in road_class_ids(options.classes)),
-        size_px=options.size_px,
+        size_px=input_size(options.size_px),
     )
     model_options = ModelOptions(
         names=class_names(options.names),
@@ -75,6 +76,22 @@ def open_detector(
     )
     runtime = Runtime(device=options.device, n_threads=options.threads)
     return YoloDetector(path, settings, options=model_options, runtime=runtime)
+
+
+def input_size(option: int | str | None) -> int | tuple[int, int] | None:
+    """Longer side, or width and height, of a network's input in pixels from `PX` or `WxH`;
+    UsageError if the option is neither.
+    """
+    if option is None:
+        return None
+    sides = [number(side) for side in str(option).split("x")]
+    is_range = all(_SMALLEST_PX <= side <= _LARGEST_PX and side.is_integer() for side in sides)
+    if not is_range or len(sides) > 2 or (len(sides) == 2 and any(side % 32 for side in sides)):
+        raise UsageError(
+            f"--size: expected a longer side from {_SMALLEST_PX} to {_LARGEST_PX} px, or width and "
+            f"height in multiples of 32, such as 960x544, got {quoted(str(option))}."
+        )
+    return int(sides[0]) if len(sides) == 1 else (int(sides[0]), int(sides[1]))
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:

@@ -1,0 +1,138 @@
+"""FarPass: a second look of a network at the band around the horizon, in which road users are far.
+
+A network sees images of 1920x1080 px at 0.3 of their resolution, so that a person at 60 m is 17 px
+high. In the band, which is a third of the image, it sees them at 0.75.
+"""
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from track_range.detection.boxes import iou
+from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, STATIC_CLASSES
+from track_range.detection.detections import Detections
+from track_range.detection.detector import MAX_IOU
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.arrays import BoolArray, Image
+
+# Height and largest width of the network's input for the band, multiples of 32. With 1920x1080 px
+# and a field of view of 55 degrees, a person at 80 m is then 30 px high, and the band holds people
+# from 20 m.
+_HEIGHT_PX, _MAX_WIDTH_PX, _STRIDE_PX = 256, 1440, 32
+# resolution relative to that of the whole image from which a pass pays without being asked for
+_MIN_GAIN = 2.0
+_INTERVAL_S = 0.09  # between two passes without being asked for: at most ten per second
+_CUT_PX = 3.0  # of the input: a box that ends so near to a border of the band is cut
+# height of a box, in heights of the band, below which its edges are taken from the band
+_SMALL = 0.25
+_N_ROWS = 20  # frames whose low boxes show where the horizon is
+_IS_ROAD_USER = ~np.isin(ROAD_CLASSES, STATIC_CLASSES)
+
+
+class FarPass:
+    """Adds the far road users of a video to those that a network finds in its whole images.
+
+    `every`: a pass in every n-th frame; 0 = none; None = at most ten per second, in images that the
+    network sees at less than half of the resolution of the band. The band is around the median row
+    of the low boxes so far, at first around the middle of the image; the horizon that later stages
+    measure is not used, since it would depend on how far their threads are.
+    """
+
+    def __init__(self, network: YoloDetector, every: int | None = None) -> None:
+        self.n_frames, self.n_passes = 0, 0
+        self._network, self._every = network, every
+        self._input_hw = _HEIGHT_PX, _MAX_WIDTH_PX
+        self._last_s = -math.inf  # time of the last pass
+        self._rows_px: deque[float] = deque(maxlen=_N_ROWS)
+
+    def completed(self, near: Detections, image: Image, time_s: float) -> Detections:
+        """The boxes `near` of an image, (H, W, 3) uint8 BGR, with those of the band if a pass is
+        due; frames must be passed in order.
+        """
+        width_px = min(image.shape[1], _MAX_WIDTH_PX) // _STRIDE_PX * _STRIDE_PX
+        scale = width_px / image.shape[1]
+        if self._is_left_out(scale):
+            return near
+        self._input_hw = _HEIGHT_PX, width_px
+        self.n_frames += 1
+        small_px = _SMALL * _HEIGHT_PX / scale
+        detections = replace(near, is_complete=False)
+        if self._is_due(time_s):
+            self.n_passes, self._last_s = self.n_passes + 1, time_s
+            detections = merged(near, self._far(image, scale), small_px)
+        height_px = detections.xyxy_px[:, 3] - detections.xyxy_px[:, 1]
+        is_low = (height_px < small_px) & _IS_ROAD_USER[detections.class_id]
+        if is_low.any():
+            self._rows_px.append(float(np.median(detections.xyxy_px[is_low][:, 1::2])))
+        return detections
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the passes so far were, and their cost; or why there are none."""
+        network = self._network
+        if self._every and not network.takes_parts:
+            return (
+                f"--far-pass is not used: {network.session.path.name} has an input of fixed size.",
+            )
+        if not self.n_passes:
+            return ()
+        height, width = self._input_hw
+        share = self.n_passes / self.n_frames
+        work = 1 + share * height * width / math.prod(network.input_hw)
+        return (
+            f"Far road users were sought in a second pass ({width}x{height} px around the horizon) "
+            f"in {self.n_passes} of {self.n_frames} frames, which made the detector's work "
+            f"{work:.1f} times as large; --far-pass 0 leaves it out.",
+        )
+
+    def _is_left_out(self, scale: float) -> bool:
+        """Whether the passes are off, or show road users hardly larger than the whole image."""
+        is_off = self._every == 0 or not self._network.takes_parts
+        return is_off or (self._every is None and scale < _MIN_GAIN * self._network.scale)
+
+    def _is_due(self, time_s: float) -> bool:
+        if self._every is not None:
+            return (self.n_frames - 1) % self._every == 0
+        # frames that are read before a run may be later ones
+        return not self._last_s <= time_s < self._last_s + _INTERVAL_S
+
+    def _far(self, image: Image, scale: float) -> Detections:
+        """The boxes in the band that no border inside the image cuts, by `scale` pixels of the
+        input per pixel of the image.
+        """
+        height = image.shape[0]
+        band_px = min(round(_HEIGHT_PX / scale), height)
+        row_px = float(np.median(self._rows_px)) if self._rows_px else height / 2
+        top = round(min(max(row_px - band_px / 2, 0.0), height - band_px))
+        bottom = top + band_px
+        boxes = self._network.detect_part(image[top:bottom], self._input_hw)
+        xyxy_px = boxes.xyxy_px + np.array([0, top, 0, top])
+        margin_px = _CUT_PX / scale
+        least_px = top + margin_px if top > 0 else -math.inf
+        most_px = bottom - margin_px if bottom < height else math.inf
+        is_whole = np.logical_and(xyxy_px[:, 1] > least_px, xyxy_px[:, 3] < most_px)
+        return replace(boxes, xyxy_px=xyxy_px).select(is_whole)
+
+
+def merged(near: Detections, far: Detections, small_px: float) -> Detections:
+    """The boxes of a whole image and those of its band, in order of decreasing score.
+
+    Of two boxes of one object, that of the band remains if it is lower than `small_px`, since its
+    edges are more exact, with the higher score of both.
+    """
+    is_same = iou(near.xyxy_px, far.xyxy_px) > MAX_IOU
+    is_same &= SAME_OBJECT_GROUP[near.class_id][:, None] == SAME_OBJECT_GROUP[far.class_id]
+    is_small: BoolArray = far.xyxy_px[:, 3] - far.xyxy_px[:, 1] < small_px
+    near_score = (is_same * near.score[:, None]).max(axis=0, initial=0.0)
+    far = replace(far, score=np.maximum(far.score, near_score))
+    is_replaced = (is_same & is_small).any(axis=1)
+    is_added = np.logical_or(is_small, ~is_same.any(axis=0))
+    parts = near.select(~is_replaced), far.select(is_added)
+    both = Detections.of(
+        np.concatenate([part.xyxy_px for part in parts]),
+        np.concatenate([part.score for part in parts]),
+        np.concatenate([part.class_id for part in parts]),
+    )
+    return both.select(np.argsort(-both.score, kind="stable"))
