@@ -198,15 +198,10 @@ class YoloDetector:
         return self._input.letterbox.input_hw
 
     @property
-    def scale(self) -> float:
-        """Pixels of the input per pixel of the latest image, filled or prepared, along a row."""
-        letterbox = self._input.letterbox
-        return letterbox.resized_hw[1] / letterbox.image_hw[1]
-
-    @property
     def takes_parts(self) -> bool:
-        """Whether `detect_part` is possible: the input has any size and is not square."""
-        return None in self._session.input_shape[2:] and not self.model.is_square
+        """Whether `detect_part` is possible: the input has colours, any size and any shape."""
+        shape, n_channels = self._session.input_shape, self._session.n_channels
+        return None in shape[2:] and n_channels == 3 and not self.model.is_square
 
     @property
     def model(self) -> YoloModel:
@@ -306,7 +301,7 @@ class YoloDetector:
         """
         with self._preparing:
             source = self._prepare(image_hw=(part.shape[0], part.shape[1]), input_hw=input_hw)
-        blob, _ = source.filled(self._as_read(part))
+        blob, _ = source.filled(part)
         # a copy of the thresholds: the first images, which show the layout, are whole ones
         return self._decoded(source.network.run(blob), source, self._min_score.copy())
 
@@ -379,17 +374,12 @@ class YoloDetector:
         with self._preparing:  # `fill` and `prepared` may be in progress at once
             if self._input.letterbox.image_hw != image.shape[:2]:
                 self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
-            image = self._as_read(image)
+            if self._session.n_channels == 1:
+                image = np.repeat(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
             if not self._first_images.chosen and len(self.readings) > 1:
                 self._compare_readings(image)
             source = self._input
         return source, source.filled(image)
-
-    def _as_read(self, image: Image) -> Image:
-        """The image with the colours that the network reads, in three channels."""
-        if self._session.n_channels == 3:
-            return image
-        return np.repeat(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
 
     def _prepare(
         self, *, image_hw: tuple[int, int], input_hw: tuple[int, int] | None = None

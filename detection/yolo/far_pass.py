@@ -27,7 +27,7 @@ _INTERVAL_S = 0.09  # between two passes without being asked for: at most ten pe
 _CUT_PX = 3.0  # of the input: a box that ends so near to a border of the band is cut
 # height of a box, in heights of the band, below which its edges are taken from the band
 _SMALL = 0.25
-_N_ROWS = 20  # frames whose low boxes show where the horizon is
+_N_ROWS = 40  # of low boxes, of the whole image and of the band, that show the horizon
 _IS_ROAD_USER = ~np.isin(ROAD_CLASSES, STATIC_CLASSES)
 
 
@@ -53,20 +53,19 @@ class FarPass:
         """
         width_px = min(image.shape[1], _MAX_WIDTH_PX) // _STRIDE_PX * _STRIDE_PX
         scale = width_px / image.shape[1]
-        if self._is_left_out(scale):
+        near_scale = min(np.divide(self._network.input_hw, image.shape[:2]))
+        if self._is_left_out(scale / near_scale):
             return near
         self._input_hw = _HEIGHT_PX, width_px
         self.n_frames += 1
         small_px = _SMALL * _HEIGHT_PX / scale
-        detections = replace(near, is_complete=False)
-        if self._is_due(time_s):
-            self.n_passes, self._last_s = self.n_passes + 1, time_s
-            detections = merged(near, self._far(image, scale), small_px)
-        height_px = detections.xyxy_px[:, 3] - detections.xyxy_px[:, 1]
-        is_low = (height_px < small_px) & _IS_ROAD_USER[detections.class_id]
-        if is_low.any():
-            self._rows_px.append(float(np.median(detections.xyxy_px[is_low][:, 1::2])))
-        return detections
+        self._learn_row(near, small_px)
+        if not self._is_due(time_s):
+            return replace(near, is_complete=False)
+        self.n_passes, self._last_s = self.n_passes + 1, time_s
+        far = self._far(image, scale)
+        self._learn_row(far, small_px)
+        return merged(near, far, small_px)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -74,7 +73,7 @@ class FarPass:
         network = self._network
         if self._every and not network.takes_parts:
             return (
-                f"--far-pass is not used: {network.session.path.name} has an input of fixed size.",
+                f"--far-pass is not used: {network.session.path.name} has no colour input of variable size.",
             )
         if not self.n_passes:
             return ()
@@ -87,16 +86,22 @@ class FarPass:
             f"{work:.1f} times as large; --far-pass 0 leaves it out.",
         )
 
-    def _is_left_out(self, scale: float) -> bool:
+    def _is_left_out(self, gain: float) -> bool:
         """Whether the passes are off, or show road users hardly larger than the whole image."""
         is_off = self._every == 0 or not self._network.takes_parts
-        return is_off or (self._every is None and scale < _MIN_GAIN * self._network.scale)
+        return is_off or (self._every is None and gain < _MIN_GAIN)
 
     def _is_due(self, time_s: float) -> bool:
         if self._every is not None:
             return (self.n_frames - 1) % self._every == 0
         # frames that are read before a run may be later ones
         return not self._last_s <= time_s < self._last_s + _INTERVAL_S
+
+    def _learn_row(self, detections: Detections, small_px: float) -> None:
+        height_px = detections.xyxy_px[:, 3] - detections.xyxy_px[:, 1]
+        is_low = (height_px < small_px) & _IS_ROAD_USER[detections.class_id]
+        if is_low.any():
+            self._rows_px.append(float(np.median(detections.xyxy_px[is_low][:, 1::2])))
 
     def _far(self, image: Image, scale: float) -> Detections:
         """The boxes in the band that no border inside the image cuts, by `scale` pixels of the
@@ -112,7 +117,7 @@ class FarPass:
         margin_px = _CUT_PX / scale
         least_px = top + margin_px if top > 0 else -math.inf
         most_px = bottom - margin_px if bottom < height else math.inf
-        is_whole = np.logical_and(xyxy_px[:, 1] > least_px, xyxy_px[:, 3] < most_px)
+        is_whole = np.asarray((xyxy_px[:, 1] > least_px) & (xyxy_px[:, 3] < most_px))
         return replace(boxes, xyxy_px=xyxy_px).select(is_whole)
 
 
@@ -124,11 +129,12 @@ def merged(near: Detections, far: Detections, small_px: float) -> Detections:
     """
     is_same = iou(near.xyxy_px, far.xyxy_px) > MAX_IOU
     is_same &= SAME_OBJECT_GROUP[near.class_id][:, None] == SAME_OBJECT_GROUP[far.class_id]
-    is_small: BoolArray = far.xyxy_px[:, 3] - far.xyxy_px[:, 1] < small_px
+    height_px = far.xyxy_px[:, 3] - far.xyxy_px[:, 1]
+    is_small: BoolArray = np.asarray(height_px < small_px)
     near_score = (is_same * near.score[:, None]).max(axis=0, initial=0.0)
     far = replace(far, score=np.maximum(far.score, near_score))
-    is_replaced = (is_same & is_small).any(axis=1)
-    is_added = np.logical_or(is_small, ~is_same.any(axis=0))
+    is_replaced = np.asarray((is_same & is_small).any(axis=1))
+    is_added = np.asarray(is_small | ~is_same.any(axis=0))
     parts = near.select(~is_replaced), far.select(is_added)
     both = Detections.of(
         np.concatenate([part.xyxy_px for part in parts]),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -104,6 +105,45 @@ def test_skipped_frames_are_not_misses(step: int) -> None:
     assert [tracks.track_id.tolist() for tracks in out[1 + step :: step]] == [[1, 2, 3]] * len(
         out[1 + step :: step]
     )
+
+
+def far_car_every(n: int, *, n_frames: int, score: float = 0.6) -> list[Detections]:
+    """A near car in every frame, and from the second frame on a far one in every n-th, the only
+    frames that can show it."""
+    near, far = car_at(100), car_at(500, score=score)
+    return [
+        both(near, far) if k % n == 1 else replace(near, is_complete=False) for k in range(n_frames)
+    ]
+
+
+def test_objects_that_only_some_frames_can_show_are_tracked() -> None:
+    # after three detections, with a sum of scores of at least 1.5
+    *before, confirmed = drive(DeepSortTracker(), far_car_every(3, n_frames=8))
+    assert [tracks.track_id.tolist() for tracks in before] == [[1]] * 7
+    assert confirmed.track_id.tolist() == [1, 2]
+    # without the mark, the frames between are misses
+    frames = [replace(boxes, is_complete=True) for boxes in far_car_every(3, n_frames=30)]
+    assert all(tracks.track_id.tolist() == [1] for tracks in drive(DeepSortTracker(), frames))
+
+
+@pytest.mark.parametrize(("is_sought", "n_tracks"), [(False, 2), (True, 1)])
+def test_tentative_tracks_end_with_the_next_frame_that_could_show_them(
+    is_sought: bool, n_tracks: int
+) -> None:
+    frames = far_car_every(3, n_frames=8, score=0.9)
+    frames[4] = replace(car_at(100), is_complete=is_sought)
+    assert len(drive(DeepSortTracker(), frames)[-1]) == n_tracks
+
+
+def test_boxes_between_two_frames_that_can_show_them_are_predicted() -> None:
+    tracks = drive(DeepSortTracker(), far_car_every(3, n_frames=18))
+    assert [t.observed.tolist() for t in tracks[-5:]] == [
+        [True, True],
+        [True, False],
+        [True, False],
+        [True, True],
+        [True, False],
+    ]
 
 
 def test_threshold_without_overlap_between_frames() -> None:

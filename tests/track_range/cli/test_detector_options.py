@@ -8,7 +8,14 @@ from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.classes import ROAD_CLASSES, ClassNameError
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.run.options.opened import DetectorOptions, class_names, open_detector, thresholds
+from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.opened import (
+    DetectorOptions,
+    class_names,
+    input_size,
+    open_detector,
+    thresholds,
+)
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 BLACK = np.zeros((64, 64, 3), np.uint8)
@@ -71,6 +78,37 @@ def test_invalid_thresholds(option):
 def test_unknown_class_of_a_threshold():
     with pytest.raises(ClassNameError, match=r"'cra'.*'car'"):
         thresholds("cra=0.3", otherwise=0.1)
+
+
+@pytest.mark.parametrize(
+    ("option", "size_px"), [(None, None), (608, 608), ("608", 608), ("960x544", (960, 544))]
+)
+def test_input_sizes(option, size_px):
+    assert input_size(option) == size_px
+
+
+@pytest.mark.parametrize(
+    "option", ["large", "31", "4097", "608.5", "nan", "960x540", "960x", "960x544x3", "auto", ""]
+)
+def test_invalid_input_sizes(option):
+    with pytest.raises(UsageError, match=r"--size: .*960x544"):
+        input_size(option)
+
+
+@pytest.mark.parametrize(
+    ("options", "size_px", "every"),
+    [
+        ({}, None, 0),
+        ({"size_px": 608}, "608", 0),
+        ({"size_px": "auto"}, None, None),
+        ({"size_px": "auto", "far_pass": 0}, None, 0),
+        ({"size_px": "960x544", "far_pass": 3}, "960x544", 3),
+    ],
+)
+def test_far_passes_by_the_size(options, size_px, every):
+    settings = DetectionOptions(**options)
+    assert DetectorOptions.of(settings).size_px == size_px
+    assert settings.far_pass_every == every
 
 
 @pytest.mark.parametrize("option", ["none.names", "a,,b", ""])
