@@ -22,8 +22,9 @@ The sigma of a method has an independent part, new in every frame (box jitter, m
 a systematic part, constant over a track (the car is larger than average). Only the independent part
 averages out, so R is this part alone, scaled by lambda, which is estimated from the innovations of
 the method (`NoiseScale`). The systematic part is added to the filter's variance at the output, and
-changes with the distance and in turns: P_dd grows by (k d)^2 (kappa |v| / d + kappa_w |w|) dt,
-where k is its relative standard deviation and w the yaw rate of the camera. The time to collision d
+changes with the distance and with the side that is seen: P_dd grows by (k d)^2 (kappa |v| / d +
+kappa_w (|w| + |U| / d)) dt, where k is its relative standard deviation, w the yaw rate of the camera
+and U its speed across its axis. The time to collision d
 / -v does not contain this part, which is common to distance and speed. When the condition of a
 measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to hide a
 side), so does its systematic error: the variances of the old and the new error are added to the
@@ -186,6 +187,7 @@ class DistanceFilters:
             measured=measured,
             ego=ego_step,
             turn_rad_s=abs(ego.yaw_rad_s) if math.isfinite(ego.yaw_rad_s) else 0.0,
+            across_mps=abs(ego.right_mps) if math.isfinite(ego.right_mps) else 0.0,
             observation=observation,
             class_id=class_id,
             condition=self._condition(observation, n),

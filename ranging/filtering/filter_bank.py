@@ -249,7 +249,8 @@ class FilterBank(NamedTuple):
     def _systematic_drift(self, step: FilterStep) -> FloatArray:
         """Variance of d in m^2 per second by the changing systematic error; 0 for new tracks."""
         d, v = self.motion.x, self.motion.v
-        per_s = _LONG_DRIFT_HZ * _IS_LONG[step.class_id] + _TURN_DRIFT * step.turn_rad_s
+        turn_rad_s = step.turn_rad_s + step.across_mps / d
+        per_s = _LONG_DRIFT_HZ * _IS_LONG[step.class_id] + _TURN_DRIFT * turn_rad_s
         changing = np.abs(d * v) * _DRIFT + d**2 * per_s
         variance = np.minimum(self.history.systematic, _MAX_DRIFTING**2)
         return np.asarray(np.fmax(variance * changing, 0.0))

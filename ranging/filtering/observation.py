@@ -83,6 +83,7 @@ class FilterStep:
     measured: MeasuredDistances
     ego: EgoStep
     turn_rad_s: float  # rate of the camera's turn, to either side; 0 = unknown
+    across_mps: float  # speed of the camera across its axis, to either side; 0 = unknown
     observation: Observation
     class_id: IntArray  # (N,)
     condition: FloatArray  # (M, 1, N) codes of the conditions; NaN = not given

@@ -5,7 +5,8 @@ ego motion.
     x'                 speed to the right of it over ground (`LateralFilters`, which removes the motion of the camera)
 
 The filter has the probability q that an object moves along the axis, and the moments of u over both
-cases; the moments of u for moving objects follow. x' has the variance B = f P_x'x' (f since errors
+cases; the moments of u for moving objects follow, with the variance A. With odds of r, these have stopped, whose u is
+0: q : 1 - q becomes q : 1 - q + q r / L_M(u; A). x' has the variance B = f P_x'x' (f since errors
 of filtered rates are correlated). An object that does not move along the axis is at rest (R) or
 crosses it (C, a fraction c); of the objects that move along it (M), three quarters have small
 speeds m across it; the rest and C have any speed of 1 sigma M. With L_a = N(x'; B + a^2) / N(x';
@@ -14,8 +15,9 @@ B):
     R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
 
 The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their
-differences. A wrong size is a wrong x' of objects at rest, too, if the camera moves to its right:
-the variance of its speed U and s^2 U^2 are part of B, with the systematic error s of the distance.
+differences. A wrong size scales the motion across the axis, too, of objects at rest if the camera
+moves to its right: the variance of its speed U and s^2 (x' - U)^2 are part of B, with the systematic
+error s of the distance.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ _PERSON = ROAD_CLASSES.index("person")
 # f, as in the collision warning: errors of filtered rates last longer than the filter assumes
 _RATE_FACTOR = 2.0
 _CROSSING, _WALKER_CROSSING = 0.1, 0.5  # c of vehicles and of people
+_STOPPED = 0.1  # r
 _MIN_MOVING = 1e-3  # smallest q, against a division by zero
 _MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
 _ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
@@ -115,7 +118,7 @@ def over_ground(
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
     is_person = class_id == _PERSON
     u, right = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v
-    B = _RATE_FACTOR * x.P_vv + s2 * ego.right_mps**2 + ego.right_sigma_mps**2
+    B = _RATE_FACTOR * x.P_vv + s2 * (right - ego.right_mps) ** 2 + ego.right_sigma_mps**2
 
     # Moments of u where the object moves along the axis.
     q = np.maximum(
@@ -127,6 +130,7 @@ def over_ground(
 
     # Probabilities of rest, crossing and moving along.
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
+    q = q / (1 + q * _STOPPED * np.exp(-_log_ratio(u_M, A, M)))
     c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
     L_m, L_M = np.exp(_log_ratio(right, B, _ACROSS_MPS)), np.exp(_log_ratio(right, B, M))
     p = np.stack(

@@ -59,6 +59,7 @@ def step_to(time_s, z, bank, *, ego=UNKNOWN, sigma=0.1, **observed):
         measured=measured,
         ego=EgoStep.of(ego, np.array(ego.speed_mps), bank.ego_mps, dt),
         turn_rad_s=0.0,
+        across_mps=0.0,
         observation=observation,
         class_id=np.array([CAR]),
         condition=np.full((1, 1, 1), 0.0),
@@ -105,6 +106,9 @@ def test_systematic_error_drifts_in_turns(class_id):
         bank.predict(replace(step, turn_rad_s=rate)).motion.P_xx[0, 1, 0] for rate in (0.0, 0.1)
     )
     assert turning - straight == pytest.approx(2 * 0.0064 * 1600 * 0.1 * 0.5)
+    # a camera that moves across its axis sees another side, too: 4 m/s at 40 m are 0.1 rad/s
+    across = bank.predict(replace(step, across_mps=4.0)).motion.P_xx[0, 1, 0]
+    assert across == pytest.approx(turning)
 
 
 @pytest.mark.parametrize(("d", "time_s"), [(40.0, 1.1), (0.7, 0.1)])

@@ -77,6 +77,18 @@ def test_an_object_at_rest_has_almost_no_speed():
     assert np.isnan(ground.heading_rad).all()
 
 
+def test_an_object_that_moved_and_has_no_speed_has_probably_stopped():
+    """The variance of u is A = 0.4^2 + 0.05^2 + s^2 100 with s^2 = 0.2 / 400, 0.213; that of moving
+    vehicles is 64 more. 0.1 sqrt(64.2 / 0.213) = 1.74 for stopped objects beside 1: 37 % move.
+    """
+    stopped = ground_of([-10.0], [0.0], rate_sigma_mps=0.4, static=[0.0])
+    # across: N(0; 0.08 + 0.09) / N(0; 0.08) = 0.69 for 3/4 of them, and 0.04 for 1/4
+    along = 0.37 * (0.75 * 0.686 + 0.25 * 0.035)
+    assert stopped.moving[0] == pytest.approx(along / (along + 0.63 * 0.9), abs=0.02)
+    slow = ground_of([-8.0], [0.0], rate_sigma_mps=0.4, static=[0.0])
+    assert slow.moving[0] > 0.99
+
+
 def test_a_walking_person_is_not_at_rest():
     walks, stands = ground_of([-10.0, -10.0], [1.3, 0.05], PERSON).moving
     assert walks > 0.9

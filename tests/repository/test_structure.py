@@ -62,7 +62,10 @@ MOST_STATEMENTS = {
     # vehicles beside a camera that looks aside, also where the image cuts them (28)
     # the scale of speeds by the road without a given height (16)
     # the mean size of an object over its views (11)
-    "ranging": 6_979,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # vehicles beside a camera that looks aside, also where the image cuts them, and
+    # vehicles that stopped (32)
+    # the scale of speeds by the road without a given height (13)
+    "ranging": 6_983,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
