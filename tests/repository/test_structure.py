@@ -42,7 +42,6 @@ MOST_STATEMENTS = {
     # a movement for the summary (+15)
     # where a camera is in its vehicle (77)
     # speed, yaw rate and horizon of a camera that looks in any direction (73)
-    # speed, yaw rate and horizon of a camera that looks in any direction (70)
     # the path of a slow car shows less of the horizon (7)
     # the motion of the road over several frames, of slow cameras (35), and the depth of the scene
     # where the road is hidden (31)
