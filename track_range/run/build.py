@@ -89,9 +89,7 @@ def open_pipeline(
     ego = _ego_stage(
         context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
     )
-    check = None
-    if is_ahead:
-        check = _scale_check(context, priors, calibration, settings.lane_width_m)
+    check = _scale_check(context, priors, calibration, settings.lane_width_m)
     warning = CollisionWarning(settings.warning_settings) if is_ahead else None
     camera = calibration.camera
     return FramePipeline(
