@@ -88,6 +88,7 @@ class _RoadOfDrive(GroundOdometry):
         in_heights = height_m / (view.mounting.z_m or height_m)
         self._speeds_mps = view.speed_mps * in_heights * (1 + rng.normal(0, _SPEED_ERROR))
         self._up = view.mounting.vehicle_from_camera.T @ np.array([0.0, 0.0, 1.0])
+        self._right = view.mounting.vehicle_from_camera.T @ np.array([0.0, -1.0, 0.0])
         self._times_s, self._motion_of = times_s, image_motion
 
     @property
@@ -99,6 +100,7 @@ class _RoadOfDrive(GroundOdometry):
             horizon=-along / down + error_rad,
             horizon_variance=self._horizon_variance,
             slope=-across / down,
+            across=(float(self._right[0]), float(self._right[2])),
             curvature_variance=_CURVATURE_PER_M**2,
         )
 

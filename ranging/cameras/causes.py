@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 from track_range.ranging.cameras.unknowns import MISTAKES, Unknown
 
-SHOWN_SIGMA = 0.25  # largest standard deviation of a baseline that counts as checked
+SHOWN_SIGMA = 0.25  # largest standard deviation of a given value that counts as checked
+_CONTRARY = 1.5  # deviation from the drive's value, in standard deviations, that is a note
 
 
 class ScaleDoubt(NamedTuple):
@@ -47,25 +48,33 @@ class ScaleDoubt(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """Evidence of a drive about the baseline."""
+    """Evidence of a drive about a given value, as the baseline."""
 
-    factor: float  # of the given baseline and that of the drive
+    factor: float  # of the given value and that of the drive
     sigma: float  # relative standard deviation of the drive's
     evidence: str
     sigma_of_distances: float  # relative, with what the drive shows
+    of: Unknown = Unknown.BASELINE
+    given_sigma: float = 0.0  # relative standard deviation of the given value, if it is right
+
+    @property
+    def is_contrary(self) -> bool:
+        """Whether the drive shows another value, though perhaps by chance."""
+        sigma = math.hypot(self.sigma, self.given_sigma)
+        return self.sigma <= SHOWN_SIGMA and abs(math.log(self.factor)) > _CONTRARY * sigma
 
     @property
     def sentence(self) -> str:
-        """Note for the user on whether the drive confirms the baseline."""
+        """Note for the user on whether the drive confirms the value."""
         if self.sigma > SHOWN_SIGMA:
-            return "The baseline cannot be checked in this drive."
-        if abs(math.log(self.factor)) > 1.5 * self.sigma:
+            return f"The {self.of} cannot be checked in this drive."
+        if self.is_contrary:
             return (
-                f"The baseline is {self.factor:.2f} ± {self.factor * self.sigma:.2f} times what "
+                f"The {self.of} is {self.factor:.2f} ± {self.factor * self.sigma:.2f} times what "
                 f"the drive shows, by {self.evidence}: no contradiction yet; the sigmas of "
                 f"distances contain ± {100 * self.sigma_of_distances:.0f} % for it."
             )
         return (
-            f"The baseline agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by "
+            f"The {self.of} agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by "
             f"{self.evidence}."
         )

@@ -103,7 +103,7 @@ class ScaleCheck:
         # starts and ends of former doubts
         self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_SPANS)
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
-        self.agreement = Agreement(1.0, math.inf, "", 0.0)
+        self.agreement = self.height_agreement = Agreement(1.0, math.inf, "", 0.0)
         self.cameras: CameraPosterior = posterior(priors, [])
 
     def use(self, known: KnownDistances) -> None:
@@ -240,6 +240,8 @@ class ScaleCheck:
             )
         if self.doubt is not None:
             return (*past, f"{self.sentence} {_EFFECT}")
+        if self.height_agreement.is_contrary:
+            past = (*past, self.height_agreement.sentence)
         is_checked = self.baseline_m is not None and self._is_calibrated
         return (*past, self.sentence) if is_checked else past
 
@@ -280,10 +282,9 @@ class ScaleCheck:
         if learnt := self._learnt:
             sections["learnt_scale"] = learnt
         elif self.baseline_m is not None and self._is_calibrated:
-            _, sigma, evidence, _ = self.agreement
             sections["baseline_check"] = {
-                "sigma": sigma if sigma <= SHOWN_SIGMA else None,
-                "evidence": evidence,
+                "sigma": self.agreement.sigma if self.agreement.sigma <= SHOWN_SIGMA else None,
+                "evidence": self.agreement.evidence,
             }
         return sections
 
@@ -298,7 +299,11 @@ class ScaleCheck:
             self._focal.update(priors, evidence, self.cameras, time_s)
         self._evidence_names = names = self._names(evidence)
         if Unknown.BASELINE in self.priors:
-            self.agreement = self._agreement(priors, evidence, names)
+            self.agreement = self._agreement(Unknown.BASELINE, priors, evidence, names)
+        if priors[Unknown.HEIGHT].kind == "given":
+            of_height = [item for item in evidence if Unknown.HEIGHT in item.of]
+            by = _listed([item.name for item in of_height])
+            self.height_agreement = self._agreement(Unknown.HEIGHT, priors, evidence, by)
         before, self.doubt = self.doubt, self._contradiction(names)
         if before is None and self.doubt is not None:
             self._since_s = time_s
@@ -306,13 +311,16 @@ class ScaleCheck:
             self._past_s.append((self._since_s, time_s))
 
     def _agreement(
-        self, priors: CameraPriors, evidence: Sequence[Evidence], names: str
+        self, of: Unknown, priors: CameraPriors, evidence: Sequence[Evidence], names: str
     ) -> Agreement:
-        """The baseline that the drive shows by itself."""
-        unknown = replace(priors[Unknown.BASELINE], sigma=FREE_SIGMA, kind="unknown")
-        shown = posterior({**priors, Unknown.BASELINE: unknown}, evidence).estimate(OF_BASELINE)
-        of_distances = self.cameras.sigma_of(OF_BASELINE)
-        return Agreement(math.exp(shown.mean), shown.sigma, names, of_distances)
+        """The value that the drive shows by itself."""
+        unknown = replace(priors[of], sigma=FREE_SIGMA, kind="unknown")
+        shown = posterior({**priors, of: unknown}, evidence).estimate({of: 1.0})
+        too_large = _too_large(of, shown.mean)
+        of_distances = self.cameras.sigma_of({of: 1.0})
+        return Agreement(
+            math.exp(too_large), shown.sigma, names, of_distances, of, priors[of].sigma
+        )
 
     def _contradiction(self, names: str) -> ScaleDoubt | None:
         """What is probably a mistake, if this is more probable than that all is right.
@@ -331,15 +339,23 @@ class ScaleCheck:
         near = [cause for cause in odds if odds[cause] > _NEARLY * likely]
         near.sort(key=lambda cause: -odds[cause])
         shown = [(cause, self.cameras.estimate({cause: 1.0}, cause)) for cause in near]
-        causes = tuple(
-            # a height that is too large makes the camera seem lower
-            (cause, math.exp(-of.mean if cause is Unknown.HEIGHT else of.mean))
-            for cause, of in shown
-        )
+        causes = tuple((cause, math.exp(_too_large(cause, of.mean))) for cause, of in shown)
         return ScaleDoubt(causes[0][1], shown[0][1].sigma, self._sizes.n_objects, causes, names)
 
     def _names(self, evidence: Sequence[Evidence]) -> str:
         is_given = self.priors[Unknown.HEIGHT].kind == "given"
         height = f"{'the given' if is_given else 'a usual'} height of the camera"
-        *first, last = dict.fromkeys((*(item.name for item in evidence), height))
-        return f"{', '.join(first)} and {last}" if first else last
+        return _listed([*(item.name for item in evidence), height])
+
+
+def _too_large(of: Unknown, mean: float) -> float:
+    """What a given value is too large by, as a logarithm: one of a height makes the camera seem
+    lower.
+    """
+    return -mean if of is Unknown.HEIGHT else mean
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The different names, as part of a sentence."""
+    *first, last = dict.fromkeys(names) or ("",)
+    return f"{', '.join(first)} and {last}" if first else last

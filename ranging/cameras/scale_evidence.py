@@ -17,6 +17,7 @@ from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.posterior import posterior
 from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA, shared_variance
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, surface_offset_m
@@ -79,6 +80,7 @@ class SizeEvidence:
         its disparities have no common error.
         """
         self._camera, self._rig = camera, rig
+        self._ground = GroundSettings()
         self._log_height = math.log(height_m)
         # number of frames, mean of g - a, its mean variance, mean inverse disparity; number of
         # frames, mean of h + a, its mean variance, mean effect of the horizon's error; class
@@ -127,10 +129,16 @@ class SizeEvidence:
                 horizon = road.horizon + road.slope * (x - self._camera.cx_px) / self._camera.fx_px
                 below = (tracks.xyxy_px[:, 3] - self._camera.cy_px) / self._camera.fy_px - horizon
                 offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=True)
-                q = np.log(below * (by_size.distance_m - offset_m))
+                contact_m = by_size.distance_m - offset_m
+                q = np.log(below * contact_m)
                 q_common = math.hypot(math.sqrt(road.horizon_variance), _ROAD_RAD) / below
                 own = math.hypot(_PITCH_RAD, _EDGE_PX / self._camera.fy_px) / below
-                q_variance = own**2 + size_variance
+                right, ahead = road.across
+                across_m = contact_m * (
+                    ahead + right * (x - self._camera.cx_px) / self._camera.fx_px
+                )
+                place = self._ground.place_sigma_m(across_m) / (below * contact_m)
+                q_variance = own**2 + place**2 + size_variance
         has_rig = is_used & np.isfinite(r) & np.isfinite(inverse_px)
         is_near = (q_variance < _MAX_HEIGHT_SIGMA**2) & (q_common < _MAX_OF_HORIZON)
         has_height = is_used & np.isfinite(q) & is_near

@@ -68,10 +68,11 @@ _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])  # (siz
 _HUBER_SIGMA = 2.0
 # largest relative standard deviation of a measured camera height that counts as known
 _MAX_HEIGHT_SIGMA = 0.05
-# relative, of all distances from image motion: camera height, and the horizon's mean error
-_REFERENCE_SIGMA = 0.04
-# largest fraction of the standard deviation of a reference that the horizon causes
-_MAX_OF_HORIZON = 0.95
+# relative, of all distances from image motion: camera height, crown of the street, and lower edges
+_REFERENCE_SIGMA = 0.05
+# fraction of the standard deviation of distances from image motion that all tracks share: horizon,
+# slopes and crown of the street
+_COMMON = 0.95
 # time constant with which tracks that left are forgotten: the angle of the mounting changes with
 # load
 _DRIVE_S = 60.0
@@ -110,6 +111,13 @@ class GroundSettings:
     has_visible_boxes: bool = False
     box_sigma_px: float = 1.5  # standard deviation of one box edge
     max_sigma: float = 0.5  # largest relative standard deviation of a reported distance
+
+    def place_sigma_m(self, across_m: FloatArray) -> FloatArray:
+        """(N,) standard deviations of the heights of contact points above the plane of the road, at
+        distances (N,) across it from the camera.
+        """
+        verge = np.minimum(np.abs(across_m) / _VERGE_M, _MAX_VERGE)
+        return np.hypot(self.kerb_m, self.crossfall * (1.0 + verge) * across_m)
 
     @classmethod
     def of_known_height(cls, height_m: float) -> GroundSettings:
@@ -179,7 +187,7 @@ class _Contacts:
     # (4, N) derivatives of the row of the ground at `s` by the unknowns, without b
     basis: FloatArray
     R: FloatArray  # variance of `y` about the ground plane, px^2
-    side_px: FloatArray  # column of the middle of the box right of the camera's axis
+    across_px: FloatArray  # distance across the road from the camera times `s`
     on_ground: BoolArray  # whether the bottom edge is visible and the object is on the ground
     # whether there is also a distance by size, so that the track measures the horizon
     is_informative: BoolArray
@@ -299,12 +307,6 @@ class GroundPlane:
         contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
         return self._ranges(tracks.track_id, contacts, self._plane_alone)
 
-    def horizon_sigma(self, alone: Ranges) -> FloatArray:
-        """(N,) relative standard deviations of distances from image motion by the horizon."""
-        sigma_rad = math.sqrt(self._plane_alone.P[0, 0]) / self._camera.fy_px
-        of_horizon = sigma_rad / self._settings.height_m * alone.distance_m
-        return np.minimum(of_horizon, _MAX_OF_HORIZON * alone.sigma_m / alone.distance_m)
-
     @property
     def _plane_alone(self) -> _Plane:
         """The road without the objects on it."""
@@ -375,6 +377,8 @@ class GroundPlane:
         s = self._camera.fy_px / np.where(
             is_informative, by_size.distance_m - offset_m, self._camera.fy_px
         )
+        right, ahead = (1.0, 0.0) if self._road is None else self._road.across
+        across_px = right * (x - self._camera.cx_px) + ahead * self._camera.fy_px
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
         return _Contacts(
             y=y - self._expected_px(x),
@@ -384,8 +388,8 @@ class GroundPlane:
                 s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma
             ),
             basis=self._basis(s),
-            R=self._row_variance(s, x - self._camera.cx_px),
-            side_px=x - self._camera.cx_px,
+            R=self._row_variance(s, across_px),
+            across_px=across_px,
             on_ground=on_ground,
             is_informative=is_informative,
         )
@@ -459,23 +463,19 @@ class GroundPlane:
         s = fy / contact_m
         basis = self._basis(s)
         per_log_m = np.maximum(H * s - basis[2] * fy_k, _MIN_SLOPE * H * s)  # -d row / d log d
-        sigma = np.sqrt(plane.variance(basis) + self._row_variance(s, contacts.side_px)) / per_log_m
+        sigma = (
+            np.sqrt(plane.variance(basis) + self._row_variance(s, contacts.across_px)) / per_log_m
+        )
         is_valid = is_below & (sigma < self._settings.max_sigma)
         contact_m = np.where(is_valid, contact_m, np.nan)
         return Ranges(track_id, contact_m + contacts.offset_m, contact_m * sigma)
 
-    def _row_variance(self, s: FloatArray, side_px: FloatArray) -> FloatArray:
+    def _row_variance(self, s: FloatArray, across_px: FloatArray) -> FloatArray:
         """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in
         px/m.
         """
-        crossfall = self._settings.crossfall * (
-            1.0 + np.minimum(np.abs(side_px) / (s * _VERGE_M), _MAX_VERGE)
-        )
-        box_and_kerb = (
-            self._settings.box_sigma_px**2
-            + (self._settings.kerb_m * s) ** 2
-            + (crossfall * side_px) ** 2
-        )
+        place_px = self._settings.place_sigma_m(across_px / s) * s
+        box_and_kerb = self._settings.box_sigma_px**2 + place_px**2
         if self._road is None:
             return np.asarray(self._pitch_px2 + box_and_kerb)
         fy = self._camera.fy_px
@@ -535,7 +535,7 @@ class GroundRanger(Ranger):
         evidence = None
         if is_independent and self._road is not None and "mono" in others:
             alone = self.plane.measure_alone(tracks, frame)
-            common = self.plane.horizon_sigma(alone)
+            common = _COMMON * alone.sigma_m / alone.distance_m
             evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA, common)
         ranges = self.plane.measure(tracks, by_size, frame)
         return Measured(replace(ranges, is_fallback=not is_independent), evidence)

@@ -62,6 +62,8 @@ class RoadView:
     horizon: float  # tangent of the horizon below the camera's axis, at the middle column
     horizon_variance: float  # its variance
     slope: float = 0.0  # slope of the horizon in the image, positive = lower on the right-hand side
+    # x and z, in the camera's axes, of the direction across the road to the right
+    across: tuple[float, float] = (1.0, 0.0)
     # curvature k in the vertical plane below the camera, positive = turns upwards
     curvature_per_m: float = 0.0
     curvature_variance: float = 0.0  # variance of k
@@ -125,6 +127,7 @@ class RoadHorizon:
             horizon=float(horizon),
             horizon_variance=float(by_state @ self._P @ by_state),
             slope=float(slope),
+            across=(float(right[0]), float(right[2])),
             curvature_per_m=float(along * self._x[_K]),
             curvature_variance=float(along**2 * self._P[_K, _K]),
             covariance=float(along * by_state @ self._P[_K]),
