@@ -16,6 +16,7 @@ from track_range.ranging.cameras.scale_evidence import SizeEvidence, speed_ratio
 from track_range.ranging.cameras.unknowns import Unknown, camera_priors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED
+from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -231,7 +232,7 @@ def test_without_evidence_the_baseline_cannot_be_checked():
     assert "times what the drive shows" in wrong.agreement.sentence
 
 
-def contacts_of(horizon_error, horizon_sigma, *, seed, n=10, true_height_m=1.5):
+def contacts_of(horizon_error, horizon_sigma, *, seed, n=10, true_height_m=1.5, across=(1.0, 0.0)):
     """The evidence of where cars touch the road, with the height taken to be 1.5 m, and a horizon
     that is wrong."""
     rng = np.random.default_rng(seed)
@@ -242,7 +243,7 @@ def contacts_of(horizon_error, horizon_sigma, *, seed, n=10, true_height_m=1.5):
     half = 600 / true_m
     boxes = np.stack([middle - half, bottom - 1500 / true_m, middle + half, bottom], axis=1)
     tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
-    road = RoadView(horizon=horizon_error, horizon_variance=horizon_sigma**2)
+    road = RoadView(horizon=horizon_error, horizon_variance=horizon_sigma**2, across=across)
     sizes = SizeEvidence(CAMERA, 1.5)
     for k in range(4):
         ego = Ego(motion=EgoMotion(), road=road)
@@ -266,6 +267,41 @@ def test_contact_points_share_the_error_of_the_horizon():
     assert np.median(sigmas) > 1.2 * well_known.sigma
     higher = contacts_of(0.0, 0.001, seed=0, true_height_m=1.8)
     assert higher.value - well_known.value == pytest.approx(math.log(1.2), abs=0.03)
+
+
+@pytest.mark.parametrize(("factor", "n_doubts"), [(0.84, 3), (1.0, 0), (1.16, 3)])
+def test_a_given_speed_shows_a_height_that_is_wrong(factor, n_doubts):
+    known = {"height_m": 1.5 * factor, "true_mps": 10.0, "speed": 1.0}
+    checks = [check_of(None, seed=seed, n=8, **known) for seed in range(3)]
+    doubts = [check.doubt for check in checks if check.doubt is not None]
+    assert len(doubts) == n_doubts
+    for check in checks:
+        assert check.height_agreement.factor == pytest.approx(factor, rel=0.03)
+    for doubt in doubts:
+        assert doubt.cause_names[0] is Unknown.HEIGHT
+        assert doubt.factor == pytest.approx(factor, rel=0.03)
+
+
+def test_a_height_that_contact_points_hardly_confirm_is_a_note():
+    """The sizes of eight cars show the height within 12 %: 1.7 sigma are no doubt, and 0.4 no
+    note."""
+    wrong = check_of(None, seed=0, n=8, height_m=1.5 * 1.16)
+    assert wrong.doubt is None
+    (note,) = wrong.notes
+    assert note.startswith("The camera height is 1.21 ± 0.14 times what the drive shows, by where")
+    assert "no contradiction yet" in note
+    assert check_of(None, seed=0, n=8, height_m=1.5).notes == ()
+
+
+def test_contact_points_beside_the_road_are_rougher():
+    """A camera that looks to the side sees at 10 m what lies 10 m beside the road: 0.08 m of kerbs
+    and 10 m of a slope of 0.04."""
+    settings = GroundSettings()
+    assert settings.place_sigma_m(np.array([0.0, 10.0, -20.0])) == pytest.approx(
+        [0.08, math.hypot(0.08, 0.4), math.hypot(0.08, 0.8)]
+    )
+    ahead, aside = (contacts_of(0.0, 0.001, seed=0, across=x) for x in ((1.0, 0.0), (0.95, 0.3)))
+    assert aside.sigma > 1.03 * ahead.sigma
 
 
 def test_lane_lines_measure_the_height_of_the_camera():

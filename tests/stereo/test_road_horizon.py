@@ -105,7 +105,9 @@ def test_a_camera_that_looks_to_the_left_sees_the_roll_as_its_horizon():
     view = road.seen(Mounting(yaw_deg=90.0).travel_from_camera)
     assert view.horizon == pytest.approx(0.05, abs=1e-4)
     assert view.slope == pytest.approx(0.02, abs=1e-4)
+    assert view.across == pytest.approx((0.0, -1.0), abs=1e-9)  # its axis leads to the left
     back = road.seen(Mounting(yaw_deg=180.0).travel_from_camera)
+    assert back.across == pytest.approx((-1.0, 0.0), abs=1e-9)
     assert (back.horizon, back.slope) == pytest.approx((-0.02, 0.05), abs=1e-4)
 
 
