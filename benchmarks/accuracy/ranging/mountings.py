@@ -254,7 +254,11 @@ def _simulated(name: str, folder: Path) -> _Recorded:
         rig=StereoRig.rectified(camera, 0.5),
         options=DriveOptions(mount=mounting.parts),
     )
-    save_camera(camera, folder / "camera.yaml")  # without the mounting, which a run may not know
+    # where no run finds them by itself: a mounting and a speed that it may not know
+    (folder / "known").mkdir()
+    save_camera(camera, folder / "known" / "camera.yaml")
+    speed = drive.ego_speed.rename(folder / "known" / drive.ego_speed.name)
+    drive.rig.unlink()
     scene = make_scenario(scenario, seed=seed, seconds=SECONDS)
     scene = replace(scene, mounting=mounting, camera_height_m=mounting.z_m or 0.0)
     times_s = (np.arange(round(SECONDS * FPS)) / FPS).tolist()
@@ -271,9 +275,9 @@ def _simulated(name: str, folder: Path) -> _Recorded:
     return _Recorded(
         settings={
             "mono": drive.left,
-            "rig": folder / "camera.yaml",
+            "rig": folder / "known" / "camera.yaml",
             "truth": drive.table,
-            "ego_speed": str(drive.ego_speed),
+            "ego_speed": str(speed),
         },
         mounting=mounting,
         region="europe",
