@@ -59,12 +59,10 @@ MOST_STATEMENTS = {
     # a camera that moves across its axis (10)
     # the error of the horizon is common to all contact points (29); a given height that the drive
     # does not confirm is a note, and places beside the road are rougher (24)
-    # vehicles beside a camera that looks aside, also where the image cuts them (28)
     # the scale of speeds by the road without a given height (16)
     # the mean size of an object over its views (11)
     # vehicles beside a camera that looks aside, also where the image cuts them, and
     # vehicles that stopped (32)
-    # the scale of speeds by the road without a given height (13)
     "ranging": 7_007,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -121,7 +119,7 @@ MOST_STATEMENTS = {
     # known distances for pairs (+7)
     # the mounting of a camera as an option (27)
     # the size of the input from the image, and passes for far road users (19)
-    "run": 2_388,
+    "run": 2_386,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     "simulation": 3_244,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from track_range.api.parts import load_rig
+from track_range.recording.cameras.calibration import LensView, calibration_of
 from track_range.recording.pairs import recorded_pair
 from track_range.recording.recording import open_recording
 from track_range.recording.video.frame import VideoError
@@ -17,6 +18,7 @@ from track_range.recording.video.threads import FRAMES_AHEAD
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigAccuracy, RigError, RoadCalibration, StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
@@ -411,3 +413,15 @@ def test_files_are_closed_when_opening_fails(tmp_path, film):
     with pytest.raises(RigError, match="swapped"):
         open_recording(tmp_path / "right.mp4", tmp_path / "left.mp4", focal_px=300.0)
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_direction_of_a_view_in_the_vehicle():
+    """A mounting is turned by the view, to the right; the given one is used before that of a file."""
+    ahead = calibration_of(CAMERA, (CAMERA.size_px,))
+    assert ahead.view_mounting() is None
+    aside = replace(ahead, view=LensView(yaw_deg=20.0))
+    assert aside.view_mounting().yaw_deg == pytest.approx(-20.0)  # of a lens that looks ahead
+    mounted = replace(aside, mounting=Mounting(yaw_deg=-30.0, x_m=1.5))
+    assert mounted.view_mounting().yaw_deg == pytest.approx(-50.0)
+    assert mounted.view_mounting().x_m == 1.5
+    assert mounted.view_mounting(Mounting(yaw_deg=90.0)).yaw_deg == pytest.approx(70.0)

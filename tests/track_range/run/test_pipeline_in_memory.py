@@ -371,6 +371,24 @@ def test_speed_of_each_step(plain_drive: Drive) -> None:
     assert 10.25 not in measured
 
 
+def test_camera_that_looks_aside(plain_drive: Drive) -> None:
+    """The speed of each step is that of the vehicle, and nothing warns."""
+    mount = tr.Mounting(yaw_deg=-60.0)
+    run = tr.Run.mono(plain_drive.left, focal_px=360, mount=mount, ego_speed=36, **OPTIONS)
+    results = list(run)
+    (note,) = [note for note in run.notes if "--mount" in note]
+    assert "no collision warnings" in note
+    assert (run.events, any(result.alarms.has_warnings for result in results)) == ((), False)
+    with tr.Pipeline.mono(focal_px=360, mount="yaw=-60", **OPTIONS) as pipeline:
+        left = images(plain_drive)[0][0]
+        ego = pipeline.step(left.image, left.time_s, ego_speed_mps=10.0).ego
+        assert note in pipeline.notes
+    assert (ego.speed_mps, ego.right_mps) == pytest.approx((5.0, -8.66), abs=0.01)
+    assert results[0].ego.speed_mps == pytest.approx(ego.speed_mps)
+    with pytest.raises(tr.errors.ConfigError, match="mount: expected yaw"):
+        tr.Pipeline.mono(focal_px=360, mount="yaw=300", **OPTIONS)
+
+
 def test_a_speed_in_another_unit_is_doubted_and_not_used(render_drive: Any, tmp_path: Path) -> None:
     """36 km/h are 10 m/s, given as 36 m/s: the images show 10."""
     drive = _without_telemetry(render_drive(seconds=2.0), tmp_path)
