@@ -61,6 +61,10 @@ WORKLOADS = {
         "accuracy.ranging.mountings",
         "cameras that look aside and back, and given heights, on real roads",
     ),
+    "mono_speed": (
+        "accuracy.ranging.mono_speed",
+        "ego speed of one camera, also without its height",
+    ),
     "odometry": ("accuracy.ranging.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
     "processor_time": (
