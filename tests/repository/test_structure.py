@@ -93,9 +93,9 @@ MOST_STATEMENTS = {
     # the correction of a learnt focal length, after the filters, and of given speeds (25)
     # slopes in speeds by the road, and the notes of the road (5)
     # lane lines between the boxes, in a thread of their own (8)
-    # speeds by the road without a given height (6)
+    # speeds by the road without a given height (9)
     # the motion of the vehicle as that of a camera (14), also by the road (8), and visible sides aside (8)
-    "pipeline": 903,
+    "pipeline": 906,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -193,13 +193,24 @@ def test_speeds_have_the_errors_of_their_scale():
 # -- Filters, world, alarms
 
 
-def filtered(mounting: Mounting | None = None) -> tuple[FrameRanges, Filtered, Doubt]:
+def filtered(
+    mounting: Mounting | None = None, ego: EgoMotion = KNOWN
+) -> tuple[FrameRanges, Filtered, Doubt]:
     stage, fusion = FilterStage(CAMERA, mounting=mounting), Fusion()
     for k in range(15):
         frame_ranges = measured(mono=ranges(20.0 - k, 30.0))
         fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
-        motion = stage.update(CARS, frame_ranges, fused, KNOWN, 0.1 * k)
+        motion = stage.update(CARS, frame_ranges, fused, ego, 0.1 * k)
     return frame_ranges, fused, motion
+
+
+def test_filters_ignore_an_ego_speed_that_is_less_certain_than_the_rates_that_they_report():
+    sure, unsure, unknown = (
+        filtered(ego=ego)[2].fused for ego in (KNOWN, EgoMotion(12.0, 1.6), EgoMotion())
+    )
+    np.testing.assert_array_equal(unsure.rate_mps, unknown.rate_mps)
+    assert np.isfinite(unsure.rate_mps).all()
+    assert (sure.rate_mps != unknown.rate_mps).all()
 
 
 def test_all_distances_are_reported_with_their_shared_errors():
