@@ -53,6 +53,11 @@ _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
 # width, shortest one, and number. The nearest lanes are the most likely ones to be
 # road, and in the plane under the wheels.
 _BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 3
+# Strips beside the vehicle that agree, for a measurement: parts of a car that no box covers are
+# nearer than the road and faster.
+_MIN_BESIDE_STRIPS = 6
+# standard deviation of their height against the road under the wheels: kerbs are 0.1 to 0.15 m high
+_RAISED_M = 0.07
 _LONGEST_M = 40.0  # largest Z of a picture
 # samples per cell in both directions, of which a cell has the mean: cells near the camera have many
 # pixels, of which a single one would be aliased, so that shifts are drawn to whole cells
@@ -312,6 +317,9 @@ class GroundOdometry:
         if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
             return math.nan, 0.0  # two strips only confirm a speed
         shift_m, shifts_m = _STEP_Z_M * best, _STEP_Z_M * _peaks_near(scores, round(best))
+        is_beside = np.abs(x_m).max() > _HALF_WIDTH_M
+        if is_beside and np.isfinite(shifts_m).sum() < _MIN_BESIDE_STRIPS:
+            return math.nan, 0.0
         error = plane_error(shift_m, x_m, z_m - shift_m / 2, shifts_m, self.height_m)
         if error is None:
             return shift_m, self._sigma_by_plane(float(x_m.mean()), float(z_m.mean()))
@@ -326,10 +334,11 @@ class GroundOdometry:
             frames=min(frames, _MAX_FRAMES),
             by_roll=error.by_roll,
             max_sigma=_OUTLIER_SIGMA,
+        ) and self._horizon.measure_roll(
+            roll - error.roll, error.roll_variance, max_sigma=_OUTLIER_SIGMA
         )
         if not is_consistent:
             return math.nan, 0.0
-        self._horizon.measure_roll(roll - error.roll, error.roll_variance)
         self.has_horizon = True
         view = self._horizon.view
         too_low = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
@@ -337,10 +346,13 @@ class GroundOdometry:
         return shift_m * (1 - longer), self._sigma_by_plane(error.x_m, error.z_m)
 
     def _sigma_by_plane(self, x_m: float, z_m: float) -> float:
-        """Relative standard deviation of a shift at a place, by the horizon and the roll."""
+        """Relative standard deviation of a shift at a place, by the horizon, the roll, and the
+        height of the ground outside of the lane of the car.
+        """
         by_horizon = 2 * z_m * math.sqrt(self._horizon.view.horizon_variance)
         by_roll = x_m * math.sqrt(self._horizon.roll_variance)
-        return math.hypot(by_horizon, by_roll) / self.height_m
+        raised_m = _RAISED_M if abs(x_m) > _HALF_WIDTH_M else 0.0
+        return math.hypot(by_horizon, by_roll, raised_m) / self.height_m
 
     def _lanes(self, level: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """X and Z, from far to near, of the cells of the lanes whose road is measured: that of the

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -53,6 +53,7 @@ _N_FEATURES = 200  # largest number of corners
 _MIN_QUALITY = 0.003  # minimum quality of a corner, as a fraction of the best corner's
 _MIN_ISOTROPY = 0.1  # minimum ratio of the eigenvalues of a corner's structure tensor
 _NOISE_PX = 0.1  # standard deviation of a tracked corner
+_MAX_COST = 9.0  # of one point, in the cost of a fit
 _MAX_RESIDUAL_PX = 0.5  # largest distance of a static point from its epipolar line
 _MIN_FEATURES = 16  # minimum number of static points
 _MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracked ones
@@ -76,12 +77,8 @@ class ImageMotion:
     roll_rad_s: float = math.nan  # roll rate, positive = clockwise as the driver sees it
     # median translation per second in units of the depth, positive = forwards
     expansion_hz: float = math.nan
-    expansion_sigma_hz: float = math.nan  # its standard deviation
     # slopes of the direction of travel to the right of and below the axis of travel, NaN = unknown
     travel: tuple[float, float] = (math.nan, math.nan)
-    # fraction of the tracked corners that move like a static scene
-    static_fraction: float = math.nan
-    n_features: int = 0  # number of tracked corners
     is_still: bool = False  # whether the camera is at rest; False if unknown
 
     @property
@@ -154,23 +151,15 @@ class ImageMotionEstimator:
         dt_s, self._last_s = time_s - self._last_s, time_s
         if self._flow.now is None or self._flow.before is None or not 0 < dt_s <= _MAX_GAP_S:
             return ImageMotion(time_s=time_s)
-        corners, points = self._flow.tracked(_N_FEATURES, _MIN_QUALITY)
-        if len(corners):
-            is_corner = isotropy(self._flow.before.small, corners) >= _MIN_ISOTROPY
-            corners, points = corners[is_corner], points[is_corner]
-        return self._motion((corners, points), time_s, dt_s, self._flow.now.n_halved)
+        before, now, focal_px = tracked_rays(self._flow, self._camera)
+        if len(before) < _MIN_FEATURES:
+            return ImageMotion(time_s=time_s, dt_s=dt_s)
+        return self._motion(before, now, focal_px, time_s, dt_s)
 
     def _motion(
-        self, pair_px: tuple[FloatArray32, FloatArray32], time_s: float, dt_s: float, n_halved: int
+        self, before: FloatArray, now: FloatArray, focal_px: float, time_s: float, dt_s: float
     ) -> ImageMotion:
-        """Motion from corners (N, 2) of the small image before and now."""
-        camera, factor, n_features = self._camera, 1 << n_halved, len(pair_px[0])
-        if n_features < _MIN_FEATURES:
-            return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features)
-        focal_px = camera.fx_px / factor
-        before, now = (
-            camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2) for points in pair_px
-        )
+        """Motion from rays (N, 3) of corners before and now."""
         self._direction_variance = np.minimum(
             self._direction_variance + _DIRECTION_DRIFT_RAD**2 * dt_s, _DIRECTION_SIGMA_RAD**2
         )
@@ -180,14 +169,10 @@ class ImageMotionEstimator:
             direction=self._direction,
             direction_variance=self._direction_variance,
             travel_from_camera=self._travel_from_camera,
-            noise=_NOISE_PX / focal_px,
-            max_residual=_MAX_RESIDUAL_PX / focal_px,
+            focal_px=focal_px,
         )
-        static_fraction = float(fit.is_static.mean())
-        if fit.is_static.sum() < _MIN_FEATURES or static_fraction < _MIN_STATIC_FRACTION:
-            return ImageMotion(
-                time_s=time_s, dt_s=dt_s, n_features=n_features, static_fraction=static_fraction
-            )
+        if fit.is_static.sum() < max(_MIN_FEATURES, _MIN_STATIC_FRACTION * len(before)):
+            return ImageMotion(time_s=time_s, dt_s=dt_s)
         turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
         is_still = bool(median_of(motion_px) <= _MAX_STILL_PX)
@@ -197,8 +182,7 @@ class ImageMotionEstimator:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
             if abs(backward) >= _MIN_FORWARD:
                 travel = x / backward, y / backward
-        growth, growth_sigma = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
-        growth = math.copysign(growth, -backward)
+        growth = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
         down = self._travel_from_camera[1]
         yaw_sigma = math.sqrt(float(down @ fit.rotation_covariance @ down))
         # the camera turns against the scene
@@ -210,11 +194,8 @@ class ImageMotionEstimator:
             yaw_sigma_rad_s=math.hypot(yaw_sigma, _BIAS_PX / focal_px) / dt_s,
             pitch_rad_s=pitch,
             roll_rad_s=roll,
-            expansion_hz=0.0 if is_still else growth / dt_s,
-            expansion_sigma_hz=growth_sigma / dt_s,
+            expansion_hz=0.0 if is_still else math.copysign(growth, -backward) / dt_s,
             travel=travel,
-            static_fraction=static_fraction,
-            n_features=n_features,
             is_still=is_still,
         )
 
@@ -229,6 +210,8 @@ class EpipolarFit:
     direction: FloatArray
     direction_variance: FloatArray  # (2,) variances to the right of and below the axis of travel
     is_static: BoolArray  # (N,) whether a point is near its epipolar line
+    cost: float  # mean of the squares of the residuals in standard deviations, each at most 9
+    moved: float  # median motion of the points by the translation, rad
 
 
 def fit_epipolar(
@@ -238,16 +221,15 @@ def fit_epipolar(
     direction: FloatArray,
     direction_variance: FloatArray,
     travel_from_camera: FloatArray,
-    noise: float,
-    max_residual: float,
+    focal_px: float,
 ) -> EpipolarFit:
     """Rotation and direction of the translation from rays (N, 3) with z = 1 of the same points in
     both frames.
 
     The iteration starts from `direction` (3,), the expected unit translation; `direction_variance`
-    (2,) is of its x and y in the axes of travel. `noise` is the standard deviation of the ray of a
-    distant point, `max_residual` the largest Sampson distance of a static point, both in rad.
+    (2,) is of its x and y in the axes of travel, `focal_px` the focal length of the tracked image.
     """
+    noise = _NOISE_PX / focal_px
     flow = median_of((now[:, :2] - before[:, :2]).T)
     # across the motion of a point on the axis, which the translation causes
     x, y = (flow - direction[:2] * (direction[:2] @ flow)).tolist()
@@ -290,8 +272,28 @@ def fit_epipolar(
         rotation_covariance=np.asarray(covariance[:3, :3], np.float64),
         direction=-t if is_backward else t,
         direction_variance=np.asarray(np.diag(across.T @ covariance[3:, 3:] @ across), np.float64),
-        is_static=np.asarray(np.abs(residual) <= max_residual),
+        is_static=np.asarray(np.abs(residual) <= _MAX_RESIDUAL_PX / focal_px),
+        cost=float(np.minimum((residual / sigma) ** 2, _MAX_COST).mean()),
+        moved=float(median_of(np.linalg.norm(flow, axis=1))),
     )
+
+
+def tracked_rays(
+    flow: BackgroundFlow, camera: PinholeCamera
+) -> tuple[FloatArray, FloatArray, float]:
+    """Rays (N, 3) of corners, without those on edges, in the last two frames of a flow, and the
+    focal length of its small image.
+    """
+    corners, points = flow.tracked(_N_FEATURES, _MIN_QUALITY)
+    if flow.now is None or flow.before is None or not len(corners):
+        return np.zeros((0, 3)), np.zeros((0, 3)), camera.fx_px
+    is_corner = isotropy(flow.before.small, corners) >= _MIN_ISOTROPY
+    factor = 1 << flow.now.n_halved
+    before, now = (
+        camera.rays(factor * found[is_corner].astype(np.float64) + (factor - 1) / 2)
+        for found in (corners, points)
+    )
+    return before, now, camera.fx_px / factor
 
 
 def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -328,14 +330,12 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
-    """Median motion of static points in units of the depth, and its standard deviation."""
+def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> float:
+    """Median motion of static points in units of the depth; NaN = unknown."""
     moved = direction[:2] - turned[:, :2] * direction[2]
     radius2 = (moved**2).sum(axis=1)
     is_far = radius2 >= _MIN_RADIUS**2
     if not is_far.any():
-        return math.nan, math.nan
+        return math.nan
     growth = ((now - turned)[:, :2] * moved).sum(axis=1)[is_far] / radius2[is_far]
-    median = median_of(growth)
-    spread = MAD_TO_SIGMA * float(median_of(np.abs(growth - median)))
-    return float(median), 1.25 * spread / math.sqrt(len(growth))
+    return float(median_of(growth))

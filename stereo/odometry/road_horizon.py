@@ -184,23 +184,24 @@ class RoadHorizon:
         `max_sigma` the largest innovation, in standard deviations.
         """
         h = np.array([1.0, 0.0, -ahead_m / 2, frames, by_roll, 0.0])
-        S = float(h @ self._P @ h) + variance
-        if abs(horizon - float(h @ self._x)) > max_sigma * math.sqrt(S):
-            return False
-        self._update(h, horizon, variance)
-        return True
+        return self._update(h, horizon, variance, max_sigma)
 
     @property
     def roll_variance(self) -> float:
         """Variance of the roll."""
         return float(self._P[_R, _R])
 
-    def measure_roll(self, roll: float, variance: float) -> None:
-        """Add a measurement of the roll, as a tangent, and its variance."""
-        self._update(np.eye(6)[_R], roll, variance)
+    def measure_roll(self, roll: float, variance: float, *, max_sigma: float = math.inf) -> bool:
+        """Add a measurement of the roll, as a tangent, and its variance; False = not added, an
+        outlier.
+        """
+        return self._update(np.eye(6)[_R], roll, variance, max_sigma)
 
-    def _update(self, h: FloatArray, z: float, R: float) -> None:
+    def _update(self, h: FloatArray, z: float, R: float, max_sigma: float = math.inf) -> bool:
         Ph = self._P @ h
-        S = float(h @ Ph) + R
-        self._x = self._x + Ph * ((z - float(h @ self._x)) / S)
+        S, innovation = float(h @ Ph) + R, z - float(h @ self._x)
+        if abs(innovation) > max_sigma * math.sqrt(S):
+            return False
+        self._x = self._x + Ph * (innovation / S)
         self._P = self._P - np.outer(Ph, Ph) / S
+        return True

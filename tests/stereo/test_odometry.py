@@ -43,8 +43,7 @@ def epipolar_fit(rays, now, mounting=AHEAD):
         direction=-travel_from_camera[2],
         direction_variance=np.full(2, 0.05**2),
         travel_from_camera=travel_from_camera,
-        noise=NOISE,
-        max_residual=5 * NOISE,
+        focal_px=360.0,
     )
 
 

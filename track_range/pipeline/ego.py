@@ -7,7 +7,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import (
     PREDICTED_NOISE,
     Ego,
@@ -102,7 +102,9 @@ class EgoStage:
         given = self._given(frame.time_s, known)
         used = given
         if given is not None:
-            shown = (by_pair, by_road) if has_sure_time else (None, None)
+            # speeds by strips beside the vehicle are no check of a given one
+            is_checked = has_sure_time and looks_ahead(self.mounting)
+            shown = (by_pair, by_road) if is_checked else (None, None)
             used = self._weighed(frame.time_s, given, *shown, scale, known)
             used = scale.focal.stretched(self._of_camera(used, motion.yaw_rad_s))
         ego = Ego(

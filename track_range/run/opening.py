@@ -2,15 +2,15 @@
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from track_range.calibration.drive.drive_video import DriveVideo
+from track_range.calibration.drive.drive_video import DriveVideo, every_step
 from track_range.calibration.drive.known_metres import KnownMeasurements, known_metres
 from track_range.calibration.drive.pre_pass import PrePass
 from track_range.detection.detector import ObjectDetector
@@ -42,7 +42,11 @@ from track_range.run.ready_model import ready_model
 from track_range.stereo.geometry.mounting import looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.odometry.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
 from track_range.tracking.registry import ObjectTracker
+
+_REAR_DEG = 135.0  # angle from which a camera looks to the rear
+_SEARCHED_S = 30.0  # longest part of a recording in which its mounting is searched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +98,7 @@ def open_run(
         else:
             boxes = boxes_of(detector)
         box_source = outside_regions(boxes, settings.ignore, recording.calibration)
+        recording = _with_mounting(recording, settings, rig)
         mounting = recording.opened.view_mounting(settings.mounting)
         speed = open_speed(settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
@@ -156,6 +161,35 @@ def _with_estimate(
     # rectified and undistorted images are others; all candidates belong to the latest detection
     is_same = recording.pair is None and not estimate.distortion and not settings.anonymize
     return recording.with_camera(estimate), remaining if is_same else boxes
+
+
+def _with_mounting(recording: Recording, settings: RunSettings, rig: StereoRig | None) -> Recording:
+    """The recording of one camera of unknown mounting with the one that its first images show, if
+    it does not look along the drive.
+    """
+    calibration, n_frames = recording.calibration, recording.n_frames
+    is_known = calibration.view_mounting(settings.mounting) is not None
+    is_short = n_frames is not None and n_frames < MIN_ASIDE_S * recording.fps
+    if is_known or is_short or recording.pair is not None or recording.live is not None:
+        return recording
+    search = MountingSearch(recording.camera, calibration.focal_sigma)
+    with closing(open_input(settings, rig=rig)) as again:
+        for frame in every_step(PAIR_S, again.frames):
+            search.add(frame.left, frame.time_s)
+            if search.mounting is not None or frame.time_s > _SEARCHED_S:
+                break
+    shown = search.mounting
+    if shown is None or shown.is_ahead:
+        return recording
+    yaw_deg, side = round(shown.yaw_deg), "left" if shown.yaw_deg > 0 else "right"
+    cause = " (or the vehicle reverses)" if abs(yaw_deg) > _REAR_DEG else ""
+    note = (
+        f"The motion of the images shows that the camera looks {abs(yaw_deg)} ± "
+        f"{shown.sigma_deg:.0f} degrees to the {side} of the direction of travel{cause}; "
+        f"--mount yaw={yaw_deg} states it."
+    )
+    notes = (*recording.opened.file_notes, note)
+    return replace(recording, opened=replace(recording.opened, mounting=shown, file_notes=notes))
 
 
 def _known_distances(settings: RunSettings) -> KnownDistances:
