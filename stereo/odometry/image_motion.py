@@ -77,6 +77,7 @@ class ImageMotion:
     roll_rad_s: float = math.nan  # roll rate, positive = clockwise as the driver sees it
     # median translation per second in units of the depth, positive = forwards
     expansion_hz: float = math.nan
+    expansion_sigma_hz: float = math.nan  # its standard deviation
     # slopes of the direction of travel to the right of and below the axis of travel, NaN = unknown
     travel: tuple[float, float] = (math.nan, math.nan)
     is_still: bool = False  # whether the camera is at rest; False if unknown
@@ -182,7 +183,7 @@ class ImageMotionEstimator:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
             if abs(backward) >= _MIN_FORWARD:
                 travel = x / backward, y / backward
-        growth = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
+        growth, growth_sigma = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
         down = self._travel_from_camera[1]
         yaw_sigma = math.sqrt(float(down @ fit.rotation_covariance @ down))
         # the camera turns against the scene
@@ -195,6 +196,7 @@ class ImageMotionEstimator:
             pitch_rad_s=pitch,
             roll_rad_s=roll,
             expansion_hz=0.0 if is_still else math.copysign(growth, -backward) / dt_s,
+            expansion_sigma_hz=growth_sigma / dt_s,
             travel=travel,
             is_still=is_still,
         )
@@ -290,8 +292,8 @@ def tracked_rays(
     is_corner = isotropy(flow.before.small, corners) >= _MIN_ISOTROPY
     factor = 1 << flow.now.n_halved
     before, now = (
-        camera.rays(factor * found[is_corner].astype(np.float64) + (factor - 1) / 2)
-        for found in (corners, points)
+        camera.rays(factor * tracked[is_corner].astype(np.float64) + (factor - 1) / 2)
+        for tracked in (corners, points)
     )
     return before, now, camera.fx_px / factor
 
@@ -330,12 +332,14 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> float:
-    """Median motion of static points in units of the depth; NaN = unknown."""
+def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
+    """Median motion of static points in units of the depth, and its standard deviation."""
     moved = direction[:2] - turned[:, :2] * direction[2]
     radius2 = (moved**2).sum(axis=1)
     is_far = radius2 >= _MIN_RADIUS**2
     if not is_far.any():
-        return math.nan
+        return math.nan, math.nan
     growth = ((now - turned)[:, :2] * moved).sum(axis=1)[is_far] / radius2[is_far]
-    return float(median_of(growth))
+    median = median_of(growth)
+    spread = MAD_TO_SIGMA * float(median_of(np.abs(growth - median)))
+    return float(median), 1.25 * spread / math.sqrt(len(growth))

@@ -45,7 +45,8 @@ MOST_STATEMENTS = {
     # the path of a slow car shows less of the horizon (7), and the direction across the road (1)
     # the motion of the road over several frames, of slow cameras (35), and the depth of the scene
     # where the road is hidden (31)
-    "stereo": 9_389,
+    # cameras that look aside, found by their images (61)
+    "stereo": 9_450,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -94,8 +95,8 @@ MOST_STATEMENTS = {
     # slopes in speeds by the road, and the notes of the road (5)
     # lane lines between the boxes, in a thread of their own (8)
     # speeds by the road without a given height (9)
-    # the motion of the vehicle as that of a camera (14), also by the road (8), and visible sides aside (8)
-    "pipeline": 906,
+    # the motion of the vehicle as that of a camera (14), also by the road (9), and visible sides aside (8)
+    "pipeline": 907,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
@@ -119,7 +120,8 @@ MOST_STATEMENTS = {
     # known distances for pairs (+7)
     # the mounting of a camera as an option (27)
     # the size of the input from the image, and passes for far road users (19)
-    "run": 2_386,
+    # the mounting that a recording shows (25)
+    "run": 2_411,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     "simulation": 3_244,

@@ -7,7 +7,7 @@ import pytest
 
 from tests.stereo.streets import CAMERA, street
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.odometry.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
+from track_range.stereo.self_calibration.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
 
 N_ASIDE = round(MIN_ASIDE_S / PAIR_S) + 1
 

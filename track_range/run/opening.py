@@ -42,7 +42,7 @@ from track_range.run.ready_model import ready_model
 from track_range.stereo.geometry.mounting import looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_speed import EgoSpeed
-from track_range.stereo.odometry.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
+from track_range.stereo.self_calibration.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
 from track_range.tracking.registry import ObjectTracker
 
 _REAR_DEG = 135.0  # angle from which a camera looks to the rear
@@ -102,14 +102,10 @@ def open_run(
         mounting = recording.opened.view_mounting(settings.mounting)
         speed = open_speed(settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
+            # the pre-pass knows cameras that look ahead
+            given = speed.ego if looks_ahead(mounting) else None
             recording, box_source = _with_estimate(
-                recording,
-                settings,
-                box_source,
-                shapes,
-                progress,
-                # the pre-pass knows cameras that look ahead
-                speed.ego if looks_ahead(mounting) else None,
+                recording, settings, box_source, shapes, progress, given
             )
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
