@@ -62,9 +62,8 @@ _USUAL_CHI2 = 6.0
 # smallest systematic fraction of the variance: the size of an object is never known exactly
 _MIN_SYSTEMATIC = 1e-4
 # by which the log size of an object differs between its views, whose aspect ratios are explained by
-# other yaws and sizes: half of that of cars within KITTI's tracks, since errors of a detector's
-# heights last for some frames
-_VIEW_SIGMA = 0.01
+# other yaws and sizes: 0.02 within KITTI's tracks, 0.03 to 0.06 for cameras that look aside
+_VIEW_SIGMA = 0.03
 _MIN_SIGMA = 0.01  # smallest relative standard deviation of a distance
 
 
@@ -89,6 +88,9 @@ class CuboidSizes:
         self._has_prior = np.array([name in priors for name in SIZE_CLASSES])
         self._drive_sigma = np.array(
             [priors[name].drive_sigma if name in priors else np.nan for name in SIZE_CLASSES]
+        )
+        self._scatter = np.array(
+            [priors[name].scatter[0] if name in priors else np.nan for name in SIZE_CLASSES]
         )
         self._calibration = np.array(
             [
@@ -165,8 +167,10 @@ class CuboidSizes:
             log_size = best - by_size.log_contact_ratio + np.log(boxes.wh_over_f[:, 1])
             variance = np.maximum((high - low) / 2, _MIN_SIGMA) ** 2
             mean = drive.add(rows, terms, of_bodies, log_size, variance)
-            # A distance by the mean size has the noise of this box, but not the error of its view.
-            gain = _VIEW_SIGMA**2 / (_VIEW_SIGMA**2 + boxes.noise_variance[:, 1])
+            # A distance by the mean size has the noise and the shape of this box, but not the error
+            # of its view.
+            of_box = boxes.noise_variance[:, 1] + self._scatter[boxes.size_class] ** 2
+            gain = _VIEW_SIGMA**2 / (_VIEW_SIGMA**2 + of_box)
             best = best + gain * (mean - log_size)
         # The ground plane comes from sizes that share the errors of drive and detector, so that it
         # cannot reduce them.
