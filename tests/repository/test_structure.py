@@ -61,10 +61,10 @@ MOST_STATEMENTS = {
     # the error of the horizon is common to all contact points (29); a given height that the drive
     # does not confirm is a note, and places beside the road are rougher (24)
     # the scale of speeds by the road without a given height (16)
-    # the mean size of an object over its views (11)
+    # the mean size of an object over its views (13)
     # vehicles beside a camera that looks aside, also where the image cuts them, and
     # vehicles that stopped (32)
-    "ranging": 7_007,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_009,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
