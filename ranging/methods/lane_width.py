@@ -17,7 +17,8 @@ W has a prior by region and road, and is learnt from the distances d_i of the tr
 A track counts once, and the width that ranges a track is learnt from other tracks, since its own width would repeat
 d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its
 weight, and the error source `drive_scale` is what both methods have in common. A width far from the prior does not
-belong to a lane. Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
+belong to a lane, nor one that differs between the tracks. Where the height H of the camera is known, the lines show
+their distance: W = H w' fy / fx.
 """
 
 import math
@@ -103,8 +104,11 @@ _MIN_OWN = 0.4  # smallest fraction of the variance of a distance that belongs t
 _CAUCHY_SIGMA, _N_ROUNDS = 2.0, 2
 # of the prior where a calibrated pair measures the width, whatever the lines are
 _MEASURABLE_SIGMA = 0.25
-# of a width by sizes from the prior, in sigmas; more is not the width of a lane
-_MAX_DEVIATION = 3.0
+# of a width by sizes from the prior, in sigmas; more is not the width of a lane: 2.5 to 4.9 m
+_MAX_DEVIATION = 2.5
+# of the widths at four of five tracks, in sigmas (1.3 is usual), and the smallest number of
+# tracks: a lane is equally wide at all of them, lines that do not meet at the horizon are not
+_MAX_SCATTER, _MOST_TRACKS, _MIN_TRACKS = 2.2, 0.8, 4
 # error of the row in which the lines meet, by hills and the fit: 0.001 to 0.006 on real roads
 _HILL_RAD = 0.004
 _ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
@@ -244,7 +248,11 @@ class LaneWidthRanger(Ranger):
         log_width = prior_log + K * deviation
         sigma = np.maximum(np.sqrt((1.0 - K) * prior_variance), _MIN_WIDTH_SIGMA)
         if not is_measured:
-            sigma = np.where(deviation**2 > _MAX_DEVIATION**2 * total, np.inf, sigma)
+            is_no_lane = deviation**2 > _MAX_DEVIATION**2 * total
+            if len(z) >= _MIN_TRACKS:
+                scatter = np.abs(z - np.median(z)) / np.sqrt(variance)
+                is_no_lane |= np.quantile(scatter, _MOST_TRACKS) > _MAX_SCATTER
+            sigma = np.where(is_no_lane, np.inf, sigma)
         self.lane = LaneWidth(float(np.exp(log_width[-1])), float(sigma[-1]))
         return log_width[:-1], sigma[:-1]
 

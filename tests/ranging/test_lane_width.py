@@ -232,6 +232,19 @@ def test_lines_of_two_lanes_measure_nothing():
     ).all()
 
 
+@pytest.mark.parametrize(("power", "is_lane"), [(0.0, True), (0.2, True), (0.7, False)])
+def test_lane_is_equally_wide_at_all_objects(power, is_lane):
+    """Distances by size grow faster than those by the lines, as where the lines meet below the
+    horizon: widths of 3.5 m x 0.6 at 10 m, x 1.6 at 40 m, and 3.5 m on average."""
+    true_m = np.array([10.0, 15.0, 20.0, 25.0, 30.0, 40.0])
+    tracks, ranger = boxes_at(*true_m), LaneWidthRanger(CAMERA, width_m=3.5, width_from="mono")
+    by_size_m = true_m * (true_m / 20.0) ** power
+    others = {"mono": Ranges(tracks.track_id, by_size_m, 0.09 * by_size_m)}
+    ranger.update_lanes(lines())
+    ranges = ranger.measure_with(tracks, FRAME, others)
+    assert (np.isfinite(ranges.distance_m) == is_lane).all()
+
+
 def test_prior_by_region_and_speed():
     still = BackgroundFlow()
     still.add(np.zeros((*HW, 3), np.uint8), np.zeros((0, 4)))
