@@ -69,6 +69,7 @@ class EgoPath:
     def __init__(self) -> None:
         self._pose = EgoPose()
         self._velocity_mps = math.nan, math.nan
+        self._drive = np.array([1.0, 0.0])  # parts of the speed along the axis and to its right
         self._P, self._J = np.zeros((3, 3)), np.zeros((3, 3))
         self._time_s = self._known_s = math.nan
 
@@ -85,6 +86,10 @@ class EgoPath:
         if math.isfinite(motion.speed_mps):
             V, U = motion.speed_mps, motion.right_mps
         sigma, sigma_U = motion.speed_sigma_mps, motion.right_sigma_mps
+        # at rest, the errors show the direction
+        parts = np.hypot([V, U], [sigma, sigma_U])
+        if np.linalg.norm(parts) > 0:  # False for NaN
+            self._drive = parts / np.linalg.norm(parts)
         if not math.isfinite(sigma):
             sigma, sigma_U = _UNKNOWN_SPEED_SIGMA * abs(V), _UNKNOWN_SPEED_SIGMA * abs(U)
         w, sigma_w = motion.yaw_rad_s, YAW_NOISE_RAD_S
@@ -98,7 +103,12 @@ class EgoPath:
         if math.isnan(self._pose.x_m):
             self._pose = EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))
             return self._pose
-        lost_s = time_s - self._known_s
+        # a vehicle accelerates or brakes for seconds
+        gap_mps = _GAP_MPS2 * (time_s - self._known_s)
+        sigma, sigma_U = (
+            math.hypot(one, gap_mps * part)
+            for one, part in zip((sigma, sigma_U), self._drive.tolist(), strict=True)
+        )
         psi = self._pose.heading_rad - w * dt / 2
         along = np.array([math.cos(psi), math.sin(psi), 0.0])
         right = np.array([along[1], -along[0], 0.0])
@@ -109,7 +119,7 @@ class EgoPath:
         bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
         shared = np.stack([along * sigma * dt, right * sigma_U * dt, turn * bias], axis=1)
         self._J = F @ self._J + shared
-        new_m = math.hypot(_GAP_MPS2 * lost_s * dt, noise * math.sqrt(_NOISE_S * dt))
+        new_m = noise * math.sqrt(_NOISE_S * dt)
         turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
         self._P = (
             F @ self._P @ F.T

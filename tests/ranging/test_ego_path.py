@@ -99,3 +99,17 @@ def test_a_camera_that_looks_aside_takes_the_same_path():
     assert pose.heading_rad == pytest.approx(ahead_pose.heading_rad)
     x, y, heading = ahead_pose.sigmas
     assert pose.sigmas == pytest.approx((y, x, heading))
+
+
+def test_a_gap_of_some_seconds_contains_a_vehicle_that_drives_off():
+    """At rest, then 4 s without a speed, in which a vehicle may reach 1.5 m/s2 x 4 s."""
+    path = EgoPath()
+    for i in range(5):
+        path.update(STEP_S * i, EgoMotion(0.0, 0.1, 0.0, right_mps=0.0, right_sigma_mps=0.16))
+    pose = path.update(STEP_S * 4, EgoMotion())
+    for i in range(1, 41):
+        pose = path.update(STEP_S * (4 + i), EgoMotion())
+    # 1.5 m/s2 (4 s)^2 / 2 = 12 m along the drive, 58 degrees to the right of the axis
+    x_sigma_m, y_sigma_m, _ = pose.sigmas
+    assert math.hypot(x_sigma_m, y_sigma_m) == pytest.approx(12.0, rel=0.06)
+    assert y_sigma_m / x_sigma_m == pytest.approx(1.6, rel=0.01)

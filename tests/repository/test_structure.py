@@ -65,7 +65,8 @@ MOST_STATEMENTS = {
     # vehicles beside a camera that looks aside, also where the image cuts them, and
     # vehicles that stopped (32)
     # lines that are no lane (5)
-    "ranging": 7_014,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # speeds that are lost for seconds (5)
+    "ranging": 7_019,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     "api": 102,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
