@@ -27,6 +27,8 @@ _INTERVAL_S = 0.09  # between two passes without being asked for: at most ten pe
 _CUT_PX = 3.0  # of the input: a box that ends so near to a border of the band is cut
 # height of a box, in heights of the band, below which its edges are taken from the band
 _SMALL = 0.25
+# the same, above which a box is often a part of a near road user, which the whole image shows
+_HIGHEST = 0.5
 _N_ROWS = 40  # of low boxes, of the whole image and of the band, that show the horizon
 _IS_ROAD_USER = ~np.isin(ROAD_CLASSES, STATIC_CLASSES)
 
@@ -117,7 +119,8 @@ class FarPass:
         margin_px = _CUT_PX / scale
         least_px = top + margin_px if top > 0 else -math.inf
         most_px = bottom - margin_px if bottom < height else math.inf
-        is_whole = np.asarray((xyxy_px[:, 1] > least_px) & (xyxy_px[:, 3] < most_px))
+        is_whole = (xyxy_px[:, 1] > least_px) & (xyxy_px[:, 3] < most_px)
+        is_whole &= xyxy_px[:, 3] - xyxy_px[:, 1] < _HIGHEST * band_px
         return replace(boxes, xyxy_px=xyxy_px).select(is_whole)
 
 
