@@ -39,6 +39,10 @@ WORKLOADS = {
         "time of each detector: preprocessing, inference, postprocessing",
     ),
     "doubt": ("accuracy.ranging.doubt", "what runs say about wrong inputs, and their errors"),
+    "far_pass": (
+        "accuracy.detection.far_pass",
+        "far road users by the size of the input, and with a second pass",
+    ),
     "fleet": (
         "fleet.throughput",
         "throughput, overhead and memory of workers, and the cost of 1,000 hours",

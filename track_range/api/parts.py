@@ -68,7 +68,7 @@ class DetectorKeywords(TypedDict, total=False):
     letterbox: str | None
     layout: str | None
     min_score: float | str
-    size: int | None
+    size: int | str | None
     threads: int
     device: Device
     classes: Sequence[str]
@@ -97,10 +97,11 @@ class Detector:
                 padding, such as "centred-114", by default as usual for the network family;
                 `layout`, name of the layout of the outputs (docs/how-to/detectors.md), by default
                 by their shapes and values; `min_score`, minimum confidence of boxes, by default
-                0.1, or "0.1,car=0.3"; `size`, longer side of the network input in px, for a network
-                of variable input size; `threads`, CPU threads of the network, by default one per
-                core; `device`, "auto", "cpu", "cuda", "tensorrt", "openvino", "coreml" or
-                "directml"; `classes`, road classes to detect, by default all.
+                0.1, or "0.1,car=0.3"; `size`, longer side of the network input in px, or
+                "960x544", for a network of variable input size; `threads`, CPU threads of the
+                network, by default one per core; `device`, "auto", "cpu", "cuda", "tensorrt",
+                "openvino", "coreml" or "directml"; `classes`, road classes to detect, by default
+                all.
 
         Raises:
             ModelError, DownloadError: the model cannot be used or downloaded.
