@@ -105,6 +105,7 @@ _SURE_RAD = 0.004  # standard deviation of the horizon below which the epipole i
 # deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
 _TRAVEL_SIGMA_RAD = 0.004
 _TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
+_MIN_ALONG = 0.7  # cosine between the axis and the drive, of a camera that looks ahead or back
 _SLOWEST_MPS = 0.1  # of a camera that is not at rest
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
 
@@ -136,7 +137,9 @@ class GroundOdometry:
         self._image_motion = ImageMotionEstimator(
             camera, flow=self._flow, travel_from_camera=travel_from_camera
         )
-        self._filter, self._depth = SpeedFilter(), SceneDepth()
+        self._filter = SpeedFilter()
+        # beside the road, the depth of the scene changes too much
+        self._depth = SceneDepth() if abs(self._travel_from_camera[2, 2]) > _MIN_ALONG else None
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
         self._speed_mps = _FULL_MPS
@@ -179,7 +182,8 @@ class GroundOdometry:
         else:
             self._past.clear()
         self._past.append(_Past(frame.time_s, grey, xyxy_px, np.eye(3)))
-        while frame.time_s - self._past[0].time_s + 0.5 * motion.dt_s > _MAX_SPAN_S:
+        oldest_s = frame.time_s + 0.5 * motion.dt_s - _MAX_SPAN_S  # in the next frame, rounded
+        while len(self._past) > 1 and self._past[0].time_s < oldest_s:
             self._past.popleft()
         self._last = frame.time_s, ego
         return ego
@@ -239,9 +243,8 @@ class GroundOdometry:
         independent_mps = _SHIFT_SIGMA_M / math.sqrt(span_s * dt_s)
         common_mps = math.hypot(_SCALE_SIGMA, by_plane) * abs(shift_m / span_s)
         measured = shift_m / span_s, independent_mps, common_mps
-        by_scene = self._depth.speed(motion)
-        if is_moving and not (shift_m > 0 and self._depth.fits(motion, measured[0])):
-            measured = by_scene
+        if is_moving and self._depth is not None:
+            measured = self._depth.checked(motion, measured)
         speed = self._filter.update(motion.time_s, span_s, *measured)
         if math.isfinite(speed[0]):
             self._speed_mps = speed[0]

@@ -18,6 +18,7 @@ _USUAL_M, _USUAL_SIGMA = 30.0, 0.5
 _DRIFT, _NOISE = 0.15, 0.1
 _MAX_SIGMA = 0.45  # of the logarithm of a depth that shows a speed
 _OUTLIER_SIGMA = 3.0  # beyond which a speed does not fit the depth
+_MIN_SPEEDS = 5  # number of speeds that a depth needs: a single one may be wrong
 
 
 class SceneDepth:
@@ -27,6 +28,16 @@ class SceneDepth:
 
     def __init__(self) -> None:
         self._log_depth, self._variance = math.log(_USUAL_M), _USUAL_SIGMA**2
+        self._n_speeds = 0
+
+    def checked(
+        self, motion: ImageMotion, by_road: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
+        """A speed by the road with its standard deviations, of the frame and lasting, if it fits
+        the images of the next frame; otherwise the speed by the depth of the scene.
+        """
+        by_depth = self.speed(motion)
+        return by_road if by_road[0] > 0 and self.fits(motion, by_road[0]) else by_depth
 
     def speed(self, motion: ImageMotion) -> tuple[float, float, float]:
         """Speed by the motion of the next frame, its standard deviation in this frame, and the one
@@ -36,7 +47,8 @@ class SceneDepth:
         sigma = math.sqrt(self._variance)
         speed_mps = motion.expansion_hz * math.exp(self._log_depth)
         # False for NaN
-        if not (speed_mps > 0 and sigma < _MAX_SIGMA):
+        is_known = self._n_speeds >= _MIN_SPEEDS and sigma < _MAX_SIGMA
+        if not (is_known and speed_mps > 0):
             return math.nan, math.nan, math.nan
         return speed_mps, _noise(motion) * speed_mps, sigma * speed_mps
 
@@ -51,6 +63,7 @@ class SceneDepth:
             return False
         self._log_depth += self._variance / total * innovation
         self._variance *= noise / total
+        self._n_speeds += 1
         return True
 
 
