@@ -154,7 +154,8 @@ def run_view(
     results = list(_results(stages, tracker, view, seed))
     stages.close()
     rows = _scored(view, results, min_share)
-    return RunScores.of_run(rows, results, path_m=view.path_m, ego_mps=view.axial_mps)
+    notes = stages.doubting.notes()
+    return RunScores.of_run(rows, results, path_m=view.path_m, ego_mps=view.axial_mps, notes=notes)
 
 
 def _results(

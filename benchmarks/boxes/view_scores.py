@@ -137,6 +137,7 @@ class RunScores:
     # of the true path, of each run
     path_m: FloatArray
     doubts: tuple[ScaleDoubt | None, ...]  # of each run, at its end
+    n_height_notes: int  # runs with a note that the drive does not show the given camera height
     n_alarms: int  # rows with a collision warning
     # (T, 3) true speed of the camera along its axis in each frame, the measured one and its standard
     # deviation; NaN = unknown
@@ -150,8 +151,9 @@ class RunScores:
         *,
         path_m: FloatArray,
         ego_mps: FloatArray,
+        notes: Sequence[str],
     ) -> Self:
-        """The scores of the results of a run; `path_m` (T, 2) are the true positions of the camera
+        """The scores of the results of a run with its notes; `path_m` (T, 2) are the true positions of the camera
         in the frame `map`, and `ego_mps` (T,) its true speeds along its axis.
         """
         poses = [result.ego_pose for result in results]
@@ -167,6 +169,7 @@ class RunScores:
             rows=rows,
             path_m=np.array([[error_m, sigma_m, length_m]]),
             doubts=(results[-1].scale_doubt,),
+            n_height_notes=int(any("camera height is" in note for note in notes)),
             n_alarms=sum(int(np.nansum(result.warnings.active)) for result in results),
             ego_mps=np.array(
                 [
@@ -183,6 +186,7 @@ class RunScores:
             rows=ScoredRows.joined([run.rows for run in runs]),
             path_m=np.concatenate([run.path_m for run in runs]),
             doubts=tuple(doubt for run in runs for doubt in run.doubts),
+            n_height_notes=sum(run.n_height_notes for run in runs),
             n_alarms=sum(run.n_alarms for run in runs),
             ego_mps=np.concatenate([run.ego_mps for run in runs]),
         )
@@ -197,6 +201,7 @@ class RunScores:
             "runs": len(self.doubts),
             "runs_in_doubt": len(doubts),
             "doubts": [f"{doubt.cause_names[0]} {doubt.factor:.2f}" for doubt in doubts],
+            "height_notes": self.n_height_notes,
             "alarms": self.n_alarms,
             "path_error_m": mean(error_m[known]),
             "path_error_pct": 100 * mean((error_m / np.maximum(length_m, 1.0))[known]),

@@ -180,7 +180,11 @@ def _whole_runs(drives: Mapping[str, _Recorded], options: Namespace) -> Figures:
             scored = _scored(rows, truth, drive)
             ahead = drive.mounting.vehicle_from_camera[0, 2]
             scores = RunScores.of_run(
-                scored, results, path_m=drive.path_m, ego_mps=ahead * drive.speed_mps
+                scored,
+                results,
+                path_m=drive.path_m,
+                ego_mps=ahead * drive.speed_mps,
+                notes=run.notes,
             )
             figures[f"{name}, {case}"] = scores.figures()
     return figures
