@@ -83,6 +83,7 @@ SECONDS, FPS = 15.0, 10.0
 SIMULATED_FOCAL_PX = 1000.0
 STEP_S = 1e-3  # of a numerical derivative
 _STATES = {state: float(number) for number, state in enumerate(MOTION_STATES)}
+NO_MOUNTING = "no mounting"  # of whole runs of cameras that do not look ahead
 SPEEDS = ("given", "measured")
 PARTS = ("boxes", "images", "simulated")
 
@@ -167,10 +168,15 @@ class _Recorded:
 def _whole_runs(drives: Mapping[str, _Recorded], options: Namespace) -> Figures:
     figures: Figures = {}
     for name, drive in drives.items():
-        for case, height, has_speed in _cases(options):
+        cases = list(_cases(options))
+        if drive.mounting.yaw_deg != 0 and "given" in options.speeds:
+            cases.append((NO_MOUNTING, "none", True))
+        for case, height, has_speed in cases:
             known = _known(drive.mounting, height, drive.region)
             if not has_speed:
                 known["ego_speed"] = "auto"  # measured from the images
+            if case == NO_MOUNTING:
+                del known["mount"]
             run = Run(RunSettings(**{**drive.settings, **known}, overlay=False))
             results = list(run)
             truth = run.session.opened.truth
