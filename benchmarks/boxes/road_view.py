@@ -1,8 +1,8 @@
 """RoadView: boxes of a real drive as a camera at any place of the vehicle would see them.
 
 The outline of an object is that of a rounded body inside its cuboid, whose fractions follow from
-the boxes of `av2/label_shape` (front camera): those of cars are reproduced with a median difference
-of half a pixel or less in 1550x2048. An object is hidden by the cuboids in front of it.
+the boxes of `av2/label_shape` (front camera): edges of cars are reproduced with median differences
+of 2 px or less in 1550x2048. An object is hidden by the cuboids in front of it.
 """
 
 from __future__ import annotations
