@@ -73,7 +73,9 @@ _MAX_SPAN_S, _MAX_SPAN_M = 0.3, 0.5
 # smallest standard deviation of a strip in grey levels; below it there is only noise
 _MIN_STRIP_GREY = 1.0
 _MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
-_MIN_CORRELATION = 0.25  # smallest mean correlation of a reliable shift
+# smallest mean correlation of a reliable shift; right ones have 0.63 or more on recordings, wrong
+# ones of parked cars beside a camera 0.3 to 0.5
+_MIN_CORRELATION = 0.5
 _MIN_UNIQUENESS = 0.05  # smallest difference of it from the second best maximum
 _MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
 _SHIFT_SIGMA_M = 0.01  # standard deviation of a shift; assumed, a tenth of a cell
