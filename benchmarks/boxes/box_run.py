@@ -38,8 +38,8 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.appearance.embeddings import ColourLayoutSettings
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker

@@ -27,10 +27,10 @@ from track_range.run.build import open_pipeline
 from track_range.run.options.settings import PipelineOptions
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView as RoadGeometry
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.tracks import Tracks
 
 SCORE = 0.9  # confidence of all boxes

@@ -22,8 +22,8 @@ from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
-from track_range.stereo.odometry.given_speed import GivenSpeed
 from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.stereo.speed.given_speed import GivenSpeed
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)

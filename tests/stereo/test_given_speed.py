@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.odometry.ego_speed import EgoSpeed
-from track_range.stereo.odometry.given_speed import GivenSpeed, p_mistake
-from track_range.stereo.odometry.speed_relation import LAGS_S, SpeedRelation
+from track_range.stereo.speed.ego_speed import EgoSpeed
+from track_range.stereo.speed.given_speed import GivenSpeed, p_mistake
+from track_range.stereo.speed.speed_relation import LAGS_S, SpeedRelation
 
 FPS, SECONDS = 10.0, 20.0
 TIMES_S = np.arange(0, SECONDS, 1 / FPS)

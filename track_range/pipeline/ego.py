@@ -14,10 +14,10 @@ from track_range.stereo.odometry.ego_motion import (
     EgoMotion,
     PairOdometry,
 )
-from track_range.stereo.odometry.ego_speed import EgoSpeed
-from track_range.stereo.odometry.given_speed import GivenSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.speed.ego_speed import EgoSpeed
+from track_range.stereo.speed.given_speed import GivenSpeed
 
 # longest time without a measurement for which a measured speed is predicted
 _MAX_PREDICTED_S = 1.0

@@ -32,7 +32,7 @@ from track_range.recording.telemetry.tracks.track import TelemetryError, Telemet
 from track_range.recording.telemetry.video_clock import check_covered
 from track_range.recording.video.video import VideoPart
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
 _MOSTLY = 0.5  # fraction of the speeds that is most of a drive: vehicles reverse for seconds

@@ -34,9 +34,9 @@ from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker, create_tracker
 
 _NOT_AHEAD = (

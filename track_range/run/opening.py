@@ -41,8 +41,8 @@ from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.stereo.geometry.mounting import looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.self_calibration.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker
 
 _REAR_DEG = 135.0  # angle from which a camera looks to the rear

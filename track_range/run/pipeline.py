@@ -50,8 +50,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.stereo.rig_formats.reading import load_calibration
+from track_range.stereo.speed.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.tracking.registry import ObjectTracker
 
 if TYPE_CHECKING:

@@ -32,9 +32,9 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.right_camera.correction import RightCamera
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)

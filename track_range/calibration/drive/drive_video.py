@@ -14,8 +14,8 @@ from track_range.recording.speed_source import open_speed
 from track_range.recording.video.options import DEFAULTS, RecordingOptions
 from track_range.stereo.geometry.focal_guess import FocalGuess, best_guess
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.self_calibration.turns import turning_spans
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 # length up to which all of a recording is read, and that of the parts of a longer one, seconds
 _WHOLE_S, _PART_S = 30.0, 10.0

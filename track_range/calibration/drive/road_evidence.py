@@ -27,10 +27,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.self_calibration.scene_motion import MotionEstimate, SceneMotion
+from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import create_tracker
 
 # time between the frames that are read, and between those in which road users are detected, whose

@@ -18,7 +18,7 @@ from track_range.recording.telemetry.tracks.positions import (
     unit_of_ratio,
 )
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
-from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS
+from track_range.stereo.speed.ego_speed import MAX_SPEED_MPS
 
 _MAX_ACCELERATION_MPS2 = 15.0  # of a car over a second; emergency braking reaches 11
 # of wild samples up to which they are omitted; with more, the track is not used

@@ -21,8 +21,8 @@ from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeri
 from track_range.recording.video.frame import TIME_EPSILON_S
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.odometry.ego_speed import EgoSpeed
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 # length of the video measured before a run: three times the largest offset on both sides
 SPAN_S = 30.0

@@ -20,7 +20,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number, numbers
-from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS, EgoSpeed
+from track_range.stereo.speed.ego_speed import MAX_SPEED_MPS, EgoSpeed
 
 _MPS_PER_KMH = 1 / 3.6
 _MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller

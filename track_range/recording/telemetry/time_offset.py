@@ -18,7 +18,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, mad_sigma
-from track_range.stereo.odometry.ego_speed import MAX_GAP_S
+from track_range.stereo.speed.ego_speed import MAX_GAP_S
 
 # largest one that is searched: receivers lag by up to 1 s, clocks in whole seconds by another one
 MAX_OFFSET_S = 3.0

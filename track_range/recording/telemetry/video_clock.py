@@ -18,7 +18,7 @@ from track_range.recording.telemetry.sidecars.time_texts import DAY_S
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.video.utc import UtcStart
 from track_range.recording.video.video import VideoPart
-from track_range.stereo.odometry.ego_speed import MAX_GAP_S
+from track_range.stereo.speed.ego_speed import MAX_GAP_S
 
 ZONES_H = (  # differences between local times and UTC in use, hours
     *(float(hours) for hours in range(-12, 15)),

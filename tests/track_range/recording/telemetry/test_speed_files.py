@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
-from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 OXTS = "49.0 8.4 114.1 0.03 0.02 1.8 5.5 -3.2 {speed} " + " ".join(["0.1"] * 21)
 

@@ -23,7 +23,7 @@ from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.recording.telemetry.video_clock import on_video_clock
-from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 T = np.arange(60.0)
 V = 14 + 2 * np.sin(T / 8)

@@ -3,7 +3,7 @@ import pytest
 
 from track_range.recording.telemetry.image_evidence import contradiction
 from track_range.recording.telemetry.time_offset import MotionSeries, estimated_offset
-from track_range.stereo.odometry.ego_speed import EgoSpeed
+from track_range.stereo.speed.ego_speed import EgoSpeed
 
 T = np.arange(0.05, 30, 0.1)
 

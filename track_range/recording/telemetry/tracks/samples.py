@@ -21,7 +21,7 @@ from track_range.recording.telemetry.tracks.positions import (
     unit_of_ratio,
 )
 from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
-from track_range.stereo.odometry.ego_speed import MAX_SPEED_MPS
+from track_range.stereo.speed.ego_speed import MAX_SPEED_MPS
 
 # largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
 MAX_SAMPLES = 500_000

@@ -21,8 +21,8 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.odometry.ego_speed import EgoSpeed
-from track_range.stereo.odometry.speed_relation import LAGS_S, RelationFit, SpeedRelation
+from track_range.stereo.speed.ego_speed import EgoSpeed
+from track_range.stereo.speed.speed_relation import LAGS_S, RelationFit, SpeedRelation
 
 PRIOR = 0.1  # pi: probability of a mistake; receivers lag when a car brakes
 LAG_SIGMA_S = 0.3  # of the delay of a speed without a stated one
