@@ -31,7 +31,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
 from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -145,7 +145,7 @@ class GroundOdometry:
         self._horizon = RoadHorizon()
         self._side, self._direction = math.nan, TravelDirection(camera)
         self._speed_mps = _FULL_MPS
-        self._past: deque[_Past] = deque()  # earlier frames, and at the end the last one
+        self._past: deque[_Picture] = deque()  # earlier frames, and at the end the last one
         self._span_s = 0.0  # of the last measurement
         self._last = math.nan, EgoMotion()
         self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
@@ -178,12 +178,10 @@ class GroundOdometry:
         if math.isnan(motion.dt_s) or not self._past:
             self._side, ego = math.nan, EgoMotion()
         else:
-            ego = self._moved(motion, grey, xyxy_px)
-        if motion.is_known:
-            self._past = deque(one.turned(motion.rotation) for one in self._past)
-        else:
-            self._past.clear()
-        self._past.append(_Past(frame.time_s, grey, xyxy_px, np.eye(3)))
+            ego = self._moved(motion, _Picture(frame.time_s, grey, xyxy_px, motion.rotation.T))
+        turned = (one._replace(rotation=motion.rotation @ one.rotation) for one in self._past)
+        self._past = deque(turned if motion.is_known else ())
+        self._past.append(_Picture(frame.time_s, grey, xyxy_px, np.eye(3)))
         oldest_s = frame.time_s + 0.5 * motion.dt_s - _MAX_SPAN_S  # in the next frame, rounded
         while len(self._past) > 1 and self._past[0].time_s < oldest_s:
             self._past.popleft()
@@ -228,7 +226,7 @@ class GroundOdometry:
             now=now,
         )
 
-    def _moved(self, motion: ImageMotion, now: Image, xyxy_px: FloatArray) -> EgoMotion:
+    def _moved(self, motion: ImageMotion, now: "_Picture") -> EgoMotion:
         """The filtered speed; moves the horizon on to this frame."""
         dt_s = motion.dt_s
         is_moving = motion.is_known and not motion.is_still
@@ -239,7 +237,7 @@ class GroundOdometry:
         shift_m, by_plane = 0.0 if motion.is_still else math.nan, 0.0
         before = self._before(motion) if is_moving else self._past[-1]
         if is_moving and math.isfinite(self._side):
-            shift_m, by_plane = self._shift_m(motion, before, now, xyxy_px)
+            shift_m, by_plane = self._shift_m(before, now, dt_s)
         self._span_s = span_s = motion.time_s - before.time_s
         # successive measurements share most of a long span
         independent_mps = _SHIFT_SIGMA_M / math.sqrt(span_s * dt_s)
@@ -260,7 +258,7 @@ class GroundOdometry:
             *speed, motion.yaw_rad_s, motion.is_still, noise_mps=self._filter.noise_mps
         )
 
-    def _before(self, motion: ImageMotion) -> "_Past":
+    def _before(self, motion: ImageMotion) -> "_Picture":
         """The frame whose picture is compared: the earliest one that is near enough."""
         # so that the middle of the span moves forward
         longest_s = self._span_s + 2 * motion.dt_s
@@ -293,28 +291,21 @@ class GroundOdometry:
                 view.horizon, view.horizon_variance + (slow * _TRAVEL_SIGMA_RAD) ** 2
             )
 
-    def _shift_m(
-        self, motion: ImageMotion, before: "_Past", now: Image, xyxy_px: FloatArray
-    ) -> tuple[float, float]:
-        """Distance travelled since the frame `before`, NaN = not reliable, and its relative
-        standard deviation by the plane of the road.
+    def _shift_m(self, before: "_Picture", now: "_Picture", dt_s: float) -> tuple[float, float]:
+        """Distance travelled from one frame to another, NaN = not reliable, and its relative
+        standard deviation by the plane of the road; the last frame was `dt_s` before `now`.
 
         The shifts of the strips first correct the horizon and the roll.
         """
         view = self._horizon.view
         horizon, roll = view.horizon - view.curvature_per_m * _PICTURE_M / 2, -view.slope
-        turned = cv2.Rodrigues(np.array([-horizon, self._side, -roll]))[0]
-        level = self._travel_from_camera.T @ turned  # from the level road to the camera
-        level_before = self._travel_from_camera.T @ before.rotation.T @ turned
-        level_now = self._travel_from_camera.T @ motion.rotation @ turned
-        images, boxes = (before.grey, now), (before.xyxy_px, xyxy_px)
-        span_s = motion.time_s - before.time_s
-        lanes = self._lanes(level)
+        turn = np.array([-horizon, self._side, -roll])
+        level = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+        span_s = now.time_s - before.time_s
+        lanes = self._lanes(self._travel_from_camera.T @ level)
         longest = max((len(Z) for _, Z in lanes), default=0)
         n_shifts = min(round(_MAX_SPEED_MPS * span_s / _STEP_Z_M), longest - _N_STRIP) + 1
-        strips = [
-            self._strips(images, (level_before, level_now), lane, boxes, n_shifts) for lane in lanes
-        ]
+        strips = [self._strips((before, now), level, lane, n_shifts) for lane in lanes]
         if not strips:
             return math.nan, 0.0
         x_m, z_m, scores = (np.concatenate(parts) for parts in zip(*strips, strict=True))
@@ -330,7 +321,7 @@ class GroundOdometry:
             return shift_m, self._sigma_by_plane(float(x_m.mean()), float(z_m.mean()))
         ahead_m = error.z_m + shift_m  # the camera follows the curve, too
         # the horizon belongs to the frame before this one, the shifts to the middle of the span
-        n_frames = span_s / motion.dt_s
+        n_frames = span_s / dt_s
         frames = n_frames * error.z_m / shift_m + n_frames / 2 - 1
         is_consistent = self._horizon.measure(
             horizon + error.by_roll * roll - error.horizon,
@@ -391,39 +382,39 @@ class GroundOdometry:
 
     def _strips(
         self,
-        images: tuple[Image, Image],
-        levels: tuple[FloatArray, FloatArray],
+        pictures: tuple["_Picture", "_Picture"],
+        level: FloatArray,
         lane: tuple[FloatArray, FloatArray],
-        boxes: tuple[FloatArray, FloatArray],
         n_shifts: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(K,) X and Z of the strips of a lane in the image before, and (K, M) correlations with
-        the image now; `levels` are the rotations (3, 3) from the level road to the camera.
+        """(K,) X and Z of the strips of a lane in the first picture, and (K, M) correlations with
+        the second one; `level` (3, 3) turns from the level road to the axes of travel in the last
+        frame.
         """
         X, Z = lane
         hw = len(Z), len(X)
         road = _road(X, Z, self.height_m)
-        points_px = [self._camera.project(road @ level.T) for level in levels]
-        before, now = (_sampled(image, px, hw) for image, px in zip(images, points_px, strict=True))
-        masked = [_inside(px, xyxy_px) for px, xyxy_px in zip(points_px, boxes, strict=True)]
-        masked_fraction = np.maximum(*masked).reshape(hw).mean(axis=1)
+        sampled, masked = [], []
+        for picture in pictures:
+            camera_from_level = self._travel_from_camera.T @ picture.rotation.T @ level
+            points_px = self._camera.project(road @ camera_from_level.T)
+            sampled.append(_sampled(picture.grey, points_px, hw))
+            masked.append(_are_inside(points_px, picture.xyxy_px))
+        before, now = sampled
+        masked_fraction = np.logical_or(*masked).reshape(hw).mean(axis=1)
         nearer_m, scores = _strip_correlations(before, now, masked_fraction, n_shifts)
         return np.full(len(scores), X.mean()), Z[0] - nearer_m, scores
 
 
-class _Past(NamedTuple):
-    """An earlier frame: its time, full image and boxes (N, 4), and the rotation (3, 3) of the
-    static scene from it to the last frame, in the axes of travel.
+class _Picture(NamedTuple):
+    """A frame: its time, full image and boxes (N, 4), and the rotation (3, 3) of the static scene
+    from it to the last frame, in the axes of travel.
     """
 
     time_s: float
     grey: Image
     xyxy_px: FloatArray
     rotation: FloatArray
-
-    def turned(self, rotation: FloatArray) -> "_Past":
-        """The frame after a further rotation."""
-        return self._replace(rotation=rotation @ self.rotation)
 
 
 def _road(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
@@ -559,10 +550,8 @@ def _sampled(image: Image, points_px: FloatArray, hw: tuple[int, int]) -> FloatA
     return np.asarray(means - along, np.float32)
 
 
-def _inside(points_px: FloatArray, xyxy_px: FloatArray) -> FloatArray:
-    """(N,) 1.0 for points (N, 2) inside a box, else 0.0."""
-    inside = np.zeros(len(points_px), np.bool_)
-    x, y = points_px.T
-    for x1, y1, x2, y2 in xyxy_px.tolist():
-        inside |= (x >= x1) & (x <= x2) & (y >= y1) & (y <= y2)
-    return inside.astype(np.float64)
+def _are_inside(points_px: FloatArray, xyxy_px: FloatArray) -> BoolArray:
+    """(N,) whether points (N, 2) are inside a box."""
+    x, y = points_px.T[:, None]
+    x1, y1, x2, y2 = xyxy_px.T[:, :, None]
+    return np.asarray(((x >= x1) & (x <= x2) & (y >= y1) & (y <= y2)).any(axis=0))
