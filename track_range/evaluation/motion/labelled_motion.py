@@ -10,13 +10,14 @@ The labels of a track before and after are used whether they are visible or not,
 boxes are from lidar.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
 from track_range.ranging.truth.frame_times import TimeSource
 from track_range.ranging.truth.labelled_boxes import (
@@ -26,10 +27,12 @@ from track_range.ranging.truth.labelled_boxes import (
     file_in,
     times_of,
 )
+from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 
 _HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
 _EGO_HALF_SPAN_S = 0.2  # the same for the ego speed, as of a wheel sensor
+_TRAVEL_MPS = 0.1  # smallest mean speed of a camera whose direction of travel is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,19 +43,37 @@ class LabelledMotion:
     closing_mps: FloatArray  # (N,) true closing speed; NaN = unknown
     speed_mps: FloatArray  # (N,) true speed over ground; NaN = unknown
     ego_mps: FloatArray  # (N,) speed of the camera along its axis
+    right_mps: FloatArray  # (N,) its speed to the right of the axis
     yaw_rad_s: FloatArray  # (N,) its yaw rate, positive = to the right
-    duration_s: float  # of all sequences
+    duration_s: FloatArray  # (S,) of each sequence
     protocol: str  # description of the truth
 
     @property
     def ttc_s(self) -> FloatArray:
         """(N,) true time to collision, distance / closing speed, negative for objects that draw
-        away; NaN = unknown.
+        away; NaN = unknown, or of a camera that does not look along the drive, which has none.
         """
-        is_moving = np.abs(self.closing_mps) > 1e-3
+        is_ahead = self.are_ahead[self.boxes.sequence]
+        is_moving = is_ahead & (np.abs(self.closing_mps) > 1e-3)
         return np.where(
             is_moving, self.boxes.distance_m / np.where(is_moving, self.closing_mps, 1.0), np.nan
         )
+
+    @property
+    def are_ahead(self) -> BoolArray:
+        """(S,) whether the camera of each sequence looks along the drive."""
+        return np.array([looks_ahead(self.mounting(s)) for s in range(len(self.duration_s))])
+
+    def mounting(self, sequence: int) -> Mounting | None:
+        """Where the camera of a sequence looks, from the way that it moves, which is that of a
+        vehicle that drives forward in the mean; None = it hardly moves.
+        """
+        rows = self.boxes.sequence == sequence
+        of_rows = np.nan_to_num([self.right_mps[rows], self.ego_mps[rows]])
+        right_mps, forward_mps = of_rows.sum(axis=1) / max(rows.sum(), 1)
+        if math.hypot(right_mps, forward_mps) < _TRAVEL_MPS:
+            return None
+        return Mounting(yaw_deg=math.degrees(math.atan2(right_mps, forward_mps)))
 
 
 def kitti_motion(
@@ -76,9 +97,9 @@ def kitti_motion(
     measured = box_set(
         labels, calib, boxes=boxes, noise_px=noise_px, seed=seed, selection=selection
     )
-    ego_mps, yaw_rad_s = np.full((2, len(measured)), np.nan)
+    camera = np.full((len(measured), 3), np.nan)
     position_m = np.full((len(every), 2), np.nan)
-    duration_s = 0.0
+    duration_s = np.zeros(len(every.sequence_names))
     for number, name in enumerate(every.sequence_names):
         pose = read_poses(file_in(poses, f"{name}.txt"))
         rows = every.sequence == number
@@ -94,10 +115,9 @@ def kitti_motion(
         )[:, ::2]
         clock = times_of(file_in(labels, f"{name}.txt"), calib, times)
         time_s = clock.at(np.arange(len(pose)))
-        duration_s += float(time_s[-1]) + clock.step_s
-        speed_mps, yaw = _ego_motion(pose, time_s)
+        duration_s[number] = time_s[-1] + clock.step_s
         rows = measured.sequence == number
-        ego_mps[rows], yaw_rad_s[rows] = speed_mps[measured.frame[rows]], yaw[measured.frame[rows]]
+        camera[rows] = _camera_motion(pose, time_s)[measured.frame[rows]]
 
     # Truth of all labels of a track, then that of the measured boxes.
     values = np.column_stack([every.distance_m, position_m])
@@ -108,8 +128,9 @@ def kitti_motion(
         boxes=measured,
         closing_mps=-slopes[index, 0],
         speed_mps=np.hypot(*slopes[index, 1:].T),
-        ego_mps=ego_mps,
-        yaw_rad_s=yaw_rad_s,
+        ego_mps=camera[:, 0],
+        right_mps=camera[:, 1],
+        yaw_rad_s=camera[:, 2],
         duration_s=duration_s,
         protocol="slopes over +-0.5 s of the depth of the label's centre, and of its position by "
         "the poses",
@@ -138,9 +159,9 @@ def read_poses(path: Path) -> FloatArray:
     return values.reshape(-1, 3, 4)
 
 
-def _ego_motion(pose: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N,) speed along the camera's axis and yaw rate (positive = to the right) from (N, 3, 4)
-    poses at the times (N,).
+def _camera_motion(pose: FloatArray, time_s: FloatArray) -> FloatArray:
+    """(N, 3) speeds along the camera's axis and to the right of it, and yaw rates (positive = to
+    the right), from (N, 3, 4) poses at the times (N,).
     """
     n, axis = len(pose), pose[:, :, 2]
     heading_rad = np.unwrap(np.arctan2(axis[:, 0], axis[:, 2]))
@@ -148,7 +169,9 @@ def _ego_motion(pose: FloatArray, time_s: FloatArray) -> tuple[FloatArray, Float
     slopes = track_slopes(
         np.zeros((1, n), np.int64), time_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0
     )
-    return np.asarray((slopes[:, :3] * axis).sum(axis=1)), slopes[:, 3]
+    speed_mps = (slopes[:, :3] * axis).sum(axis=1)
+    right_mps = (slopes[:, :3] * pose[:, :, 0]).sum(axis=1)
+    return np.column_stack([speed_mps, right_mps, slopes[:, 3]])
 
 
 def track_slopes(

@@ -7,7 +7,7 @@ warning follows.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def _information(state: ConstantVelocity) -> tuple[FloatArray, FloatArray]:
     return information, vector[..., 0]
 
 
-EGO_SIGMA_MPS = 0.05  # standard deviation of the ego speed, that of a wheel sensor
+EGO_SIGMA_MPS = 0.05  # standard deviation of the speeds of the camera, that of a wheel sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,32 +103,35 @@ def measured_motion(
             f"--method {method}: expected {' or '.join(known)}, or several methods joined by +."
         )
     boxes = motion.boxes
-    if not is_ego_known:
-        unknown = np.full(len(boxes), np.nan)
-        motion = replace(motion, ego_mps=unknown, yaw_rad_s=unknown)
     columns = measured_by(names, boxes, boxes, options)
     values, is_alarm = np.full((6, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
+    are_ahead = motion.are_ahead
     sequence, warning = -1, CollisionWarning()
-    for rows, tracks, ego, state, lateral in _filtered(motion, columns):
+    for rows, tracks, ego, state, lateral in _filtered(motion, columns, is_ego_known):
         if boxes.sequence[rows[0]] != sequence:
             sequence, warning = int(boxes.sequence[rows[0]]), CollisionWarning()
         time_s = float(boxes.time_s[rows[0]])
-        alarm = warning.update(
-            tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
-        )
-        is_alarm[rows] = alarm.active
+        if are_ahead[sequence]:
+            alarm = warning.update(
+                tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
+            )
+            is_alarm[rows] = alarm.active
         ground = over_ground(state, lateral, tracks.class_id, ego)
         closing = (-state.rate_mps, state.rate_sigma_mps, state.ttc_s)
         values[:, rows] = state.ranges.distance_m, *closing, ground.speed_mps, ground.sigma_mps
         forward[:, rows] = _state(state)
     if look_ahead:
-        values[1:4] = _with_look_ahead(motion, columns, forward)
+        values[1:4] = _with_look_ahead(motion, columns, is_ego_known, forward)
     return MeasuredMotion(is_alarm, *values)
 
 
 def _filtered(
-    motion: LabelledMotion, columns: Mapping[str, MethodColumn], *, sign: int = 1
+    motion: LabelledMotion,
+    columns: Mapping[str, MethodColumn],
+    is_ego_known: bool,
+    *,
+    sign: int = 1,
 ) -> Iterator[tuple[IntArray, Tracks, EgoMotion, FilteredRanges, LateralMotion]]:
     """Row indices, tracks, ego motion and filtered motion of each frame; `sign` -1 = backwards in
     time.
@@ -137,19 +140,24 @@ def _filtered(
     for rows, tracks, frame, _ in list(as_frames(boxes, boxes.class_id))[::sign]:
         if boxes.sequence[rows[0]] != sequence:
             sequence = int(boxes.sequence[rows[0]])
-            fusion, stage = Fusion(), FilterStage(boxes.camera_at(rows[0]))
-        speed_mps, yaw_rad_s = (
-            sign * float(motion.ego_mps[rows[0]]),
-            sign * float(motion.yaw_rad_s[rows[0]]),
-        )
-        ego = EgoMotion(
-            speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s
-        )
+            mounting = motion.mounting(sequence)
+            fusion, stage = Fusion(), FilterStage(boxes.camera_at(rows[0]), mounting=mounting)
+        ego = _ego_motion(motion, rows[0], sign) if is_ego_known else EgoMotion()
         ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
         time_s = sign * frame.time_s
         fused = fusion.fuse(ranges, tracks.track_id, time_s)
         filtered = stage.update(tracks, FrameRanges(ranges), fused, ego, time_s)
         yield rows, tracks, ego, filtered.fused, filtered.lateral
+
+
+def _ego_motion(motion: LabelledMotion, row: int, sign: int) -> EgoMotion:
+    """The motion of the camera at the box `row`; `sign` -1 = backwards in time."""
+    columns = motion.ego_mps, motion.right_mps, motion.yaw_rad_s
+    speed_mps, right_mps, yaw_rad_s = (sign * float(column[row]) for column in columns)
+    sigma_mps = EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan
+    return EgoMotion(
+        speed_mps, sigma_mps, yaw_rad_s, right_mps=right_mps, right_sigma_mps=sigma_mps
+    )
 
 
 def _state(filtered: FilteredRanges) -> FloatArray:
@@ -163,13 +171,16 @@ def _state(filtered: FilteredRanges) -> FloatArray:
 
 
 def _with_look_ahead(
-    motion: LabelledMotion, columns: Mapping[str, MethodColumn], forward: FloatArray
+    motion: LabelledMotion,
+    columns: Mapping[str, MethodColumn],
+    is_ego_known: bool,
+    forward: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(N,) closing speeds, sigmas and times to collision, from forward states (6, N) and a filter
     backwards in time.
     """
     backward = np.full_like(forward, np.nan)
-    for rows, _, _, filtered, _ in _filtered(motion, columns, sign=-1):
+    for rows, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):
         backward[:, rows] = _state(filtered)
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
     ttc_s, _ = time_to_collision(state.x, state.v, variances=(state.P_xx, state.P_xv, state.P_vv))

@@ -25,7 +25,6 @@ from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.ranging.truth.reference_distance import surface_distance_m
 
 _BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
-_ALONG = 0.95  # smallest cosine of the angle between the camera's axis and its motion
 _HALF_SPAN_S, _MIN_SIDE_S = 0.6, 0.35  # of slopes: one label, half a second before and after
 
 
@@ -141,17 +140,17 @@ def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> Labe
         image.reshape(-1)
     ]
     ego_mps = (slopes[:, :3] * axis).sum(axis=1)
+    right_mps = (slopes[:, :3] * labels.pose[:, :, 0]).sum(axis=1)
     yaw_rad_s = np.sin(heading_rad) * slopes[:, 3] - np.cos(heading_rad) * slopes[:, 4]
     own_mps = labels.velocity_mps
-    # speeds over ground need cameras that look along the road
-    is_along = np.abs(ego_mps) >= _ALONG * np.linalg.norm(slopes[:, :3], axis=1)
     return LabelledMotion(
         boxes=boxes.with_noise(noise_px, seed=seed) if noise_px > 0 else boxes,
         closing_mps=ego_mps - own_mps[:, 1] - yaw_rad_s * boxes.x_m,
-        speed_mps=np.where(is_along, np.hypot(*own_mps.T), np.nan),
+        speed_mps=np.where(np.isfinite(ego_mps), np.hypot(*own_mps.T), np.nan),
         ego_mps=ego_mps,
+        right_mps=right_mps,
         yaw_rad_s=yaw_rad_s,
-        duration_s=float(np.ptp(boxes.time_s)) * len(boxes.sequence_names),
+        duration_s=np.full(len(boxes.sequence_names), np.ptp(boxes.time_s)),
         protocol="velocities of the labels, and the poses of the camera over half a second before "
         "and after",
     )

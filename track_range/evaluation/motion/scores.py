@@ -98,12 +98,12 @@ def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[s
 
 
 def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
-    """Alarms per hour on drives without a contact (each alarm is false), the time in alarm, and
-    counts by cause.
+    """Alarms per hour on drives without a contact (each alarm is false) of cameras that look along
+    the drive, the time in alarm, and counts by cause.
     """
     first, last = _alarm_spans(truth, measured)
     causes = Counter(_false_alarm_cause(truth, measured, row) for row in first.tolist())
-    hours = truth.duration_s / 3600
+    hours = float(truth.duration_s[truth.are_ahead].sum()) / 3600
     return {
         "hours": round(hours, 4),
         "false_alarms": len(first),

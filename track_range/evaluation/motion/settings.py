@@ -68,8 +68,8 @@ class MotionEvaluationSettings(Options):
     ego: Annotated[
         Literal["poses", "none"],
         option(
-            "Known speed and yaw rate of the camera: from the poses, as a wheel sensor would give "
-            "them, or unknown."
+            "Known velocity and yaw rate of the camera: from the poses, as precise as a wheel sensor, "
+            "or unknown."
         ),
     ] = "poses"
     look_ahead: Annotated[

@@ -54,10 +54,10 @@ def tusimple_motion(folder: Path) -> tuple[LabelledMotion, MeasuredMotion, dict[
     clip = np.repeat(np.arange(len(parts)), [len(labels) for labels, _ in parts])
     labels, measured = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     position_m, velocity_mps, nan = labels[:, 4:6], labels[:, 6:], np.full(len(labels), np.nan)
-    duration_s = _STEP_S * sum(len(_images(clip)) for clip in clips)
+    duration_s = np.array([_STEP_S * sum(len(_images(clip)) for clip in clips)])
     protocol = "velocities of the labels in the last image of each clip"
     truth = LabelledMotion(
-        vehicle_boxes(labels, clip), -velocity_mps[:, 0], nan, nan, nan, duration_s, protocol
+        vehicle_boxes(labels, clip), -velocity_mps[:, 0], nan, nan, nan, nan, duration_s, protocol
     )
     distance_m, closing_mps, sigma_mps, ttc_s, lateral_mps = measured.T
     answers = MeasuredMotion(
