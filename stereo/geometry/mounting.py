@@ -123,8 +123,6 @@ class Mounting:
         """The mounting of a view of the camera whose axis is `right_deg` to the right of the
         camera's axis, as `--yaw-deg` counts.
         """
-        if right_deg == 0.0:
-            return self
         matrix = self.vehicle_from_camera @ view_from_camera(right_deg).T @ _LEVEL.T
         yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True).tolist()
         return replace(self, yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)

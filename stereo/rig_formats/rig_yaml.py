@@ -24,7 +24,7 @@ A calibration with a board has the relative standard deviations of focal length 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -125,9 +125,15 @@ class _RigFile(BaseModel):
         files without one, in a place of its own.
         """
         block = content.get("mounting") if isinstance(content, dict) else None
-        if isinstance(block, dict) and "focal_sigma" in block:
-            return {**content, "road": block, "mounting": None}
-        return content
+        if not isinstance(block, dict) or "focal_sigma" not in block:
+            return content
+        places = {field.name for field in fields(Mounting)} - _RoadFile.model_fields.keys()
+        if "road" in content or places & block.keys():
+            raise ValueError(
+                "'mounting': expected where the camera looks, and the results of a calibration from "
+                "drives only in the block 'road', found focal_sigma, which belongs to 'road'"
+            )
+        return {**content, "road": block, "mounting": None}
 
 
 def save_rig(
@@ -213,10 +219,11 @@ def _save(content: Mapping[str, object], path: Path, comments: Sequence[str]) ->
 
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
-    left = rig.left.camera()
     accuracy = None if rig.accuracy is None else RigAccuracy(**rig.accuracy.model_dump())
     notes = () if accuracy is None else (accuracy.sentence,)
-    known = RigCalibration(left, None, None, mounting=rig.mounting, accuracy=accuracy, notes=notes)
+    known = RigCalibration(
+        rig.left.camera(), None, None, mounting=rig.mounting, accuracy=accuracy, notes=notes
+    )
     if rig.right is None or rig.right_from_left is None:
         road = None if rig.road is None else RoadCalibration(**rig.road.model_dump())
         return replace(known, road=road, notes=notes if road is None else (road.sentence, *notes))

@@ -140,6 +140,8 @@ def test_mounting_beside_a_calibration_from_the_road(tmp_path):
         ("{jaw_deg: 3}", "unknown"),
         ("{focal_sigma: 0.1, pitch_deg: 1}", "camera_height_m"),
         ("{yaw_deg: left}", "number"),
+        ("{focal_sigma: 0.1, yaw_deg: -58}", "only in the block 'road'"),
+        ("{focal_sigma: 0.1}\nroad: {focal_sigma: 0.2}", "only in the block 'road'"),
     ],
 )
 def test_unusable_block_is_named(tmp_path, block, word):

@@ -207,7 +207,8 @@ def open_recording(
             frame, in ISO 8601; `topics` of the images in bags; `stereo_layout` of two cameras in
             one recording: "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks" or
             "auto"; `track`, video track of a file, counted from 0; `bayer`, filter of images in
-            folders: "rggb", "bggr", "gbrg" or "grbg".
+            folders: "rggb", "bggr", "gbrg" or "grbg". Where the camera looks in its vehicle changes
+            no image: it is `mount` of `Run` and `Pipeline`, or a block of rig.yaml.
 
     Raises:
         ValueError: `start_utc` is not a date and time, or no video is named.

@@ -157,9 +157,9 @@ class RecordingCalibration:
         A lens whose view is turned is taken to look ahead itself, if its mounting is not known.
         """
         mounting = given or self.mounting
-        if self.view.yaw_deg and mounting is None:
-            mounting = Mounting()
-        return None if mounting is None else mounting.turned(self.view.yaw_deg)
+        if self.view.yaw_deg:
+            return (mounting or Mounting()).turned(self.view.yaw_deg)
+        return mounting
 
     @property
     def camera_height_m(self) -> float | None:
