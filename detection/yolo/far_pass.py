@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.detection.boxes import iou
+from track_range.detection.boxes import fraction_inside, iou
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, STATIC_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.detector import MAX_IOU
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.foundation.arrays import BoolArray, Image
+from track_range.foundation.arrays import Image
 
 # Height and largest width of the network's input for the band, multiples of 32. With 1920x1080 px
 # and a field of view of 55 degrees, a person at 80 m is then 30 px high, and the band holds people
@@ -25,10 +25,12 @@ _HEIGHT_PX, _MAX_WIDTH_PX, _STRIDE_PX = 256, 1440, 32
 _MIN_GAIN = 2.0
 _INTERVAL_S = 0.09  # between two passes without being asked for: at most ten per second
 _CUT_PX = 3.0  # of the input: a box that ends so near to a border of the band is cut
-# height of a box, in heights of the band, below which its edges are taken from the band
-_SMALL = 0.25
-# the same, above which a box is often a part of a near road user, which the whole image shows
-_HIGHEST = 0.5
+# of the input: higher boxes are left to the whole image, in which road users are then high enough;
+# in the band they are often a part of a near road user
+_MAX_BOX_PX = 64.0
+# a box that only the band has needs this score, and is a part of a road user if this fraction of it
+# is inside a better box of the whole image
+_MIN_NEW_SCORE, _PART = 0.15, 0.9
 _N_ROWS = 40  # of low boxes, of the whole image and of the band, that show the horizon
 _IS_ROAD_USER = ~np.isin(ROAD_CLASSES, STATIC_CLASSES)
 
@@ -60,14 +62,14 @@ class FarPass:
             return near
         self._input_hw = _HEIGHT_PX, width_px
         self.n_frames += 1
-        small_px = _SMALL * _HEIGHT_PX / scale
-        self._learn_row(near, small_px)
+        max_box_px = _MAX_BOX_PX / scale
+        self._learn_row(near, max_box_px)
         if not self._is_due(time_s):
             return replace(near, is_complete=False)
         self.n_passes, self._last_s = self.n_passes + 1, time_s
         far = self._far(image, scale)
-        self._learn_row(far, small_px)
-        return merged(near, far, small_px)
+        self._learn_row(far, max_box_px)
+        return merged(near, far)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -99,14 +101,14 @@ class FarPass:
         # frames that are read before a run may be later ones
         return not self._last_s <= time_s < self._last_s + _INTERVAL_S
 
-    def _learn_row(self, detections: Detections, small_px: float) -> None:
+    def _learn_row(self, detections: Detections, max_box_px: float) -> None:
         height_px = detections.xyxy_px[:, 3] - detections.xyxy_px[:, 1]
-        is_low = (height_px < small_px) & _IS_ROAD_USER[detections.class_id]
+        is_low = (height_px < max_box_px) & _IS_ROAD_USER[detections.class_id]
         if is_low.any():
             self._rows_px.append(float(np.median(detections.xyxy_px[is_low][:, 1::2])))
 
     def _far(self, image: Image, scale: float) -> Detections:
-        """The boxes in the band that no border inside the image cuts, by `scale` pixels of the
+        """The low boxes in the band that no border inside the image cuts, by `scale` pixels of the
         input per pixel of the image.
         """
         height = image.shape[0]
@@ -120,25 +122,25 @@ class FarPass:
         least_px = top + margin_px if top > 0 else -math.inf
         most_px = bottom - margin_px if bottom < height else math.inf
         is_whole = (xyxy_px[:, 1] > least_px) & (xyxy_px[:, 3] < most_px)
-        is_whole &= xyxy_px[:, 3] - xyxy_px[:, 1] < _HIGHEST * band_px
+        is_whole &= xyxy_px[:, 3] - xyxy_px[:, 1] < _MAX_BOX_PX / scale
         return replace(boxes, xyxy_px=xyxy_px).select(is_whole)
 
 
-def merged(near: Detections, far: Detections, small_px: float) -> Detections:
+def merged(near: Detections, far: Detections) -> Detections:
     """The boxes of a whole image and those of its band, in order of decreasing score.
 
-    Of two boxes of one object, that of the band remains if it is lower than `small_px`, since its
-    edges are more exact, with the higher score of both.
+    Of two boxes of one object, that of the band remains, since its edges are more exact, with the
+    higher score of both. Boxes of the band without another are left out if they have a low score or
+    are a part of a better box.
     """
-    is_same = iou(near.xyxy_px, far.xyxy_px) > MAX_IOU
-    is_same &= SAME_OBJECT_GROUP[near.class_id][:, None] == SAME_OBJECT_GROUP[far.class_id]
-    height_px = far.xyxy_px[:, 3] - far.xyxy_px[:, 1]
-    is_small: BoolArray = np.asarray(height_px < small_px)
+    is_group = SAME_OBJECT_GROUP[near.class_id][:, None] == SAME_OBJECT_GROUP[far.class_id]
+    is_same = is_group & (iou(near.xyxy_px, far.xyxy_px) > MAX_IOU)
+    is_part = is_group & (near.score[:, None] > far.score)
+    is_part &= fraction_inside(far.xyxy_px, near.xyxy_px).T > _PART
+    is_new = (far.score >= _MIN_NEW_SCORE) & ~is_part.any(axis=0)
     near_score = (is_same * near.score[:, None]).max(axis=0, initial=0.0)
     far = replace(far, score=np.maximum(far.score, near_score))
-    is_replaced = np.asarray((is_same & is_small).any(axis=1))
-    is_added = np.asarray(is_small | ~is_same.any(axis=0))
-    parts = near.select(~is_replaced), far.select(is_added)
+    parts = near.select(~is_same.any(axis=1)), far.select(is_same.any(axis=0) | is_new)
     both = Detections.of(
         np.concatenate([part.xyxy_px for part in parts]),
         np.concatenate([part.score for part in parts]),

@@ -32,20 +32,20 @@ def passes(network, every, image_hw=(36, 64), *, n_frames=7, step_s=0.1):
     return [frame.is_complete for frame in frames], far_pass
 
 
-def test_of_two_boxes_of_one_object_the_better_one_remains():
+def test_of_two_boxes_of_one_object_that_of_the_band_remains():
     near = Detections.of(
         [[100, 100, 140, 130], [300, 100, 420, 200], [500, 100, 520, 140]],
         [0.3, 0.9, 0.8],
         [CAR, CAR, PERSON],
     )
     far = Detections.of(
-        [[102, 101, 140, 131], [305, 105, 420, 199], [500, 100, 520, 140], [600, 100, 610, 120]],
-        [0.2, 0.95, 0.4, 0.5],
-        [TRUCK, CAR, CAR, PERSON],
+        [[102, 101, 140, 131], [500, 100, 520, 140], [600, 100, 610, 120]],
+        [0.1, 0.4, 0.5],
+        [TRUCK, CAR, PERSON],
     )
-    both = merged(near, far, small_px=50.0)
-    # a low car with the better score of both, a high one as the whole image shows it, a person and
-    # a car at one place, and a person that only the band shows
+    both = merged(near, far)
+    # a car that only the whole image shows, a person and a car at one place, a person that only the
+    # band shows, and a car with the better score of both
     assert both.xyxy_px.tolist() == [
         [300, 100, 420, 200],
         [500, 100, 520, 140],
@@ -57,9 +57,27 @@ def test_of_two_boxes_of_one_object_the_better_one_remains():
     assert both.class_id.tolist() == [CAR, PERSON, PERSON, CAR, TRUCK]
 
 
+def test_boxes_that_only_the_band_shows_need_a_higher_score():
+    far = Detections.of([[0, 0, 10, 10], [20, 0, 30, 10]], [0.16, 0.14], [CAR, CAR])
+    assert merged(NONE, far).score.tolist() == [0.16]
+    near = Detections.of([[20, 0, 30, 10]], [0.1], [CAR])
+    assert merged(near, far).score.tolist() == [0.16, 0.14]
+
+
+@pytest.mark.parametrize(
+    ("right_px", "score", "class_id", "n"),
+    [(148, 0.5, CAR, 1), (156, 0.5, CAR, 2), (148, 0.7, CAR, 2), (148, 0.5, PERSON, 2)],
+)
+def test_parts_of_a_better_box_are_not_added(right_px, score, class_id, n):
+    """A box of 40 px inside a car up to its right edge at 150 px, or 15 % of it beyond."""
+    near = Detections.of([[50, 100, 150, 180]], [0.6], [CAR])
+    far = Detections.of([[right_px - 40, 120, right_px, 150]], [score], [class_id])
+    assert len(merged(near, far)) == n
+
+
 def test_boxes_of_one_image_do_not_suppress_each_other():
     boxes = Detections.of([[0, 0, 10, 10], [0, 0, 10, 11]], [0.9, 0.8], [CAR, CAR])
-    assert len(merged(boxes, NONE, small_px=50.0)) == len(merged(NONE, boxes, small_px=50.0)) == 2
+    assert len(merged(boxes, NONE)) == len(merged(NONE, boxes)) == 2
 
 
 @pytest.mark.parametrize(
@@ -132,13 +150,27 @@ def test_people_far_away_are_found_at_their_places(network, far_people, shift_px
     assert n_near <= 0.6 * n_both
 
 
+@pytest.mark.slow
+def test_high_boxes_are_those_of_the_whole_image(network, far_people):
+    n_high, far_pass = 0, FarPass(network, 1)
+    for image, _ in far_people:
+        near = network.detect(image)
+        both = far_pass.completed(near, image, 0.0)
+        # 64 px of the input, 1440 px wide, in an image of 1920 px
+        high = [low_px - top_px >= 64 / 0.75 for _, top_px, _, low_px in both.xyxy_px]
+        is_near = (both.xyxy_px[high][:, None] == near.xyxy_px).all(axis=2)
+        assert is_near.any(axis=1).all()
+        n_high += sum(high)
+    assert n_high >= 10
+
+
 @pytest.fixture(scope="module")
 def far_people():
     """Images of 1920x1080 px with the (N, 4) boxes of people at 40 to 80 m, at least half
     visible."""
     rig, times_s = kitti_like_rig(width_px=1920, height_px=1080), np.arange(0.0, 3.0, 0.5)
     images = []
-    for seed in (9102, 9103):
+    for seed in (9102, 9103, 9104):
         scene = make_scenario("crossing-adult", seed=seed, seconds=3.0)
         renderer, labels = Renderer(scene, rig), label_scene(scene, times_s, camera=rig.left)
         is_far = (labels.kitti_type == "Pedestrian") & (labels.occluded <= 1)

@@ -72,7 +72,8 @@ def far_pass(options: Namespace) -> Figures:
     if options.seeds:
         sources["simulation"] = list(_simulated(options.seed, options.seeds)).__iter__
     for video, labels in zip(options.video, options.labels, strict=True):
-        sources[video.stem] = partial(_recorded, video, labels, options.step)
+        name = f"{video.parent.name}/{video.stem}"  # left.mp4 of several drives
+        sources[name] = partial(_recorded, video, labels, options.step)
     return {
         name: {way: _measured(images(), *_opened(way)) for way in (*_SIZES, "far pass")}
         for name, images in sources.items()
