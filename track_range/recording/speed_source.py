@@ -70,9 +70,9 @@ class SpeedSource:
         """Section `ego_speed` of summary.json from (N,) speeds and the odometry, if any; None =
         unknown speed.
         """
-        if self.ego is None and odometry is None:
-            return None
         known = ego_mps[np.isfinite(ego_mps)]
+        if self.ego is None and (odometry is None or not len(known)):
+            return None
         return {
             "source": odometry if self.ego is None else self.ego.source,
             "offset_s": None if self.offset is None else round(self.offset.offset_s, 3),

@@ -27,8 +27,9 @@ class SpeedOrigin(Reports):
 
     def summary(self) -> Mapping[str, Any]:
         """Section `ego_speed`."""
-        ego_mps = np.array(self.rows.ego_mps)
-        return {"ego_speed": self.speed.summary(ego_mps, self.stage.speed_source)}
+        return {
+            "ego_speed": self.speed.summary(np.array(self.rows.ego_mps), self.stage.speed_source)
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +44,16 @@ class SpeedCoverage(Reports):
 
     def notes(self) -> Sequence[str]:
         """Notes on a given speed, and on a speed from the images."""
-        given = self.speed.note(self.rows.last_s if len(self.rows) else self._expected_s)
+        expected_s = self.start_s + (self.recording.n_frames or 0) / self.recording.fps
+        given = self.speed.note(self.rows.last_s if len(self.rows) else expected_s)
         source = self.stage.speed_source
-        measured = [] if source is None else [self._measured(source)]
+        # before the first frame, no image has shown a speed
+        measured = [] if source is None or not len(self.rows) else [self._measured(source)]
         return (*([given] if given else []), *measured)
-
-    @property
-    def _expected_s(self) -> float:
-        """Time of the last frame, as expected before the first one."""
-        return self.start_s + (self.recording.n_frames or 0) / self.recording.fps
 
     def _measured(self, source: str) -> str:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
+        if n_known == 0:
+            return f"The ego speed is unknown: {source} does not show it in any frame."
         part = f", but only in {n_known} of {n_frames} frames" if 2 * n_known < n_frames else ""
         return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."

@@ -72,7 +72,8 @@ def test_nothing_found(cli, video):
     summary, printed, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
-    assert "Ego speed" not in printed
+    assert "The ego speed is unknown: the motion of the road" in printed
+    assert "The ego speed comes" not in printed
     without = run(cli, video, "--ego-speed", "off", out="off")
     assert without[2] == speeds
     assert (video.parents[1] / "out/tracks.csv").read_bytes() == (
@@ -170,6 +171,7 @@ def test_unusable_telemetry_does_not_stop_a_run(cli, video):
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
     assert "Telemetry is not used" in printed
+    assert "The ego speed comes" not in printed
     errors = run(cli, video, "--ego-speed", video.parent / "drive.gpx", succeeds=False)
     assert "drive.gpx" in errors
     assert "Traceback" not in errors
@@ -187,8 +189,9 @@ def test_camera_at_rest_against_the_telemetry(cli, tmp_path, film):
         "time_s,speed_kmh,note\n" + "".join(f"{i},120,\n" for i in range(5))
     )
     summary, _, speeds = run(cli, video)
-    assert summary["ego_speed"] is None
-    assert set(speeds) == {""}
+    # of the images, which show a speed from the second one on
+    assert "the road in the images" in summary["ego_speed"]["source"]
+    assert speeds == ["", *["0.000"] * (N - 1)]
     assert any("120 km/h while the camera is at rest" in note for note in summary["notes"])
 
 
