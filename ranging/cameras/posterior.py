@@ -12,6 +12,7 @@ and c of the frame rate.
     log height by the usual width of the lane, from its lines        = h
     log focal length - log f by the shapes of vehicles' boxes        = f
     log of an impossible speed by stereo odometry over the largest   < g + f + c
+    log of the height of the highest vehicles over the assumed one   > h
 
 Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height;
 for g, f and u, the precision of calibrations and receivers. Because all unknowns are estimated

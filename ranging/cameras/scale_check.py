@@ -17,7 +17,12 @@ from track_range.ranging.cameras.known_distances import KnownDistances
 from track_range.ranging.cameras.learnt_focal import FocalEstimate, LearntFocal
 from track_range.ranging.cameras.motion_evidence import MotionEvidence
 from track_range.ranging.cameras.posterior import CameraPosterior, posterior
-from track_range.ranging.cameras.scale_evidence import LaneEvidence, SizeEvidence, SpeedEvidence
+from track_range.ranging.cameras.scale_evidence import (
+    HIGHEST,
+    LaneEvidence,
+    SizeEvidence,
+    SpeedEvidence,
+)
 from track_range.ranging.cameras.shape_evidence import ShapeEvidence
 from track_range.ranging.cameras.unknowns import (
     FREE_SIGMA,
@@ -142,9 +147,8 @@ class ScaleCheck:
         if self._is_calibrated:
             return replace(CALIBRATED, offset=offset)
         at_centre = {} if offset is None else {Unknown.OFFSET: offset.centre}
-        sigmas = []
-        for of in ({**OF_PAIR, **at_centre}, {**OF_BASELINE, **at_centre}):
-            sigmas.append(self.cameras.sigma_of(of, self.cameras.correction(of)))
+        sums = {**OF_PAIR, **at_centre}, {**OF_BASELINE, **at_centre}
+        sigmas = [self.cameras.sigma_of(of, self.cameras.correction(of)) for of in sums]
         # the distances by size, with which others are fused, have the error of the focal length too
         if min(sigmas) > _MAX_RIG_SIGMA:
             return UNKNOWN_SCALE
@@ -294,13 +298,15 @@ class ScaleCheck:
         if self._sizes.has_offset:
             kind: Kind = "given" if self._is_calibrated else "unknown"
             priors[Unknown.OFFSET] = Prior(self._sizes.residual_px, kind)
-        self.cameras = posterior(priors, evidence, bounds=self._speeds.bounds)
+        is_height_given = priors[Unknown.HEIGHT].kind == "given"
+        bounds = [*self._speeds.bounds, *([] if is_height_given else [HIGHEST])]
+        self.cameras = posterior(priors, evidence, bounds=bounds)
         if self._focal is not None:
             self._focal.update(priors, evidence, self.cameras, time_s)
         self._evidence_names = names = self._names(evidence)
         if Unknown.BASELINE in self.priors:
             self.agreement = self._agreement(Unknown.BASELINE, priors, evidence, names)
-        if priors[Unknown.HEIGHT].kind == "given":
+        if is_height_given:
             of_height = [item for item in evidence if Unknown.HEIGHT in item.of]
             by = _listed([item.name for item in of_height])
             self.height_agreement = self._agreement(Unknown.HEIGHT, priors, evidence, by)
@@ -316,10 +322,14 @@ class ScaleCheck:
         """The value that the drive shows by itself."""
         unknown = replace(priors[of], sigma=FREE_SIGMA, kind="unknown")
         shown = posterior({**priors, of: unknown}, evidence).estimate({of: 1.0})
-        too_large = _too_large(of, shown.mean)
         of_distances = self.cameras.sigma_of({of: 1.0})
         return Agreement(
-            math.exp(too_large), shown.sigma, names, of_distances, of, priors[of].sigma
+            math.exp(_too_large(of, shown.mean)),
+            shown.sigma,
+            names,
+            of_distances,
+            of,
+            priors[of].sigma,
         )
 
     def _contradiction(self, names: str) -> ScaleDoubt | None:
@@ -335,9 +345,8 @@ class ScaleCheck:
         }
         if sum(odds.values()) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
             return None
-        likely = max(odds.values())
-        near = [cause for cause in odds if odds[cause] > _NEARLY * likely]
-        near.sort(key=lambda cause: -odds[cause])
+        by_odds = sorted(odds, key=lambda cause: -odds[cause])
+        near = [cause for cause in by_odds if odds[cause] > _NEARLY * odds[by_odds[0]]]
         shown = [(cause, self.cameras.estimate({cause: 1.0}, cause)) for cause in near]
         causes = tuple((cause, math.exp(_too_large(cause, of.mean))) for cause, of in shown)
         return ScaleDoubt(causes[0][1], shown[0][1].sigma, self._sizes.n_objects, causes, names)

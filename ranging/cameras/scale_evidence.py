@@ -15,7 +15,7 @@ from track_range.ranging.cameras.common_errors import (
 )
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.posterior import posterior
-from track_range.ranging.cameras.unknowns import CameraPriors, Sum, Unknown
+from track_range.ranging.cameras.unknowns import USUAL_HEIGHT_M, CameraPriors, Sum, Unknown
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import LaneWidth
@@ -42,6 +42,10 @@ _BY_ROAD: Sum = {
     Unknown.SPEED: 1.0,
     Unknown.FRAME_RATE: -1.0,
 }
+# The bound of a height that is not given: vehicles are at most 4 m high, and cameras not higher.
+HIGHEST = Evidence(
+    "the height of vehicles", {Unknown.HEIGHT: -1.0}, math.log(USUAL_HEIGHT_M / 4.0), 0.1
+)
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _MAX_LANE_CHI2 = 4.0  # a wrong lane, or a road of unusual lanes, excludes nothing alone
 # speed that vehicles hardly exceed, and the sigma of its logarithm

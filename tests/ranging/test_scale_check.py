@@ -179,6 +179,17 @@ def test_speeds_in_another_unit_are_told_from_wrong_rigs(factor, text):
         assert text in doubt.sentence(None)
 
 
+def test_no_camera_is_higher_than_vehicles():
+    """Without a second road user, a speed in km/h would show a height of 5.4 m; lorries have cameras
+    at 3 m, and a height that is given is believed."""
+    alone = {"n": 1, "true_mps": 12.0}
+    doubt = check_of(None, speed=3.6, **alone).doubt
+    assert causes(doubt)[0] == "speed"
+    assert doubt.factor == pytest.approx(3.6, rel=0.1)
+    assert check_of(None, speed=1.0, true_height_m=3.0, **alone).doubt is None
+    assert check_of(None, speed=1.0, true_height_m=6.0, height_m=6.0, **alone).doubt is None
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_matrices_of_another_image_size_are_found_by_a_given_speed(factor):
     """The speed over the motion of the road gives a height that road users do not confirm."""
