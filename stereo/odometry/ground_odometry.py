@@ -50,9 +50,9 @@ _FARTHEST_M = 15.0  # farthest road in the picture, if it is long enough
 _MIN_LENGTH_M, _MAX_PIXEL_M = 8.0, 0.25
 _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
 # Lanes beside the vehicle, for cameras that do not show the road ahead: nearest and farthest edges,
-# width, shortest one, and number. The nearest lanes are the most likely ones to be
-# road, and in the plane under the wheels.
-_BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 3
+# width, shortest one, and number. The nearest lanes are the most likely ones to be road, and in the
+# plane under the wheels; if the height is assumed too small, a third one reaches a wall.
+_BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 2
 # Strips beside the vehicle that agree, for a measurement: parts of a car that no box covers are
 # nearer than the road and faster.
 _MIN_BESIDE_STRIPS = 6

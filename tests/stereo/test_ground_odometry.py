@@ -13,9 +13,9 @@ from track_range.stereo.odometry.ground_odometry import GroundOdometry
 NO_BOXES, DT_S = np.zeros((0, 4)), 0.1
 
 
-def driven(true, assumed, *, speed_mps=8.0, n=11, yaw_rad_s=0.0):
-    """The odometry of an assumed mounting, and its motions along the street."""
-    odometry = GroundOdometry(CAMERA, HEIGHT_M, travel_from_camera=assumed.travel_from_camera)
+def driven(true, assumed, *, speed_mps=8.0, n=11, yaw_rad_s=0.0, height_m=HEIGHT_M):
+    """The odometry of an assumed mounting and height, and its motions along the street."""
+    odometry = GroundOdometry(CAMERA, height_m, travel_from_camera=assumed.travel_from_camera)
     motions = [
         odometry.update(
             Frame(k, k * DT_S, street(true, speed_mps * k * DT_S, yaw_rad_s * k * DT_S), None),
@@ -67,3 +67,15 @@ def test_pitch_of_a_camera_that_looks_aside_is_measured():
     assert odometry.view.horizon == pytest.approx(-math.tan(math.radians(2.0)), abs=2.5 * sigma)
     assert 0.001 < sigma < 0.02
     assert motions[-1].speed_mps == pytest.approx(8.0, abs=2 * motions[-1].speed_sigma_mps)
+
+
+@pytest.mark.parametrize("height_m", [HEIGHT_M, HEIGHT_M / 1.4])
+def test_horizon_beside_the_car_whatever_the_height(height_m):
+    """If the camera is taken to be too low, a wall 9 m beside it seems to be 6.4 m away."""
+    mounting = Mounting(yaw_deg=90.0, pitch_deg=2.4)
+    odometry, motions = driven(mounting, mounting, n=16, height_m=height_m)
+    sigma = math.sqrt(odometry.view.horizon_variance)
+    assert odometry.view.horizon == pytest.approx(-math.tan(math.radians(2.4)), abs=2 * sigma)
+    assert 0.001 < sigma < 0.02
+    speed_mps = motions[-1].speed_mps * HEIGHT_M / height_m
+    assert speed_mps == pytest.approx(8.0, rel=0.05)
