@@ -80,8 +80,8 @@ MOST_STATEMENTS = {
     # recordings before which an option is missing, also of a command with sub-commands (11)
     # the values of a pair with those of its evidence (+20)
     "cli": 2_420,
-    # cameras to any side in labelled motion (18)
-    "evaluation": 1_538,  # times and region of labelled motion, and every class of nuScenes (10)
+    # cameras to any side in labelled motion (16)
+    "evaluation": 1_536,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
@@ -124,7 +124,7 @@ MOST_STATEMENTS = {
     # the mounting of a camera as an option (27)
     # the size of the input from the image, and passes for far road users (19)
     # the mounting that a recording shows (25)
-    "run": 2_411,
+    "run": 2_409,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     "simulation": 3_244,

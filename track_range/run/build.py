@@ -79,7 +79,7 @@ def open_pipeline(
     """
     mounting = calibration.view_mounting(settings.mounting)
     is_ahead = looks_ahead(mounting)
-    context = _method_context(settings, calibration, boxes, region)
+    context = _method_context(settings, calibration, boxes, region, mounting)
     flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
@@ -121,8 +121,8 @@ def _method_context(
     calibration: RecordingCalibration,
     boxes: BoxSource,
     region: Region,
+    mounting: Mounting | None,
 ) -> MethodContext:
-    mounting = calibration.view_mounting(settings.mounting)
     given_m = settings.camera_height_m or (None if mounting is None else mounting.z_m)
     return MethodContext(
         camera=calibration.camera,

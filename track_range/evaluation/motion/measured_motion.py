@@ -106,14 +106,12 @@ def measured_motion(
     columns = measured_by(names, boxes, boxes, options)
     values, is_alarm = np.full((6, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
-    are_ahead = motion.are_ahead
-    sequence, warning = -1, CollisionWarning()
+    warnings = {number: CollisionWarning() for number in np.flatnonzero(motion.are_ahead).tolist()}
     for rows, tracks, ego, state, lateral in _filtered(motion, columns, is_ego_known):
-        if boxes.sequence[rows[0]] != sequence:
-            sequence, warning = int(boxes.sequence[rows[0]]), CollisionWarning()
+        sequence = int(boxes.sequence[rows[0]])
         time_s = float(boxes.time_s[rows[0]])
-        if are_ahead[sequence]:
-            alarm = warning.update(
+        if sequence in warnings:
+            alarm = warnings[sequence].update(
                 tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
             )
             is_alarm[rows] = alarm.active

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.mounting import Mounting
 
 _clip_option = partial(option, is_per_clip=True)
-_TWO_HEIGHTS = "give the height of the camera once: --mount z=M or --camera-height-m"
 
 
 class RangingOptions(Options):
@@ -146,7 +145,11 @@ class RangingOptions(Options):
     def _with_one_height(self) -> Self:
         mounting_m = None if self.mounting is None else self.mounting.z_m
         if len({mounting_m, self.camera_height_m} - {None}) > 1:
-            raise contradiction(_TWO_HEIGHTS, ("mount", "camera_height_m"))
+            raise contradiction(
+                f"expected one height of the camera, found z={mounting_m} in --mount and "
+                f"{self.camera_height_m} in --camera-height-m",
+                ("mount", "camera_height_m"),
+            )
         return self
 
     @field_validator("sgbm_options", "warning_options", "event_options")

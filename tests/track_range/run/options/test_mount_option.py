@@ -29,6 +29,6 @@ def test_unusable_mounting_names_the_option(mount):
 
 
 def test_heights_that_differ_are_a_contradiction():
-    with pytest.raises(UsageError, match="--camera-height-m"):
+    with pytest.raises(UsageError, match=r"z=2.0 in --mount and 1.5 in --camera-height-m"):
         PipelineOptions.of({"mount": "z=2", "camera_height_m": 1.5})
     assert PipelineOptions.of({"mount": "z=1.5", "camera_height_m": 1.5}).mounting.z_m == 1.5
