@@ -55,9 +55,7 @@ _N_STEADY, _STEADY = 8, 1.3
 _MAX_RESIDUAL_PX = 0.3  # common error of disparities up to which it is not estimated here
 # of distances by size and of heights that are evidence, relative
 _MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2
-# of the horizon from image motion: what lasts beside its sigma, and what is new in every frame; of
-# the lower edge of a box
-_ROAD_RAD, _PITCH_RAD, _EDGE_PX = 0.0035, 0.004, 1.5
+_PITCH_RAD = 0.004  # of the horizon from image motion: what is new in every frame
 _MAX_OF_HORIZON = 0.3  # largest relative error of a height by the horizon
 # of heights, of all contact points of a drive, relative: the crown of streets with slopes of 2 %,
 # lower edges of a detector's boxes
@@ -135,8 +133,8 @@ class SizeEvidence:
                 offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=True)
                 contact_m = by_size.distance_m - offset_m
                 q = np.log(below * contact_m)
-                q_common = math.hypot(math.sqrt(road.horizon_variance), _ROAD_RAD) / below
-                own = math.hypot(_PITCH_RAD, _EDGE_PX / self._camera.fy_px) / below
+                q_common = math.sqrt(road.horizon_variance + self._ground.road_sigma_rad**2) / below
+                own = math.hypot(_PITCH_RAD, self._ground.box_sigma_px / self._camera.fy_px) / below
                 right, ahead = road.across
                 across_m = contact_m * (
                     ahead + right * (x - self._camera.cx_px) / self._camera.fx_px
