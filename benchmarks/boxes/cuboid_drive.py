@@ -15,10 +15,12 @@ import numpy.typing as npt
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation, Slerp
 
+from track_range.evaluation.motion.labelled_motion import track_slopes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 MIN_POINTS = 10  # lidar points below which a cuboid is a guess
 _HALF_SPAN_S = 0.5  # velocities are slopes over this time to either side, as in the labels
+_EGO_HALF_SPAN_S = 0.1  # the same, of the motion of the vehicle
 _ROAD_M = 20.0  # distance up to which bottoms of cuboids show the plane of the road
 _PERSONS = ("PEDESTRIAN",)
 _TRUCKS = ("TRUCK", "TRUCK_CAB", "BOX_TRUCK")
@@ -126,15 +128,19 @@ class CuboidDrive:
     @property
     def speed_mps(self) -> FloatArray:
         """(T,) speed of the vehicle along its x axis."""
-        velocity_mps = slopes(self.times_s, self.position_m, self.times_s, half_s=0.1)
+        velocity_mps = self._slopes(self.position_m)
         return np.asarray((velocity_mps * self.rotation[:, :, 0]).sum(axis=1))
 
     @property
     def yaw_rate_rad_s(self) -> FloatArray:
         """(T,) yaw rate, positive = to the right, as in `EgoMotion`."""
         heading_rad = np.unwrap(np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0]))
-        rate_rad_s = slopes(self.times_s, heading_rad[:, None], self.times_s, half_s=0.1)
-        return np.asarray(-rate_rad_s[:, 0])
+        return np.asarray(-self._slopes(heading_rad[:, None])[:, 0])
+
+    def _slopes(self, values: FloatArray) -> FloatArray:
+        """(T, K) slopes per second of the values (T, K) of the frames."""
+        one = np.zeros((1, len(values)), np.int64)
+        return track_slopes(one, self.times_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0)
 
     def ground_velocity_mps(self) -> FloatArray:
         """(N, 3) velocities of the cuboids over ground, in the axes of the vehicle; NaN = seen for
@@ -144,12 +150,12 @@ class CuboidDrive:
         rotation = self.rotation[cuboids.frame]
         world_m = np.einsum("nij,nj->ni", rotation, cuboids.bottom_m)
         world_m += self.position_m[cuboids.frame]
-        velocity_mps = np.full(world_m.shape, np.nan)
+        at_s, key = self.times_s[cuboids.frame], cuboids.track_id[None]
+        velocity_mps = track_slopes(key, at_s, world_m, half_span_s=_HALF_SPAN_S, min_side_s=0.0)
         for track_id in np.unique(cuboids.track_id):
-            rows = np.flatnonzero(cuboids.track_id == track_id)
-            at_s = self.times_s[cuboids.frame[rows]]
-            if np.ptp(at_s) >= _HALF_SPAN_S:
-                velocity_mps[rows] = slopes(at_s, world_m[rows], at_s, half_s=_HALF_SPAN_S)
+            rows = cuboids.track_id == track_id
+            if np.ptp(at_s[rows]) < _HALF_SPAN_S:
+                velocity_mps[rows] = np.nan
         return np.asarray(np.einsum("nji,nj->ni", rotation, velocity_mps))
 
     def road_z_m(self, x_m: float, y_m: float) -> float:
@@ -164,18 +170,6 @@ class CuboidDrive:
             plane = np.linalg.lstsq(A * weight[:, None], bottom_m[:, 2] * weight, rcond=None)[0]
             weight = 1 / np.sqrt(np.maximum(np.abs(bottom_m[:, 2] - A @ plane), 0.02))
         return float(plane[0])
-
-
-def slopes(
-    at_s: FloatArray, values: FloatArray, times_s: FloatArray, *, half_s: float
-) -> FloatArray:
-    """(T, K) slopes of straight lines through the values (N, K) within `half_s` of each time."""
-    result = np.full((len(times_s), values.shape[1]), np.nan)
-    for row, time_s in enumerate(times_s.tolist()):
-        near = np.abs(at_s - time_s) <= half_s + 0.02
-        if near.sum() >= 2:
-            result[row] = np.polyfit(at_s[near] - time_s, values[near], 1)[0]
-    return result
 
 
 def _columns(path: Path) -> dict[str, npt.NDArray[Any]]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.boxes.cuboid_drive import CuboidDrive, Cuboids, slopes
+from benchmarks.boxes.cuboid_drive import CuboidDrive, Cuboids
 from benchmarks.boxes.road_view import RoadView, road_view
 from benchmarks.boxes.view_run import run_view
 from benchmarks.boxes.view_scores import RunScores, ScoredRows
@@ -98,12 +98,6 @@ def test_objects_at_rest_have_no_velocity_and_the_vehicle_its_speed() -> None:
     moved_m = SPEED_MPS * view.times_s[-1]
     # along the axis, and to the left of it
     assert view.path_m[-1] == pytest.approx((0.5 * moved_m, math.sqrt(0.75) * moved_m))
-
-
-def test_slopes_are_of_straight_lines_near_each_time() -> None:
-    at_s = np.arange(10) / 10
-    values = np.stack([2 * at_s, at_s**2], axis=1)
-    assert slopes(at_s, values, np.array([0.5]), half_s=0.2)[0] == pytest.approx((2.0, 1.0))
 
 
 def test_a_run_measures_the_cars_of_a_view() -> None:

@@ -16,9 +16,9 @@ import numpy as np
 import track_range as tr
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.camera_drives import FPS, CameraDrive
-from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, decoded
+from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, StoredDetector, decoded
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.speed_files import open_ego_speed
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -46,17 +46,6 @@ class SpeedDrive:
     height_m: float
     true_mps: FloatArray
     recorded: RecordedDetections | None = None
-
-
-class _Recorded:
-    """A detector that returns recorded boxes, frame by frame."""
-
-    def __init__(self, recorded: RecordedDetections) -> None:
-        self._recorded, self._index = recorded, -1
-
-    def detect(self, image: Image) -> tr.Detections:
-        self._index += 1
-        return self._recorded.at(self._index)
 
 
 @workload(
@@ -123,13 +112,14 @@ def _motions(drive: SpeedDrive, height_m: float | None) -> list[EgoMotion]:
     """The motion of the camera in each image after the first one, at 10 Hz, by a pipeline that gets
     no speed.
     """
-    detector = "road" if drive.recorded is None else _Recorded(drive.recorded)
+    images = decoded(drive.video)
+    detector: str | StoredDetector = "road"
+    if drive.recorded is not None:
+        detector = StoredDetector([drive.recorded.at(frame) for frame in range(len(images))])
     with tr.Pipeline.mono(
         rig=drive.camera, camera_height_m=height_m, detector=detector
     ) as pipeline:
-        results = [
-            pipeline.step(image, frame / FPS) for frame, image in enumerate(decoded(drive.video))
-        ]
+        results = [pipeline.step(image, frame / FPS) for frame, image in enumerate(images)]
     return [result.ego for result in results[1:]]
 
 
