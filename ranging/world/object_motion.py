@@ -5,16 +5,16 @@ ego motion.
     x'                 speed to the right of it over ground (`LateralFilters`, which removes the motion of the camera)
 
 The filter has the probability q that an object moves along the axis, and the moments of u over both
-cases; the moments of u for moving objects follow, with the variance A. With odds of r, these have stopped, whose u is
-0: q : 1 - q becomes q : 1 - q + q r / L_M(u; A). x' has the variance B = f P_x'x' (f since errors
-of filtered rates are correlated). An object that does not move along the axis is at rest (R) or
+cases; the moments of u for moving objects follow, with the variance A. With odds of r, these have
+stopped (S), whose u is 0. x' has the variance B = f P_x'x' (f since errors of filtered rates are
+correlated). An object that does not move along the axis is at rest (R) or
 crosses it (C, a fraction c); of the objects that move along it (M), three quarters have small
 speeds m across it; the rest and C have any speed of 1 sigma M. With L_a = N(x'; B + a^2) / N(x';
 B):
 
-    R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
+    R + S : C : M = (1 - q) (1 - c) + q r / L_M(u; A) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
 
-The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their
+The speed is the mean over these, 0, |x'| and |(u_M, x')|, and its variance contains their
 differences. A wrong size scales the motion across the axis, too, of objects at rest if the camera
 moves to its right: the variance of its speed U and s^2 (x' - U)^2 are part of B, with the systematic
 error s of the distance.
@@ -130,12 +130,12 @@ def over_ground(
 
     # Probabilities of rest, crossing and moving along.
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
-    q = q / (1 + q * _STOPPED * np.exp(-_log_ratio(u_M, A, M)))
+    stopped = q * _STOPPED * np.exp(-_log_ratio(u_M, A, M))
     c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
     L_m, L_M = np.exp(_log_ratio(right, B, _ACROSS_MPS)), np.exp(_log_ratio(right, B, M))
     p = np.stack(
         [
-            (1 - q) * (1 - c),
+            (1 - q) * (1 - c) + stopped,
             (1 - q) * c * L_M,
             q * (_ALONG_FRACTION * L_m + (1 - _ALONG_FRACTION) * L_M),
         ]

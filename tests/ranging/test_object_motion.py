@@ -79,14 +79,17 @@ def test_an_object_at_rest_has_almost_no_speed():
 
 def test_an_object_that_moved_and_has_no_speed_has_probably_stopped():
     """The variance of u is A = 0.4^2 + 0.05^2 + s^2 100 with s^2 = 0.2 / 400, 0.213; that of moving
-    vehicles is 64 more. 0.1 sqrt(64.2 / 0.213) = 1.74 for stopped objects beside 1: 37 % move.
+    vehicles is 64 more: 0.1 sqrt(64.2 / 0.213) = 1.74 for stopped objects beside 1.
     """
     stopped = ground_of([-10.0], [0.0], rate_sigma_mps=0.4, static=[0.0])
     # across: N(0; 0.08 + 0.09) / N(0; 0.08) = 0.69 for 3/4 of them, and 0.04 for 1/4
-    along = 0.37 * (0.75 * 0.686 + 0.25 * 0.035)
-    assert stopped.moving[0] == pytest.approx(along / (along + 0.63 * 0.9), abs=0.02)
+    along = 0.75 * 0.686 + 0.25 * 0.035
+    assert stopped.moving[0] == pytest.approx(along / (along + 1.74), abs=0.01)
     slow = ground_of([-8.0], [0.0], rate_sigma_mps=0.4, static=[0.0])
     assert slow.moving[0] > 0.99
+    # what has stopped does not cross: a slow vehicle that turns still moves along
+    turning = ground_of([-9.0], [1.0], rate_sigma_mps=0.4, static=[0.0])
+    assert turning.along_mps[0] == pytest.approx(1.0, rel=0.01)
 
 
 def test_a_walking_person_is_not_at_rest():
