@@ -22,7 +22,12 @@ import numpy as np
 from benchmarks.harness import Figures, option, workload
 from track_range.detection.boxes import iou
 from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
-from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_id
+from track_range.detection.classes import (
+    ROAD_CLASSES,
+    SAME_OBJECT_GROUP,
+    road_class_id,
+    road_class_of,
+)
 from track_range.detection.detections import Detections
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.detection.models.onnx_session import Runtime
@@ -36,13 +41,6 @@ from track_range.simulation.world.truth import label_scene
 _SCENARIOS = ("town", "crossing", "queue", "crossing-adult", "city")
 _TIMES_S = (0.0, 2.0, 4.0)  # frames of a simulated drive
 _BANDS_M = ((0, 20), (20, 40), (40, 60), (60, 80), (80, 100), (100, 140))
-_CLASS_OF = {
-    "Pedestrian": "person",
-    "Cyclist": "bicycle",
-    "Van": "car",
-    "Pickup": "car",
-    "Construction_vehicle": "truck",
-}
 _CLASSES = ("person", "car", "truck")
 _LOWEST_PX = 36.0  # height from which boxes count for the precision
 _SCORES = (0.1, 0.4)  # of a run, and the usual one from which a track starts
@@ -136,25 +134,21 @@ def _of_labels(labels: KittiLabels, detections: Detections) -> FloatArray:
     """(N, 4) class, distance in m, score of the box and log of the ratio of the heights of each
     label that counts; without a box, the score is 0.
     """
-    names = [_CLASS_OF.get(name, name.lower()) for name in labels.kitti_type]
+    names = [road_class_of(name) or "" for name in labels.kitti_type.tolist()]
     is_counted = np.isin(names, ROAD_CLASSES)
     is_counted &= (labels.occluded <= 1) & (labels.truncated <= 0.02) & labels.has_3d_box
     rows = np.flatnonzero(is_counted)
     class_id = np.array([road_class_id(names[row]) for row in rows], np.int64)
+    counted = np.stack([class_id, labels.location_m[rows, 2], *np.zeros((2, len(rows)))], axis=1)
+    if not len(detections):
+        return counted
     boxes_px = labels.xyxy_px[rows]
     is_same = SAME_OBJECT_GROUP[class_id][:, None] == SAME_OBJECT_GROUP[detections.class_id]
     score = np.where(is_same & (iou(boxes_px, detections.xyxy_px) >= 0.5), detections.score, 0.0)
-    if not len(detections):
-        score = np.zeros((len(rows), 1))
-    best = score.argmax(axis=1)
-    height_px = boxes_px[:, 3] - boxes_px[:, 1]
-    ratio = np.ones(len(rows))
-    if len(detections):
-        ratio = (detections.xyxy_px[best, 3] - detections.xyxy_px[best, 1]) / height_px
-    return np.stack(
-        [class_id, labels.location_m[rows, 2], score.max(axis=1, initial=0.0), np.log(ratio)],
-        axis=1,
-    )
+    best_px = detections.xyxy_px[score.argmax(axis=1)]
+    ratio = (best_px[:, 3] - best_px[:, 1]) / (boxes_px[:, 3] - boxes_px[:, 1])
+    counted[:, 2], counted[:, 3] = score.max(axis=1), np.log(ratio)
+    return counted
 
 
 def _of_boxes(labels: KittiLabels, detections: Detections) -> FloatArray:
